@@ -1,5 +1,6 @@
 """`robodyn` and `python -m robodyn`: the command line."""
 
+import gc
 import os
 import signal
 
@@ -8,6 +9,7 @@ def main() -> None:
     """Run the command line; Ctrl-C while its modules are being loaded ends it without a word."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda number, _: os._exit(128 + number))
+    gc.set_threshold(100_000, 50, 100)  # what is imported would be searched again and again
     from robodyn.cli import main as command_line
 
     command_line()

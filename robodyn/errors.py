@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from typing import NamedTuple
 
 LONGEST_PART = 1000  # characters of a part of a message; names of the input may be many or long
 MOST_COMPARED = 2000  # names that are put in an order for a message
@@ -59,8 +59,7 @@ class InputError(RobodynError):
     exit_code = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(NamedTuple):
     """One fault of a description: the place in the file, what is there, what is allowed."""
 
     place: str

@@ -16,9 +16,10 @@ from reference_motions import START, scene
 from robodyn import simulate
 from robodyn.engines.series import FLOATS, Series, State
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanics.actuation import FUNCTIONS, callback, expressions, table
+from robodyn.mechanics.actuation import callback, expressions, table
 from robodyn.mechanics.program import Given, Program
 from robodyn.mechanics.torque_rows import linear_piece, torque_slots
+from robodyn.scene.expressions import FUNCTIONS
 from robodyn.simulation.report import Outcome
 from robodyn.taylor.python_series import StraightEngine
 from robodyn.taylor.steps import _agree

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import atexit
 import functools
-import gc
 import inspect
 import os
 import sys
@@ -42,7 +41,6 @@ COMMANDS = tuple(SUMMARIES)
 
 def main() -> NoReturn:
     """Run the command line on this process's arguments and exit."""
-    gc.set_threshold(100_000, 50, 100)  # importing scipy would collect for 30 ms, for nothing
     try:
         signals.answer(signals.end)
         code = run(sys.argv[1:])

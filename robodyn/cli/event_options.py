@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from robodyn.cli.files import output_file
 from robodyn.cli.options import Text, option
 from robodyn.errors import InputError
-from robodyn.events.functions import event_functions
-from robodyn.events.watch import EventWatch
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.simulation import UNTIL, watched_events
+
+if TYPE_CHECKING:
+    from robodyn.events.watch import EventWatch
 
 _UNTIL = "Ends the run when this becomes true, as q1 > 90deg, or passes zero."
 EVENT = "Tells when EXPR passes zero, or becomes true; may be repeated."
 _EVENTS = "Writes event,t,q1..,qd1.. of each event as CSV."
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class EventOptions:
     """What to look for on the way."""
 
@@ -39,6 +40,8 @@ class EventOptions:
         if watch is None and self.events is not None:
             if not mechanism.switches:
                 raise InputError("--events", limit="there are none: give --event or --until")
+            from robodyn.events.watch import EventWatch
+
             watch = EventWatch([], t_end)
         return watch
 
@@ -55,6 +58,10 @@ def named_events(mechanism: Mechanism, texts: Iterable[str]) -> dict[str, str]:
             limit = "each event needs a name of its own"
             raise InputError("--event", value=name, limit=limit)
         given[name] = expression
+    if not given:
+        return given
+    from robodyn.events.functions import event_functions
+
     try:
         event_functions(mechanism, given)
     except InputError as error:

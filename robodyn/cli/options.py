@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -44,7 +44,7 @@ def switch(help: str) -> Any:
     return option(help, default=False)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class Model:
     """The scene that a command is about."""
 
@@ -91,7 +91,7 @@ class Model:
             return numbers_of(self.text(), self.model, self.given)
         except DescriptionError as error:
             given = " ".join(f"--set {text}" for text in self.numbers or ())
-            faults = [replace(fault, line=None) for fault in error.faults]
+            faults = [fault._replace(line=None) for fault in error.faults]
             raise DescriptionError(f"{self.model} with {given}", faults) from None
 
     def text(self) -> str:

@@ -73,7 +73,7 @@ def maker(
     return make
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class RowOptions:
     """How rows are written."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack
@@ -17,7 +16,6 @@ from robodyn.cli.files import output_file
 from robodyn.cli.loads import Force, load_with
 from robodyn.cli.options import Extremes, Format, Model, Number, Quiet, Text, option
 from robodyn.cli.output import default_format, extremes_writer, maker, note, told
-from robodyn.cli.run_summary import tell_run
 from robodyn.cli.signals import watching
 from robodyn.cli.simulate_options import (
     ControlOptions,
@@ -29,7 +27,6 @@ from robodyn.cli.simulate_options import (
 from robodyn.cli.states import Quantity, StateOptions, assembled_state, remarks, single_state
 from robodyn.cli.times import Points, output_times
 from robodyn.errors import RobodynError, at_place
-from robodyn.events.told import Event
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
@@ -42,6 +39,7 @@ from robodyn.tables.output_file import open_output
 from robodyn.tables.table_writer import Writer
 
 if TYPE_CHECKING:
+    from robodyn.events.told import Event
     from robodyn.simulation.sensitivity import Sensitivities
 
 _TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
@@ -52,7 +50,7 @@ class UnfinishedError(RobodynError):
     """The run ended before its end time; its outcome is the message."""
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class TimeOptions:
     """When it ends, and where the rows are."""
 
@@ -61,7 +59,7 @@ class TimeOptions:
     points: Points = None
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class ResultOptions:
     """What is told, and where."""
 
@@ -145,6 +143,8 @@ def simulate(
         given = mechanism, begin, duration, acting, settings, rows.write, times, watch, watched
         outcome, facts = _told(given, rows, estimate, results, events)
         if not results.quiet:
+            from robodyn.cli.run_summary import tell_run
+
             tell_run(mechanism, facts, events.until)
             if how.estimate_error and facts.error_estimate is None:
                 note("error of q and qd: not estimated, as no tighter run finishes")
@@ -205,7 +205,7 @@ def _carried(
         return with_sensitivities(mechanism, torques, begin, wanted_by, settings.method)
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class _Rows:
     """Writes the rows of a run, or what is asked for in their place."""
 
@@ -252,6 +252,8 @@ def _told(
             facts.error_estimate = estimate
         rows.writer.close()
         if report is not None:
+            import json
+
             report.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
         if table is not None and watched is not None:
             found = sorted([*watched.found, *recorder.contacts], key=lambda x: abs(x.t))

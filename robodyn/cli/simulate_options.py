@@ -28,7 +28,6 @@ from robodyn.errors import InputError, at_place
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
-from robodyn.mechanics.voltages import voltages
 from robodyn.pictures.column_units import scene_units
 from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.settings import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
@@ -50,7 +49,7 @@ _AT = "Pose of state-feedback, as --q, with what holds it there. Default: those 
 _MODEL = "Scene that the controller believes. Default: MODEL."
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class TorqueOptions:
     """Where torque comes from."""
 
@@ -59,7 +58,7 @@ class TorqueOptions:
     volt: Text = option("Voltages of the motors of the actuated joints, V: as --tau.", "VOLTS")
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class ControlOptions:
     """What makes the torques track a reference."""
 
@@ -95,7 +94,7 @@ _SENSITIVITY = "Adds dq1/NAME.., dqd1/NAME..: derivatives by numbers of the scen
 _ENGINE = "Of the Taylor series; auto compiles runs of over a second."
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class RunOptions:
     """How to start and to integrate."""
 
@@ -157,6 +156,8 @@ def torque_source(
     if options.tau is not None:
         return actuation.expressions(mechanism, options.tau, "--tau"), end
     if options.volt is not None:
+        from robodyn.mechanics.voltages import voltages
+
         return voltages(mechanism, options.volt, "--volt"), end
     if options.tau_from is None:
         return Actuation((0.0,) * mechanism.n), end

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from robodyn.tables.table import Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(eq=False, repr=False)
 class Quantity:
     """One vector of a state: its name, its option's value, and whether it may be left out."""
 
@@ -40,7 +40,7 @@ class Quantity:
         return [f"{self.name}{k + 1}" for k in joints]
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class StateOptions:
     """A state by options."""
 
@@ -54,7 +54,7 @@ class StateOptions:
         return own + [Quantity(name, option) for name, option in others.items()]
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class TableOptions(StateOptions, RowOptions):
     """A state by options, or a table of states, and what becomes of its rows."""
 
@@ -62,7 +62,7 @@ class TableOptions(StateOptions, RowOptions):
     differentiate: Differentiate = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(eq=False, repr=False)
 class Source:
     """Where a quantity comes from: an option's values, or columns; for all joints or actuated."""
 
@@ -153,13 +153,14 @@ def complete(
     """q, qd and what else there is for all joints (..., n): assembled, or checked to be closed."""
     import numpy as np
 
-    from robodyn.loops import assembly, loop_rates
-
+    free = not mechanism.rows and len(mechanism.actuated) == mechanism.n  # a joint each
+    if not free:
+        from robodyn.loops import assembly, loop_rates
     motion: dict[str, Array] = {}
     with np.errstate(all="ignore"):
         for source, given in zip(sources, values, strict=True):
             name, full = source.quantity.name, given
-            if source.whole:
+            if free or source.whole:
                 pass
             elif name == "q":
                 full = assembly.assemble(mechanism, given, branches)

@@ -36,17 +36,16 @@ from robodyn.dynamics.placed import (
     placed,
     relative_matrix,
 )
-from robodyn.engines.row_values import rows_of
 from robodyn.engines.singular_values import svd
 from robodyn.errors import RobodynError, SingularError
 from robodyn.loops.closing import loop_size, singular_at
-from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
 RANK_CUT = 1e-10  # singular values of Psi below this part of the loop's size count as zero
 MASS_CUT = 1e-13  # a mass matrix, its diagonal scaled to 1, with a smaller eigenvalue is singular
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 LIGHTEST = 1e-15  # a freedom with less than this part of the largest inertia has none
 SPREAD = 1e5  # ratio of link inertias up to which eliminating M before Psi keeps its digits
 BALANCE = 1e-7  # part of the load that torques may miss by before the motion is impossible
@@ -100,6 +99,9 @@ def _joint_loads(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) -> Arr
     """What acts at joints there."""
     loads: Array = mechanism.arrays.damping * qd
     if mechanism.has_state_forces:
+        from robodyn.engines.row_values import rows_of
+        from robodyn.mechanics import parts
+
         loads = loads + rows_of(parts.acting, mechanism)("torques", q, qd, t)
     return loads
 
@@ -223,7 +225,9 @@ def elimination_is_safe(mechanism: Mechanism) -> bool:
     diagonal = np.array([mechanism.inertias[k] for k in range(mechanism.n)])
     scale = np.sqrt(diagonal)
     diagonal = diagonal * mechanism.arrays.units**2
-    sample = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, mechanism.n))
+    # the parts of squares of a golden ratio are spread evenly; numpy.random takes 6 ms to import
+    turns = np.arange(8.0 * mechanism.n) ** 2 * GOLDEN % 1.0
+    sample = np.pi * (2.0 * turns.reshape(8, -1) - 1.0)
     sample[:, list(mechanism.slides)] *= mechanism.unit
     M = _whole_inertia(mechanism, placed(mechanism, sample)) / (scale[:, None] * scale)
     regular = bool(np.linalg.eigvalsh(M)[:, 0].min() > MASS_CUT)

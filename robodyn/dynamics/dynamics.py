@@ -15,7 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,13 +32,13 @@ from robodyn.dynamics.dense_dynamics import (
 )
 from robodyn.dynamics.placed import finite, matvec, n_wide, placed
 from robodyn.engines import formulas
-from robodyn.engines.formula_rows import FormulaRows
 from robodyn.engines.formulas import Formula
 from robodyn.errors import InputError, SingularError
-from robodyn.loops import change_points, projection
-from robodyn.loops.closing import NEAR_SINGULAR, close_positions
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
+
+if TYPE_CHECKING:
+    from robodyn.engines.formula_rows import FormulaRows
 
 PIVOT_CUT = 1e-3  # generated code is trusted while the closures' relative pivots exceed this
 BATCH = 200  # from so many states on generated array code wins, its generation included
@@ -133,7 +133,7 @@ def _smooth(
     q = states["q"]
     if kind == "inverse":
         check_actuators(mechanism, q)
-    rows = None
+    rows: FormulaRows | None = None
     if q.size >= BATCH * mechanism.n and mechanism.n <= formulas.MAX_GENERATED:
         rows = _generated(kind, mechanism)
     if rows is None:
@@ -187,6 +187,8 @@ def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
     formula = record()
     if formula is None:
         return None
+    from robodyn.engines.formula_rows import FormulaRows
+
     return FormulaRows(formula, record, (mechanism.n, len(mechanism.rows)), PIVOT_CUT)
 
 
@@ -197,6 +199,9 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array, t: ArrayLike
     """`dense_dynamics.forward`; next to a change point that of the motion which leads across."""
     if not mechanism.rows or not q.size:
         return dense_dynamics.forward(mechanism, q, qd, tau, t=t)
+    from robodyn.loops import change_points, projection
+    from robodyn.loops.closing import NEAR_SINGULAR, close_positions
+
     near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q))
     close = near < NEAR_SINGULAR
     if close.any():  # there a state must keep the closures to its last digit
@@ -220,15 +225,15 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array, t: ArrayLike
 
 def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike) -> Torques:
     """`dense_dynamics.inverse`; at a change point the limit along the motion that leads across."""
+    if not mechanism.rows or not q.size:
+        return dense_dynamics.inverse(mechanism, q, qd, qdd, t)
+    from robodyn.loops import change_points, projection
+
     try:
         found = dense_dynamics.inverse(mechanism, q, qd, qdd, t)
-        if not mechanism.rows or not q.size:
-            return found
         near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q))
         return _missed(mechanism, found, q[near < change_points.NEAR])
     except SingularError:
-        if not mechanism.rows:
-            raise
         if mechanism.springs:  # one without a direction is no change point: it raises here again
             required_load(mechanism, q, qd, qdd, t)
         if q.ndim > 1:
@@ -257,6 +262,8 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike
 
 def _missed(mechanism: Mechanism, found: Solution, states: Array) -> Solution:
     """With a remark where one of the states is near a change point that the loops just miss."""
+    from robodyn.loops import change_points
+
     remarks = (found.remark, change_points.miss_remark(mechanism, states))
     return found._replace(remark="; ".join(filter(None, remarks)))
 

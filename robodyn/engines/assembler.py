@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
+UNROLLED = 8  # passes of a loop that are written out
 WHOLE, SCALAR, ADDRESS, TRUTH = "i64", "double", "ptr", "i1"
 
 
@@ -125,6 +126,10 @@ class Kernel:
         """A mask, the same in every lane."""
         return self._everywhere(Word(str(value).lower(), TRUTH))
 
+    def zero(self, type: str) -> Word:
+        """Zeros of any type of numbers."""
+        return Word("zeroinitializer" if "x" in type else self.scalar(0.0).text, type)
+
     def _everywhere(self, one: Word) -> Word:
         if self.lanes == 1:
             return one
@@ -206,13 +211,14 @@ class Kernel:
 
     # -- lanes -----------------------------------------------------------------------------------
 
-    def spread(self, value: Word) -> Word:
-        """A scalar, in every lane."""
-        if self.lanes == 1:
+    def spread(self, value: Word, lanes: int = 0) -> Word:
+        """A scalar, in every lane, or so often."""
+        lanes = lanes or self.lanes
+        if lanes == 1:
             return value
-        type = f"<{self.lanes} x {value.type}>"
+        type = f"<{lanes} x {value.type}>"
         first = self.op(type, f"insertelement {type} poison, {value}, i64 0")
-        zeros = f"<{self.lanes} x i32> zeroinitializer"
+        zeros = f"<{lanes} x i32> zeroinitializer"
         return self.op(type, f"shufflevector {first}, {type} poison, {zeros}")
 
     def lane(self, value: Word, i: int) -> Word:
@@ -223,9 +229,9 @@ class Kernel:
 
     def gathered(self, values: Sequence[Word]) -> Word:
         """Scalars side by side."""
-        if self.lanes == 1:
+        if len(values) == 1:
             return values[0]
-        type = f"<{self.lanes} x {values[0].type}>"
+        type = f"<{len(values)} x {values[0].type}>"
         word = Word("poison", type)
         for i, value in enumerate(values):
             word = self.op(type, f"insertelement {word}, {value}, i64 {i}")
@@ -300,6 +306,10 @@ class Kernel:
 
     def each(self, count: int, write: Callable[[Word], None]) -> None:
         """Write something for 0 .. count - 1."""
+        if count <= UNROLLED:
+            for i in range(count):
+                write(self.whole(i))
+            return
         with self.loop(self.whole(count)) as i:
             write(i)
 

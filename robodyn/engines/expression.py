@@ -58,10 +58,9 @@ class Graph:
 
     def node(self, op: str, args: tuple[Value | str, ...]) -> Expression:
         """The one node of this operation on these arguments."""
-        key = (op, *[a.index if isinstance(a, Expression) else (type(a), a) for a in args])
-        found = self._known.get(key)
+        found = self._known.get((op, args))
         if found is None:
-            found = self._known[key] = Expression(self, op, args, len(self.nodes))
+            found = self._known[op, args] = Expression(self, op, args, len(self.nodes))
             self.nodes.append(found)
         return found
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.engines import array_blocks, expression, straightline
 from robodyn.engines.formulas import Formula
-from robodyn.engines.machine_rows import Evaluate, Rows
 from robodyn.tables.arrays import Array
+
+if TYPE_CHECKING:
+    from robodyn.engines.machine_rows import Evaluate
 
 Found = tuple[list[Array], NDArray[np.int64]]
 
@@ -71,6 +74,8 @@ class FormulaRows:
             ends = np.cumsum((0, *self.widths[:wanted]))
             pairs = pairwise(ends)
             outputs = [formula.outputs[a:b] for a, b in pairs]
+            from robodyn.engines.machine_rows import Rows
+
             rows = Rows(inputs, outputs, formula.pivots, self.least)
             self._machine[wanted] = rows.compile()
         return self._machine[wanted]

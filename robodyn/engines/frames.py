@@ -30,7 +30,7 @@ from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Program, Row, Slot
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(eq=False, repr=False)
 class State:
     """Where a series starts: directions E (n), rates w of x = J q, and the values of `Given`s.
 
@@ -194,7 +194,7 @@ class Frames:
         x, y = self._kept[z][frame]
         x[m], y[m] = self.into(frame, self.planar[z][m])
 
-    def convolve(self, x: Any, y: Any, m: int, first: int = 0, last: int | None = None) -> Value:
+    def convolve(self, x: Any, y: Any, m: Any, first: int = 0, last: Any = None) -> Value:
         """Sum of x_j y_{m-j} for j from `first` to `last` (m, unless given)."""
         last = m if last is None else last
         if last < first:

@@ -7,7 +7,8 @@ waits for its last term then.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 from robodyn.engines.arithmetic import Planar
@@ -82,15 +83,29 @@ def runs(loop: LoopExpansion) -> tuple[list[Run], dict[str, int], int]:
 # -- loops over columns ----------------------------------------------------------------------------
 
 
+def _pieces(count: int) -> Iterator[tuple[int, int]]:
+    """So many items in pieces that are vectors: where each begins, and its width."""
+    begin, wide = 0, WIDE
+    while begin < count:
+        while wide > count - begin:
+            wide //= 2
+        yield begin, wide
+        begin += wide
+
+
 def _vectors(run: Run, module: Module, columns: int) -> Iterator[Vector]:
     """Those of a run, the gaps between its columns left out where a column is a vector."""
     each = max(1, WIDE // module.lanes) if module.together else run.wide
+    if each == WIDE:  # of one lane
+        pieces = list(_pieces(run.wide))
+    else:
+        pieces = [(i, each) for i in range(0, run.wide, run.strides[1] if each == 1 else each)]
     one = run.sum
     weight = (one.slope, one.level + one.slope * one.first) if one.slope else None
     x, y = one.first * columns + run.x, (one.m - one.first) * columns + run.y
     same, terms = run.strides[0] == 0, one.last - one.first + 1
-    for i in range(0, run.wide, run.strides[1] if each == 1 else each):
-        yield Vector(x if same else x + i, y + i, run.place + i, each, terms, same, weight)
+    for i, wide in pieces:
+        yield Vector(x if same else x + i, y + i, run.place + i, wide, terms, same, weight)
 
 
 def _batches(vectors: Sequence[Vector], least: int, most: int) -> Iterator[Sequence[Vector]]:
@@ -105,11 +120,18 @@ def _batches(vectors: Sequence[Vector], least: int, most: int) -> Iterator[Seque
 
 
 def _write_batch(
-    module: Module, name: str, vectors: Sequence[Vector], weights: Sequence[Weight], columns: int
+    module: Module,
+    name: str,
+    vectors: Sequence[Vector],
+    weights: Sequence[Weight],
+    columns: int,
+    fewest: int,
 ) -> None:
     """name(x, y, out, p, levels): sums of (slope j + level) x_j y_j to their places in `out`.
 
-    The rows of x go up from order 0, those of y down from order p; a level for each weight.
+    The rows of x go up from order 0, those of y down from order p; a level for each weight.  What
+    the order before has found stands in the first term and the last: they come last, so that the
+    processor adds up the others while it is found.  There may be no term where there are `fewest`.
     """
     wide = Module(max(WIDE, module.lanes)) if module.together else module
     wide.functions = module.functions
@@ -128,20 +150,27 @@ def _write_batch(
 
     def term(among: Sequence[int], rows: tuple[Word, Word], levels: Sequence[Word]) -> None:
         """Add one to the totals."""
-        known: dict[tuple[Word, int, bool], Word] = {}
+        known: dict[tuple[Word, int, int, bool], Word] = {}
 
-        def read(row: Word, column: int, same: bool = False) -> Word:
-            key = row, column, same
+        def read(row: Word, column: int, wide: int, same: bool = False) -> Word:
+            key = row, column, wide, same
             if key not in known:
                 place = k.at(row, column * module.lanes)
-                known[key] = _repeated(k, place, module.lanes) if same else k.load(place)
+                if same:
+                    known[key] = _repeated(k, place, module.lanes, wide)
+                else:
+                    known[key] = k.load(place, numbers(wide))
             return known[key]
 
         for i in among:
-            a = read(rows[0], vectors[i].x, vectors[i].same)
+            wide = vectors[i].wide * module.lanes
+            a = read(rows[0], vectors[i].x, wide, vectors[i].same)
             if (weight := vectors[i].weight) is not None:
-                a = k.multiply(a, k.spread(levels[weights.index(weight)]))
-            totals[i] = k.add(totals[i], k.multiply(a, read(rows[1], vectors[i].y)))
+                a = k.multiply(a, k.spread(levels[weights.index(weight)], wide))
+            totals[i] = k.add(totals[i], k.multiply(a, read(rows[1], vectors[i].y, wide)))
+
+    def numbers(wide: int) -> str:
+        return f"<{wide} x double>" if wide > 1 else SCALAR
 
     def after(rows: tuple[Word, Word], levels: Sequence[Word]) -> tuple[Word, Word, list[Word]]:
         """The rows and levels of the next term."""
@@ -150,8 +179,13 @@ def _write_batch(
         step = columns * module.lanes
         return k.at(rows[0], step), k.at(rows[1], -step), new
 
-    with k.loop(k.add(p, k.whole(least))):
-        carried = [k.carried(word) for word in (x, y, *levels, *[k.number(0.0)] * len(vectors))]
+    held = least > fewest
+    newest, at_first = (x, y), levels
+    if held:
+        x, y, levels = after(newest, levels)
+    with k.loop(k.add(p, k.whole(least - held))):
+        zeros = [k.zero(numbers(v.wide * module.lanes)) for v in vectors]
+        carried = [k.carried(word) for word in (x, y, *levels, *zeros)]
         totals = carried[2 + len(levels) :]
         begun, rows, levels = totals.copy(), (carried[0], carried[1]), carried[2 : 2 + len(levels)]
         term(range(len(vectors)), rows, levels)
@@ -163,6 +197,8 @@ def _write_batch(
         term([i for i, v in enumerate(vectors) if v.terms - least > more], rows, levels)
         up, down, levels = after(rows, levels)
         rows = up, down
+    if held:
+        term(range(len(vectors)), newest, at_first)
     for total, vector in zip(totals, vectors, strict=True):
         k.store(total, k.at(out, vector.place * module.lanes))
     k.done()
@@ -176,16 +212,18 @@ def _write_sums(
     found = []
     for i, batch in enumerate(_batches(vectors, least, module.together or len(vectors))):
         weights = list(dict.fromkeys(v.weight for v in batch if v.weight is not None))
-        _write_batch(module, f"{name}{i}", batch, weights, columns)
+        _write_batch(module, f"{name}{i}", batch, weights, columns, least)
         found.append((f"{name}{i}", weights))
     return found
 
 
-def _repeated(k: Kernel, place: Word, lanes: int) -> Word:
+def _repeated(k: Kernel, place: Word, lanes: int, wide: int) -> Word:
     """So many numbers, again and again."""
-    type, again = f"<{lanes} x double>", ", ".join(f"i32 {i % lanes}" for i in range(k.lanes))
-    shuffled = f"shufflevector {k.load(place, type)}, {type} poison, <{k.lanes} x i32> <{again}>"
-    return k.op(k.numbers, shuffled)
+    if wide == 1:
+        return k.load(place, SCALAR)
+    type, again = f"<{lanes} x double>", ", ".join(f"i32 {i % lanes}" for i in range(wide))
+    shuffled = f"shufflevector {k.load(place, type)}, {type} poison, <{wide} x i32> <{again}>"
+    return k.op(f"<{wide} x double>", shuffled)
 
 
 def write_polynomials(module: Module, columns: int) -> None:
@@ -194,7 +232,7 @@ def write_polynomials(module: Module, columns: int) -> None:
     wide.functions = module.functions
     k = Kernel(wide, "polynomials", (*[ADDRESS] * 3, WHOLE, WHOLE, ADDRESS), "void")
     series, values, slopes, rows, numbers, place = k.arguments
-    x = _repeated(k, place, module.lanes)
+    x = _repeated(k, place, module.lanes, k.lanes)
     with k.loop(numbers, step=k.lanes) as i:
         last = k.at(k.at(series, i), k.multiply(rows, k.whole(columns * module.lanes)))
         with k.loop(rows):
@@ -249,13 +287,33 @@ def write_expand(scene: Scene, module: Module, chooses: bool = True) -> None:
             rest = scene.row(k, block, 0), scene.row(k, block, p), scene.at(k, block, "sums"), p
             k.line(f"call void @{name}({', '.join(map(str, (*rest, *levels)))})")
         words = segment.write([value for *_, value in grown])
-        for (column, offset, _), word in zip(grown, words, strict=True):
+        found = {(offset, i): word for (i, offset, _), word in zip(grown, words, strict=True)}
+        if k.lanes == 1 and module.together:  # a vector is had at once only where it is stored so
+            for offset, begin, wide in _read_together(all_runs, found):
+                together = k.gathered([found.pop((offset, begin + i)) for i in range(wide)])
+                k.store(together, k.at(rows[offset], begin))
+        for (offset, column), word in found.items():
             k.store(word, k.at(rows[offset], column, k.numbers))
     if chooses:
         _longest(scene, k, block)
     if scene.rate_series or scene.link >= 0:
         _rates(scene, k, block)
     k.done()
+
+
+def _read_together(
+    runs: Sequence[Run], found: Mapping[tuple[int, int], Word]
+) -> Iterator[tuple[int, int, int]]:
+    """What is found and sums read as one vector: offset from p, first column, and how many."""
+    taken: set[tuple[int, int]] = set()
+    for run in (x for x in runs if x.strides == (1, 1)):
+        for first, (begin, wide) in product((run.x, run.y), _pieces(run.wide)):
+            columns = range(first + begin, first + begin + wide)
+            for offset in sorted({offset for offset, _ in found}):
+                places = {(offset, i) for i in columns}
+                if wide > 1 and places <= found.keys() - taken:
+                    taken |= places
+                    yield offset, columns[0], wide
 
 
 def _coefficients(graph: Graph, column: int, orders: range) -> list[Value]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 from robodyn.engines.arithmetic import Value, convolution, plus, times, weighted
@@ -17,7 +18,16 @@ from robodyn.engines.expression import Expression, Graph, needed
 from robodyn.engines.formulas import RECORDED
 from robodyn.engines.frames import Framed
 from robodyn.engines.series import Series
-from robodyn.mechanics.program import Function, Given, Slot, Turn
+from robodyn.mechanics.program import (
+    COORDINATES,
+    Derivative,
+    Function,
+    Given,
+    Row,
+    Slide,
+    Slot,
+    Turn,
+)
 
 
 class Order:
@@ -139,7 +149,51 @@ class _PlanarStored(dict[Any, Framed]):
 
 
 class LoopSeries(Series):
-    """A series of which one order stands for all but the first."""
+    """A series of which one order stands for all but the first.
+
+    There each order waits for the one before, so that the second derivative of a direction is
+    (p + 1) (p + 2) times its square's coefficient, and the unknown u itself: no product of theta.
+    """
+
+    def known(self, slot: Slot, row: Row, m: Any) -> Any:
+        turn = self._bent(row)
+        if not isinstance(m, Order) or turn is None or isinstance(self.program.rows[turn], Slide):
+            return super().known(slot, row, m)
+        (link, _, _), *_ = self.planar[turn][m + 2]
+        by = self.arithmetic.keep(-0.5 * ((m + 1.0) * (m + 2.0)))
+        bend = times(by, self._square[turn]), self.unknown_values.get(turn, 0.0)
+        return ((link, None, bend),)
+
+    def change(self, slot: Slot, row: Row, m: Any, change: dict[Slot, Any]) -> Any:
+        turn = self._bent(row)
+        if not isinstance(m, Order) or turn is None:
+            return super().change(slot, row, m, change)
+        unknown = self.unknown_values.get(turn, 0.0)
+        if isinstance(self.program.rows[turn], Slide):
+            return unknown
+        (link, _, _), *_ = self.planar[turn][m + 2]
+        return ((link, None, (0.0, unknown)),)
+
+    def _bent(self, row: Row) -> Slot | None:
+        """The coordinate that a row is the second derivative of."""
+        rate = self.program.rows[row.x] if isinstance(row, Derivative) else None
+        if isinstance(rate, Derivative) and isinstance(self.program.rows[rate.x], COORDINATES):
+            return rate.x
+        return None
+
+    def _turn(self, slot: Slot, link: int, m: Any) -> Framed:
+        if not isinstance(m, Order):
+            return super()._turn(slot, link, m)
+        rho, theta = self._moment[slot]
+        both = (self.convolve(x, x, m, 1, m - 1) for x in (rho, theta))
+        self._square[slot] = square = plus(*both)
+        rho[m], theta[m] = value = (self.arithmetic.keep(times(-0.5, square)), 0.0)
+        return ((link, None, value),)
+
+    @cached_property
+    def _square(self) -> dict[Slot, Value]:
+        """What is known of a direction's square at the present order."""
+        return {}
 
     def planar_room(self, slot: Slot, orders: int) -> Any:
         return _PlanarStored(self, slot)

@@ -207,8 +207,6 @@ class Rules(Frames):
 
     def _half_square(self, x: Any, m: int) -> Value:
         """1/2 sum of x_j x_{m-j} for 0 < j < m."""
-        if type(m) is not int:  # of the order of a loop: even or odd
-            return times(0.5, self.convolve(x, x, m, 1, m - 1))
         total = self.convolve(x, x, m, 1, (m - 1) // 2)
         if m % 2 == 0:
             half = x[m // 2]

@@ -248,3 +248,9 @@ def _cos_sin(angle: int) -> tuple[int, int]:
             break
     turned = ((cosine, sine), (-sine, cosine), (-cosine, -sine), (sine, -cosine))
     return turned[quarter & 3]
+
+
+@lru_cache(maxsize=64)
+def loop_terms(mechanism: Mechanism) -> int:
+    """Entries of A and P, which the cost of straight-line code grows with."""
+    return len(mechanism.A) + sum(len(row.P) + len(row.angles) for row in mechanism.rows)

@@ -32,6 +32,7 @@ from robodyn.loops.closing import (
     CUT,
     close_positions,
     loop_size,
+    loop_terms,
     regular_rank,
     singular_size,
 )
@@ -110,12 +111,6 @@ def float_closing(mechanism: Mechanism) -> FloatClosing:
         return found
 
     return nearest
-
-
-@lru_cache(maxsize=64)
-def loop_terms(mechanism: Mechanism) -> int:
-    """Entries of A and P, which the cost of straight-line code grows with."""
-    return len(mechanism.A) + sum(len(row.P) + len(row.angles) for row in mechanism.rows)
 
 
 def state_led_across(

@@ -15,28 +15,18 @@ from typing import TYPE_CHECKING, Any
 
 from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.run_control import Control, Steps
-from robodyn.scene.expression_units import misfit, state_dimension
-from robodyn.scene.expressions import FUNCTIONS as FUNCTIONS
-from robodyn.scene.expressions import (
-    MAX_LENGTH,
-    SCOPE,
-    Change,
-    NotAllowedError,
-    Written,
-    state_names,
-    value_of,
-)
 from robodyn.tables.short_repr import short_repr
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from robodyn.mechanics.run_control import Control, Steps
     from robodyn.mechanics.torque_times import Pieces
+    from robodyn.scene.expressions import Change
 
 
 @short_repr
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Actuation:
     """Joint torques over time: constants (n), or lines that set tau0.. from t, q0.., qd0...
 
@@ -128,6 +118,9 @@ def expressions(
     units that do not fit, and for anything but arithmetic, comparisons, `a if b else c`, the
     functions above, pi and e.
     """
+    from robodyn.scene.expression_units import misfit, state_dimension
+    from robodyn.scene.expressions import MAX_LENGTH, SCOPE, NotAllowedError, Written, state_names
+
     rename, known = state_names(mechanism.n)
     try:
         writer = Written(text, rename, known, driving, state_dimension(mechanism.slides))
@@ -255,6 +248,8 @@ def for_each_actuated(mechanism: Mechanism, given: ArrayLike, name: str) -> list
 
 
 def _constant(code: str, text: str, where: str) -> float:
+    from robodyn.scene.expressions import value_of
+
     try:
         value = value_of(code)
     except (ArithmeticError, ValueError) as error:

@@ -20,7 +20,7 @@ from robodyn.mechanics.program import (
 )
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class LinkRows:
     """X, and P = X'', of the coordinates of a mechanism, and what follows from them.
 

@@ -1,7 +1,5 @@
 """What the numeric model of a mechanism consists of: points, rows of closures, springs, loads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar

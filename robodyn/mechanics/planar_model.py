@@ -89,12 +89,12 @@ class Mechanism:
             None if j is None or k in slides else self.frames[j] for k, j in enumerate(self.parent)
         )
 
-    @property
+    @cached_property
     def n(self) -> int:
         """Number of links, which is the number of joints and of coordinates."""
         return len(self.parent)
 
-    @property
+    @cached_property
     def passive(self) -> tuple[int, ...]:
         """The joints that carry no torque of their own."""
         actuated = set(self.actuated)
@@ -150,13 +150,13 @@ class Mechanism:
         carried = [] if rotor.carrier is None else self.turns_by(rotor.carrier)
         return dict.fromkeys(carried, 1.0) | {rotor.joint: rotor.ratio}
 
-    @property
+    @cached_property
     def has_state_forces(self) -> bool:
         """Whether anything acts but gravity, constant forces and torques, and joint dampers."""
         acting = any(not force.constant for force in self.forces) or self.varying_moments
         return bool(self.springs or self.joint_springs or self.rubs or acting)
 
-    @property
+    @cached_property
     def changes_energy(self) -> bool:
         """Whether the scene itself changes the energy: dampers, friction, forces that turn."""
         acting = any(not force.constant for force in self.forces) or self.varying_moments
@@ -164,12 +164,12 @@ class Mechanism:
         dampers = dampers or any(not conserves(law) for law in self.laws)
         return bool(dampers or self.rubs or acting)
 
-    @property
+    @cached_property
     def rubs(self) -> bool:
         """Whether friction acts, other than that of what sticks."""
         return bool(self.friction or self.slips)
 
-    @property
+    @cached_property
     def switches(self) -> bool:
         """Whether its equations of motion change on the way: dry friction, ends of joints."""
         return bool(self.dry or self.limits)
@@ -181,18 +181,18 @@ class Mechanism:
         loads = [x for x in acting if isinstance(x, (Law, Table))]
         return (*self.laws, *loads, *(moment.signal for moment in self.varying_moments))
 
-    @property
+    @cached_property
     def laws(self) -> list[Signal]:
         """Those of springs."""
         laws = [*(x.law for x in self.springs), *(x.law for x in self.joint_springs)]
         return [law for law in laws if law is not None]
 
-    @property
+    @cached_property
     def has_tables(self) -> bool:
         """Whether anything follows a table, whose rows a step of a series must not pass."""
         return any(isinstance(signal, Table) for signal in self.signals)
 
-    @property
+    @cached_property
     def bends_inside(self) -> bool:
         """Whether what acts may bend and bend back within a step of a series."""
         return self.rubs or self.has_tables

@@ -210,7 +210,7 @@ class Schedule(NamedTuple):
     live: dict[Slot, tuple[Slot, ...]]
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Program:
     """Rows in the order of their slots, residuals, and what is read out, by name."""
 

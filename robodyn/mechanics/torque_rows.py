@@ -6,14 +6,12 @@ those of time alone stand still between the times at which they switch.
 
 from __future__ import annotations
 
-import ast
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.mechanics.expression_rows import ExpressionRows, Slotted
 from robodyn.mechanics.program import Given, Slot
 
 
@@ -34,6 +32,10 @@ def torque_slots(
         return [add(Given(f"tau{j}")) if j in driven else None for j in range(n)]
     if actuation.control is not None:
         raise _refused("a controller that acts continuously")
+    import ast
+
+    from robodyn.mechanics.expression_rows import ExpressionRows, Slotted
+
     reader = ExpressionRows(equations.program, equations.variable, _refused, held)
     slots: list[Slot | None] = [None] * n
     for line in actuation.lines:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import yaml
@@ -47,7 +46,7 @@ def _of_mapping(scene: Mapping[str, object]) -> Description:
         text = yaml.safe_dump(_plain(scene), sort_keys=False, allow_unicode=True)
         return description.from_text(text, "mapping")
     except DescriptionError as error:  # there are no lines that anyone could look at
-        faults = [replace(fault, line=None) for fault in error.faults]
+        faults = [fault._replace(line=None) for fault in error.faults]
         raise DescriptionError(error.source, faults) from None
     except (yaml.YAMLError, RecursionError) as error:
         raise InputError("scene", limit=f"cannot be written as YAML: {error}") from None

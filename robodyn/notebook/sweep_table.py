@@ -27,7 +27,7 @@ from robodyn.tables.columns import Columns
 VECTORS = ("q", "qd", "qdd", "tau")
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class _Loaded(Model):
     """The model that a mechanism is, in place of a file."""
 

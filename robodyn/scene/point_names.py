@@ -20,7 +20,7 @@ _PART = re.compile(rf"({'|'.join(PARTS)})([0-9]{{1,6}})", re.ASCII)
 _NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Places:
     """The links by their names, where their tips and centres are in their frames, m, and points."""
 

@@ -4,8 +4,6 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 `description.py` reads it, `mechanism.py` makes numbers of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple

@@ -20,7 +20,7 @@ MAX_DEPTH = 40
 MAX_NODES = 300_000  # with aliases counted as often as they are used
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, repr=False)
 class Scalar:
     """One scalar: its text, whether it is quoted, its line."""
 
@@ -30,7 +30,7 @@ class Scalar:
     size: int = 1
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, repr=False)
 class Sequence:
     """A list of nodes."""
 
@@ -39,7 +39,7 @@ class Sequence:
     size: int = 1
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, repr=False)
 class Mapping:
     """Pairs of a key and a node, in the order of the file, equal keys kept."""
 

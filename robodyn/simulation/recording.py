@@ -16,23 +16,21 @@ import numpy as np
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.placed import matvec
-from robodyn.events.explicit_steps import KeptStep
-from robodyn.events.functions import EventFunction
-from robodyn.events.pieces import Step
-from robodyn.events.told import Event, Stop
-from robodyn.events.watch import EventWatch
-from robodyn.loops.change_points import miss_remark
-from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.report import Outcome, Report, StopRun
-from robodyn.simulation.unseen_work import UnseenWork
 from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolver
+
+    from robodyn.events.explicit_steps import KeptStep
+    from robodyn.events.functions import EventFunction
+    from robodyn.events.told import Event, Stop
+    from robodyn.events.watch import EventWatch
+    from robodyn.simulation.unseen_work import UnseenWork
 
 Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n or more)
 
@@ -46,7 +44,7 @@ NEVER = 1e4  # times the steps that a run may take: even if they grew as much it
 WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, repr=False)
 class Recorder:
     """Sees every accepted step: makes the rows, keeps the statistics."""
 
@@ -80,6 +78,8 @@ class Recorder:
     def begin(self, y: Array) -> None:
         given = self.actuation.alone or self.actuation
         if given.constants is None and not given.linear and given.control is None:
+            from robodyn.simulation.unseen_work import UnseenWork
+
             self.unseen = UnseenWork(given.function(self.mechanism.n), self.report.t_end)
         zero = np.zeros(1)
         if self.times is None or (len(self.times) and self.times[0] == 0.0):
@@ -97,6 +97,8 @@ class Recorder:
         ):  # what goes on with the run, or a phase of it that may end
             self._together([solver])
         else:
+            from robodyn.events.explicit_steps import KeptStep
+
             self.kept.append(KeptStep(solver))
             most = max(1, min(MOST_KEPT, KEPT // self.mechanism.n))
             if self.events.stops:
@@ -124,6 +126,8 @@ class Recorder:
         between = cache(solver.dense_output)  # made where a row or an event asks for it
         stop = None
         if self.events is not None and len(places):
+            from robodyn.events.pieces import Step
+
             step = Step(float(solver.t_old), t, y, lambda times: between()(times).T)
             stop = self.events.step(step, places)
             if stop is not None:
@@ -329,10 +333,14 @@ class Recorder:
         if report.nearest_singular is None or least[worst] < report.nearest_singular:
             report.nearest_singular = float(least[worst])
             report.nearest_singular_time = float(t[::stride][worst])
+            from robodyn.loops.change_points import miss_remark
+
             report.missed = miss_remark(mechanism, q[::stride][worst])
 
     def _least_singular(self, Psi: Array) -> Array:
         """The least singular values (k,) of Psi (k, r, n), of those that can be other than 0."""
+        from robodyn.loops.closing import loop_size
+
         size = loop_size(self.mechanism)
         if not self.rank:  # of closures that depend on one another not all count
             s = np.linalg.svd(Psi[:: max(1, len(Psi) // 8)], compute_uv=False)

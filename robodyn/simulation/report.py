@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TYPE_CHECKING
 
-from robodyn.mechanics.run_control import JointTracking
 from robodyn.tables.short_repr import short_repr
+
+if TYPE_CHECKING:
+    from robodyn.mechanics.run_control import JointTracking
 
 
 class Outcome(Enum):
@@ -57,7 +60,7 @@ class Outcome(Enum):
 
 
 @short_repr
-@dataclass(slots=True)
+@dataclass(eq=False, repr=False)
 class Report:
     """What a run did: SI units; drift is relative to the largest energy in motion."""
 

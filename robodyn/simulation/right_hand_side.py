@@ -33,8 +33,8 @@ from robodyn.engines import straightline
 from robodyn.engines.row_values import TableLeftError
 from robodyn.errors import RobodynError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across, nearest_singular
-from robodyn.loops.closing import regular_rank
-from robodyn.loops.projection import STRAIGHT, Projection, best_closing, dense_closing, loop_terms
+from robodyn.loops.closing import loop_terms, regular_rank
+from robodyn.loops.projection import STRAIGHT, Projection, best_closing, dense_closing
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array

@@ -10,7 +10,6 @@ import numpy as np
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.torque_times import harmless_torque, over_a_scene_run
 from robodyn.tables.arrays import Array
 
 
@@ -36,6 +35,8 @@ def over_run(
     """The torques of a run from `state` (2n) to t_end; see `torque_times.over_a_scene_run`."""
     if not actuation.lines and not mechanism.timed:
         return actuation
+    from robodyn.mechanics.torque_times import harmless_torque, over_a_scene_run
+
     small = harmless_torque(mechanism, atol, t_end)
     return over_a_scene_run(mechanism, actuation, state.tolist(), float(t_end), small)
 

@@ -20,7 +20,7 @@ CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize), "engine": get_ar
 SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, repr=False)
 class Settings:
     """How to integrate."""
 

@@ -11,21 +11,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.placed import as_states
-from robodyn.engines.row_values import near_table_end, rows_of
 from robodyn.errors import InputError, SingularError, printable
-from robodyn.events.functions import event_function, event_functions
-from robodyn.events.told import Event
-from robodyn.events.watch import EventWatch
-from robodyn.loops import loop_rates
-from robodyn.loops.projection import Projection, best_closing
-from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
@@ -37,11 +30,15 @@ from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
 from robodyn.tables.arrays import Array
 from robodyn.tables.columns import Columns
 
+if TYPE_CHECKING:
+    from robodyn.events.told import Event
+    from robodyn.events.watch import EventWatch
+
 TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
 UNTIL = "until"  # the name of the event that ends a run
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Motion:
     """A simulated motion: t (T,) s, q, qd, tau (T, n); how it ended, its events, and the report.
 
@@ -55,12 +52,12 @@ class Motion:
     tau: Array
     outcome: Outcome
     mechanism: Mechanism
-    phases: list[tuple[int, Mechanism]] = field(repr=False, compare=False)  # rows, and what moves
-    _events: Callable[[], list[Event]] = field(repr=False, compare=False)
-    _settle: Callable[[], Report] = field(repr=False, compare=False)
+    phases: list[tuple[int, Mechanism]]  # rows, and what moves
+    _events: Callable[[], list[Event]]
+    _settle: Callable[[], Report]
     sensitivity: Array | None = None
     errors: Array | None = None
-    _further: Columns = field(default_factory=Columns, repr=False, compare=False)
+    _further: Columns = field(default_factory=Columns)
 
     @cached_property
     def events(self) -> list[Event]:
@@ -159,9 +156,12 @@ def simulate(
     if q.ndim != 1 or qd.ndim != 1:
         shapes = f"{q.shape} and {qd.shape}"
         raise InputError("shapes of q and qd", value=shapes, limit="must be those of one state")
-    fault = loop_rates.check_closed(mechanism, q, qd)
-    if fault is not None:
-        raise fault[1]
+    if mechanism.rows:
+        from robodyn.loops import loop_rates
+
+        fault = loop_rates.check_closed(mechanism, q, qd)
+        if fault is not None:
+            raise fault[1]
     state = np.concatenate([q, qd])
     actuation = over_run(mechanism, as_actuation(mechanism, tau), state, t_end, atol)
     carried = None
@@ -216,12 +216,15 @@ def watched_events(
 
     Raises InputError for what is no event.
     """
+    if not events and until is None:
+        return None
+    from robodyn.events.functions import event_function, event_functions
+    from robodyn.events.watch import EventWatch
+
     functions = event_functions(mechanism, events)
     stops = frozenset([len(functions)] if until is not None else [])
     if until is not None:
         functions.append(event_function(mechanism, UNTIL, until, "until"))
-    if not functions:
-        return None
     return EventWatch(functions, t_end, stops, width=2 * mechanism.n)
 
 
@@ -260,15 +263,23 @@ def run(
     own = actuation.start or [0.0] * actuation.states
     y = np.concatenate([state, own, [0.0] * work])
     if t_end != 0.0 and mechanism.rows:
+        from robodyn.loops import loop_rates
+
         loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
     if report.stabilize == "projection":
+        from robodyn.loops.projection import Projection, best_closing
+
         y = Projection(mechanism, best_closing(mechanism))(y)
     if actuation.told is not None:
         actuation.told.begin(y.tolist(), float(t_end))
     if mechanism.has_tables:
+        from robodyn.engines.row_values import near_table_end, rows_of
+        from robodyn.mechanics import parts
+
         rows_of(parts.acting, mechanism).check_tables(y[:n], y[n : 2 * n])
     phases = None
     if mechanism.switches:
+        from robodyn.events.watch import EventWatch
         from robodyn.simulation.phases import Phases
 
         events = events or EventWatch([], t_end)

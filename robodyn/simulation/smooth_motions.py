@@ -13,12 +13,12 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome, Report, StopRun
-from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
 from robodyn.simulation.settings import Settings
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
     from robodyn.simulation.phases import Phases
+    from robodyn.simulation.right_hand_side import RightHandSide
 
 
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
@@ -37,6 +37,8 @@ class SmoothMotions:
         """The rates of the mechanism."""
         if mechanism not in self._sides:
             baumgarte = self.settings.stabilize == "baumgarte" and mechanism.rows
+            from robodyn.simulation.right_hand_side import right_hand_side
+
             self._sides[mechanism] = right_hand_side(
                 mechanism,
                 self.actuation,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import Any
 
 from robodyn.tables.short_repr import named
@@ -22,6 +21,8 @@ class Columns(dict[str, Any]):
         return f"<{self.rows} rows of {len(self)} columns: {named(self)}>"
 
     def _repr_html_(self) -> str:
+        from html import escape
+
         head = "".join(f"<th>{escape(name)}</th>" for name in self)
         lines = []
         for row in zip(*(values[:ROWS_SHOWN] for values in self.values()), strict=True):

@@ -17,8 +17,7 @@ from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
 from robodyn.events.told import Found
-from robodyn.loops.closing import regular_rank
-from robodyn.loops.projection import loop_terms
+from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
@@ -69,8 +68,9 @@ class Rows(Observer):
         count = len(scene.state)
         wide, to = k.whole(count), scene.at(k, block, "to_q0")
         begin, direction = scene.get(k, block, "t"), scene.get(k, block, "direction")
-        there = k.room(k.numbers, count)
+        there = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
         k.each(count, lambda i: k.store(k.load(k.at(to, i)), k.at(there, i)))
+        k.store(end, k.at(self._told(k, own, "ends"), taken))
         with k.when(k.compare("sge", self._told(k, own, "keeps"), k.whole(1))):
             turns, orders = 2 * scene.mechanism.n, scene.order + 2
             with k.loop(k.whole(orders)) as m:
@@ -83,9 +83,7 @@ class Rows(Observer):
         with k.when(k.compare("sge", self._told(k, own, "watches"), k.whole(1))):
             watch = self._told(k, own, "watch")
             k.line(f"call void @event_step({block}, {watch}, {there}, {end})")
-        state = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
-        k.store(end, k.at(self._told(k, own, "ends"), taken))
-        k.each(count, lambda i: k.store(k.load(k.at(there, i)), k.at(state, i)))
+            self._again(k, there, to)
         with k.forever() as done:
             given = self._told(k, own, "given")
             k.leave(k.compare("sge", given, self._told(k, own, "count")), done)
@@ -105,7 +103,11 @@ class Rows(Observer):
 
             k.each(count, keep)
             k.store(k.add(given, k.whole(1)), k.at(own, TABLE.index("given")))
-        k.each(count, lambda i: k.store(k.load(k.at(there, i)), k.at(to, i)))
+            self._again(k, there, to)
+
+    def _again(self, k: Kernel, there: Word, to: Word) -> None:
+        """The state at the step's end, where another one was made."""
+        k.each(len(self.scene.state), lambda i: k.store(k.load(k.at(there, i)), k.at(to, i)))
 
 
 class _Ready(NamedTuple):

@@ -18,10 +18,7 @@ import numpy as np
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.errors import InputError, RobodynError
-from robodyn.events.told import Stop
-from robodyn.loops.change_points import suspect_quality
-from robodyn.loops.misses import FAR, Misses
-from robodyn.loops.projection import float_closing, loop_terms
+from robodyn.loops.closing import loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
@@ -32,9 +29,9 @@ from robodyn.taylor import STEPS, Chunk, Engine, NoCodeError, Status, default_or
 from robodyn.taylor.held_steps import held_by_stability
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 from robodyn.taylor.steps import SteppingEngine
-from robodyn.taylor.watched_steps import with_events
 
 if TYPE_CHECKING:
+    from robodyn.events.told import Stop
     from robodyn.simulation.right_hand_side import RightHandSide
     from robodyn.taylor.variations import Variations
 
@@ -74,7 +71,11 @@ def stepping_engine(
     """
     if order is None:
         order = default_order(max(rtol, atol))
-    closing = float_closing(mechanism) if mechanism.rows and project else None
+    closing = None
+    if mechanism.rows and project:
+        from robodyn.loops.projection import float_closing
+
+        closing = float_closing(mechanism)
     kind = StraightEngine if _straight(mechanism, order) else InterpretedEngine
     return kind(mechanism, closing, order, rtol, atol, actuation, work)
 
@@ -148,9 +149,14 @@ def taylor_run(
         actuation = actuation.alone
     work = len(y) > 2 * mechanism.n
     projects = project and bool(mechanism.rows)
-    closing = float_closing(mechanism) if projects else None
-    suspect = suspect_quality(mechanism) if projects else 0.0
-    misses = Misses(mechanism) if projects else None
+    closing, misses, suspect = None, None, 0.0
+    if projects:
+        from robodyn.loops.change_points import suspect_quality
+        from robodyn.loops.misses import FAR, Misses
+        from robodyn.loops.projection import float_closing
+
+        closing, misses = float_closing(mechanism), Misses(mechanism)
+        suspect = suspect_quality(mechanism)
 
     def at_change_point() -> bool:
         return misses is not None and misses.crosses(y[: mechanism.n])
@@ -256,6 +262,8 @@ def taylor_run(
             within: Callable[[Array], Array] = runner.within
             stop: Stop | None = None
             if recorder.events is not None and len(chunk.t):
+                from robodyn.taylor.watched_steps import with_events
+
                 chunk, within, stop = with_events(recorder.events, mechanism, chunk, t, y, runner)
             told = chunk
             if variations is not None:

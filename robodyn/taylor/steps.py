@@ -7,23 +7,22 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import starmap
 from struct import Struct
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import joint_ways
 from robodyn.engines.expansion import KINK
-from robodyn.loops.change_points import suspect_quality
-from robodyn.loops.misses import Misses
-from robodyn.loops.projection import FloatClosing
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import PARTS, STEPS, Chunk, Status
-from robodyn.taylor.step_boxes import Kept, as_complex, boxes_along
+
+if TYPE_CHECKING:
+    from robodyn.loops.projection import FloatClosing
+    from robodyn.taylor.step_boxes import Kept
 
 Expanded = tuple[float, list[float], tuple[Sequence[float], ...]]  # h, the end, the series
 Pieces = tuple[Sequence[float], Sequence[float]]  # torques and their slopes, of a table
@@ -44,6 +43,16 @@ class Steps(NamedTuple):
     works: bool
 
 
+class _Asked(NamedTuple):
+    """Times x after a state, within the step of its series; the state at the last, if known."""
+
+    state: list[float]
+    series: Any
+    works: bool  # whether a power is among the series
+    x: Array
+    end: list[float] | None = None
+
+
 class SteppingEngine:
     """Advances by the steps that `make` has, and lands them where the next series is good."""
 
@@ -58,8 +67,12 @@ class SteppingEngine:
         work: bool,
     ) -> None:
         self.mechanism, self.closing, self.actuation = mechanism, closing, actuation
-        self.suspect = suspect_quality(mechanism) if closing is not None else 0.0
-        self.misses = Misses(mechanism) if closing is not None else None
+        self.suspect, self.misses = 0.0, None
+        if closing is not None:
+            from robodyn.loops.change_points import suspect_quality
+            from robodyn.loops.misses import Misses
+
+            self.suspect, self.misses = suspect_quality(mechanism), Misses(mechanism)
         self.order, self.work = order, work
         self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
         self._given = self.tolerances  # near a missed change point they are tighter
@@ -133,7 +146,7 @@ class SteppingEngine:
         direction = 1.0 if bound > t else -1.0
         ends: list[float] = []
         states: list[list[float]] = []
-        rows: list[Array] = []
+        asked: list[_Asked] = []
         kept: list[bytes] = []
         packed = Struct(f"{self.order + 2}d").pack
         due = 0
@@ -162,9 +175,8 @@ class SteppingEngine:
             end = bound if h == left else t + h * direction
             if due < len(times) and (times[due] - end) * direction <= 0.0:
                 last = due + int(np.searchsorted((times[due:] - end) * direction, 0.0, "right"))
-                rows.append(self.states(state, series, times[due:last] - t))
-                if times[last - 1] == end:
-                    rows[-1][-1] = new
+                ended = new if times[last - 1] == end else None
+                asked.append(_Asked(state, series, self._now.works, times[due:last] - t, ended))
                 due = last
             self.last = t, state, series
             if self.keeps:
@@ -181,12 +193,14 @@ class SteppingEngine:
             if (due and due == len(times)) or (self.halts is not None and self.halts(t)):
                 break
         made = np.array(states).reshape(len(states), len(y))
-        row_y = np.concatenate(rows) if rows else np.zeros((0, len(y)))
+        row_y = self._rows(asked) if asked else np.zeros((0, len(y)))
         found = Chunk(np.array(ends), made, times[:due], row_y, status)
         return found._replace(kept=self._kept(begin, y, found, kept)) if kept else found
 
     def _kept(self, t: float, y: Array, steps: Chunk, kept: list[bytes]) -> Kept:
         """Of steps from (t, y), by their series."""
+        from robodyn.taylor.step_boxes import Kept, as_complex, boxes_along
+
         parts = np.frombuffer(b"".join(kept)).reshape(len(steps.t), 2, self.mechanism.n, -1)
         states, times = np.concatenate([y[None], steps.y]), np.concatenate([[t], steps.t])
         h = times[1:] - times[:-1]
@@ -257,25 +271,39 @@ class SteppingEngine:
 
     def states(self, state: list[float], series: Any, x: Array) -> Array:
         """The states (k, N), closed, at times x (k,) after `state`, where the series begins."""
-        n = self.mechanism.n
-        y = np.array(state)
-        z = _turns(series, n)
-        orders = np.arange(len(z))
+        return self._rows([_Asked(state, series, self._now.works, x)])
+
+    def _rows(self, asked: Sequence[_Asked]) -> Array:
+        """The same within many steps, one after another."""
+        n, counts = self.mechanism.n, [len(some.x) for some in asked]
+        step = np.repeat(np.arange(len(asked)), counts)
+        x = np.concatenate([some.x for some in asked])
+        y = np.array([some.state for some in asked])[step]
+        parts = np.array([some.series[: 2 * n] for some in asked])
+        z = (parts[:, :n] + 1j * parts[:, n:]).swapaxes(1, 2)[step]  # rho + i theta (k, p, n)
+        orders = np.arange(z.shape[1])
         powers = x[:, None] ** orders
-        turn = powers @ z
-        slope = (powers[:, :-1] * orders[1:]) @ z[1:]
-        rows = np.empty((len(x), len(y)))
+        turn = (powers[:, None] @ z)[:, 0]
+        slope = ((powers[:, :-1] * orders[1:])[:, None] @ z[:, 1:])[:, 0]
+        rows = np.empty(y.shape)
         way, rows[:, n : 2 * n] = joint_ways(self.mechanism, y, turn, slope)
-        rows[:, :n] = y[:n] + way
+        rows[:, :n] = y[:, :n] + way
         if self.work:
-            rows[:, 2 * n] = y[2 * n]
-            if self._now.works:
-                power = np.array(series[2 * n])
-                terms = orders[: len(power)]
-                rows[:, 2 * n] += (powers[:, terms] * x[:, None] / (terms + 1.0)) @ power
+            rows[:, 2 * n] = y[:, 2 * n]
+            if any(some.works for some in asked):
+                none = (0.0,) * (self.order + 1)
+                power = np.array([some.series[2 * n] if some.works else none for some in asked])
+                power = power[step]
+                terms = orders[: power.shape[1]]
+                works = powers[:, terms] * x[:, None] / (terms + 1.0) * power
+                rows[:, 2 * n] += works.sum(axis=1)
             if self.actuation.constants is not None:
                 rows[:, 2 * n] += way @ np.array(self.actuation.constants)
-        return self.closed(rows)
+        rows = self.closed(rows)
+        for row, some in zip(np.cumsum(counts) - 1, asked, strict=True):
+            if some.end is not None:
+                rows[row] = some.end
+        return rows
 
     def closed(self, rows: Array) -> Array:
         """See `Engine`."""
@@ -283,11 +311,6 @@ class SteppingEngine:
             for k, row in enumerate(rows):
                 rows[k] = self.closing(row.tolist())[0]
         return rows
-
-
-def _turns(series: Any, n: int) -> NDArray[np.complex128]:
-    """rho + i theta (order + 2, n)."""
-    return np.asarray(np.array(series[:n]).T + 1j * np.array(series[n : 2 * n]).T)
 
 
 def _agree(series: Sequence[float], x: float, value: float, relative: float, small: float) -> bool:
