@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -74,20 +75,14 @@ def right_hand_side(
     if kind is None:
         kind = _best_kind(mechanism)
 
-    def straight(least_pivot: float, otherwise: Rates, torques: Actuation = actuation) -> Rates:
-        return straightline.compile_rates(
-            mechanism,
-            torques,
-            work=work,
-            baumgarte=baumgarte,
-            least_pivot=least_pivot,
-            otherwise=otherwise,
-        )
+    straight = partial(straightline.compile_rates, mechanism, work=work, baumgarte=baumgarte)
 
     def solving(torques: Actuation) -> Rates:
         """The rates of a state as it is."""
         fallback = _dense_rates(mechanism, torques, work, baumgarte)
-        return fallback if kind == "dense" else straight(SINGULAR, fallback, torques)
+        if kind == "dense":
+            return fallback
+        return straight(torques, least_pivot=SINGULAR, otherwise=fallback)
 
     solved = solving(actuation)
     if not mechanism.rows:
@@ -144,8 +139,8 @@ def right_hand_side(
         near.met = True
         return careful(t, y)
 
-    rates = straight(NEAR, watched)
-    near = NearSingular(lambda t, y: watched(t, y))
+    rates = straight(actuation, least_pivot=NEAR, otherwise=watched)
+    near = NearSingular(watched)
     return RightHandSide(rates, project, kind, near)
 
 
