@@ -311,14 +311,14 @@ def right_hand_sides(bench: Bench) -> list[Row]:
 
 
 def evaluators(bench: Bench) -> list[Row]:
-    """Where straight-line code and the sparse factorisation cross: ratio of their times."""
+    """Where straight-line code and dense algebra cross: ratio of their times."""
     rows = []
     scenes = [(f"{n}R chain", chain_text(n)) for n in (10, 20, 40)]
     scenes += [(f"{n}-four-bar", n_four_bar_text(n)) for n in (10, 40, 80)]
     for what, text in scenes[:: 3 if bench.quick else 1]:
         mechanism = build(from_text(text, what))
         unforced = Actuation((0.0,) * mechanism.n)
-        kinds = [right_hand_side(mechanism, unforced, kind=k) for k in ("straight-line", "sparse")]
+        kinds = [right_hand_side(mechanism, unforced, kind=k) for k in ("straight-line", "dense")]
         q = np.full(mechanism.n, 1.0)
         if mechanism.rows:
             q[mechanism.n // 2 + 1 :] = -1.0
@@ -328,7 +328,7 @@ def evaluators(bench: Bench) -> list[Row]:
             lambda kinds=kinds, y=y: [kinds[1].rates(0.0, y) for _ in range(20)],
             bench.repeats,
         )
-        rows.append(compared(f"dy/dt straight-line, {what}", times, 20, "sparse"))
+        rows.append(compared(f"dy/dt straight-line, {what}", times, 20, "dense"))
     return rows
 
 

@@ -297,7 +297,6 @@ ENGINES = {
         lambda one: by_batches_of_code(one, PLAIN), FEW, EVERYWHERE[::6], compiles=True
     ),
     "rates, straight-line": Engine(lambda one: by_rates(one, "straight-line"), FEW, long=True),
-    "rates, sparse": Engine(lambda one: by_rates(one, "sparse")),
     "rates, dense": Engine(lambda one: by_rates(one, "dense")),
     "series on floats": Engine(lambda one: by_series(one, "floats"), MANY),
     "series on floats, grounded": Engine(lambda one: by_series(one, "floats", grounded=True), MANY),

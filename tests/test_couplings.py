@@ -52,7 +52,7 @@ COUPLED = [
     pytest.param('["q2 = -q1", "q3 = 20/37 q2 + 30deg"]', (0,), id="a chain"),
     pytest.param("q3 = 30deg", (0, 1), id="locked"),
 ]
-EACH_KIND = each("kind", ["straight-line", "sparse", "dense"])
+EACH_KIND = each("kind", ["straight-line", "dense"])
 
 
 def geared(couplings, actuated):

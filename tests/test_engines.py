@@ -33,7 +33,7 @@ EVERY = pytest.mark.parametrize("name", EVERYWHERE, ids=lambda x: getattr(x, "st
 CODE = machine.available()
 NEAR = 0.02  # how much nearer the next row of a table is than a series ends
 QUICK = (
-    *("closed form", "dense algebra", "calls", "rates, sparse", "rates, dense"),
+    *("closed form", "dense algebra", "calls", "rates, dense"),
     "series on floats",
 )
 

@@ -1,4 +1,4 @@
-"""The three evaluators of dy/dt against each other and against the oracles; the projection."""
+"""The evaluators of dy/dt against each other and against the oracles; the projection."""
 
 import math
 from functools import cache
@@ -26,12 +26,12 @@ from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation, expressions
 from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
 
-KINDS = ("straight-line", "sparse", "dense")
+KINDS = ("straight-line", "dense")
 EACH_KIND = each("kind", KINDS)
 
 
 def sides(mech, source=None, **options):
-    """The three evaluators of a mechanism, by name."""
+    """The evaluators of a mechanism, by name."""
     source = source or Actuation((0.0,) * mech.n)
     return {kind: right_hand_side(mech, source, kind=kind, **options) for kind in KINDS}
 
@@ -239,13 +239,13 @@ class TestSwitches:
     def test_the_examples_are_straight_lines(self, name):
         assert self.kind(load(ROOT / f"robots/{name}.yaml")) == "straight-line"
 
-    def test_long_chains_are_sparse(self):
+    def test_long_chains_are_dense(self):
         chains = {n: seeded_scene(0, Shape((None, *range(n - 1)))).mechanism for n in (6, 24, 40)}
-        assert [self.kind(mech) for mech in chains.values()] == ["straight-line"] * 2 + ["sparse"]
+        assert [self.kind(mech) for mech in chains.values()] == ["straight-line"] * 2 + ["dense"]
 
-    def test_many_loops_are_sparse(self):
+    def test_many_loops_are_straight_lines(self):
         assert self.kind(n_four_bar(2)) == "straight-line"
-        assert self.kind(n_four_bar(100)) == "sparse"
+        assert self.kind(n_four_bar(100)) == "straight-line"
 
     def test_a_massless_link_is_dense(self):
         scene = seeded_scene(0, LOOPS["four-bar"], massless=(1,))
@@ -264,8 +264,7 @@ class TestSwitches:
         theta, rate = 1.1, -0.7
         kappa = (3 * N + 1) / 2 * 9.81 / ((N + 1) * (0.25 + 0.08) + N)  # I = 0.08, not 1/12
         y = n_four_bar_state(N, theta, rate)
-        kinds = KINDS if N < 10 else ("sparse", "dense")
-        for kind in kinds:
+        for kind in KINDS:
             side = right_hand_side(mech, Actuation((0.0,) * mech.n), kind=kind)
             found = rates(side, 0.0, y)[mech.n :]
             thetadd = -kappa * math.cos(theta)

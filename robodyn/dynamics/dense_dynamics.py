@@ -46,6 +46,7 @@ from robodyn.tables.short_repr import short_repr
 RANK_CUT = 1e-10  # singular values of Psi below this part of the loop's size count as zero
 MASS_CUT = 1e-13  # a mass matrix, its diagonal scaled to 1, with a smaller eigenvalue is singular
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+SURE = 1e-6  # such a matrix whose pivots are larger is none
 LIGHTEST = 1e-15  # a freedom with less than this part of the largest inertia has none
 SPREAD = 1e5  # ratio of link inertias up to which eliminating M before Psi keeps its digits
 BALANCE = 1e-7  # part of the load that torques may miss by before the motion is impossible
@@ -215,7 +216,7 @@ def responses(mechanism: Mechanism, q: Array, joints: Sequence[int]) -> Array:
 
 @lru_cache(maxsize=64)
 def elimination_is_safe(mechanism: Mechanism) -> bool:
-    """Whether M can be eliminated before Psi, as generated and sparse code do.
+    """Whether M can be eliminated before Psi, as generated code does.
 
     M alone must be positive definite (over a sample of configurations), and, with closures, the
     links' inertias must not spread so far that the multipliers lose their digits.
@@ -274,13 +275,21 @@ def _along_freedoms(mechanism: Mechanism, N: Array, M: Array, right: Array) -> A
     """N z with N^T M N z = N^T right, for states (T, n); SingularError where N^T M N is."""
     if not N.shape[-1]:
         return np.zeros_like(right)
-    Nt = np.swapaxes(N, -1, -2)
-    reduced = Nt @ M @ N
+    Nt, whole = np.swapaxes(N, -1, -2), N.shape[-1] == N.shape[-2]  # without closures N is 1
+    reduced = M if whole else Nt @ M @ N
     diagonal = np.diagonal(reduced, axis1=-2, axis2=-1)
     heaviest = np.abs(M).max(axis=(-2, -1), initial=0.0)[:, None]
     scale = np.sqrt(np.where(diagonal > LIGHTEST * heaviest, diagonal, np.inf))
     scaled = reduced / (scale[:, :, None] * scale[:, None, :])
-    least = np.where(np.isinf(scale).any(axis=-1), 0.0, np.linalg.eigvalsh(scaled)[:, 0])
+    least = np.zeros(len(scaled))
+    if not np.isinf(scale).any():
+        try:  # no pivot is below the least eigenvalue, and few are near it
+            pivots = np.diagonal(np.linalg.cholesky(scaled), axis1=-2, axis2=-1) ** 2
+            least = pivots.min(axis=-1)
+        except np.linalg.LinAlgError:
+            pass
+    if (least < SURE).any():
+        least = np.where(np.isinf(scale).any(axis=-1), 0.0, np.linalg.eigvalsh(scaled)[:, 0])
     if (least < MASS_CUT).any():
         worst = int(np.argmin(least))
         _, vectors = np.linalg.eigh(reduced[worst])

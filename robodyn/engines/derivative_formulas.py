@@ -15,7 +15,7 @@ from robodyn.engines.factors import Factors
 from robodyn.engines.formulas import Formula, Recorded, cheapest, closure_pivots
 from robodyn.engines.frames import relative
 from robodyn.engines.series import Series
-from robodyn.engines.tangents import Tangents, slopes_by, substituted, tangents
+from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.mechanics.planar_model import Mechanism
 
 KINDS = ("q", "qd", "tau")
@@ -50,26 +50,14 @@ def _forward(state: Recorded) -> Formula:
     assert isinstance(factors, Factors)
     u = factors.solve([-x for x in r])
     names = _directions(mechanism)
-    slopes = _at(tangents(R, names), u)
-    columns = [factors.solve([-slope.get(name, 0.0) for slope in slopes]) for name in names]
-    found = [relative(mechanism, column[:n]) for column in columns]
+    slopes = substituted(slopes_by(R, names), {f"u{i}": x for i, x in enumerate(u)})
+    columns = [slopes[j :: len(names)] for j in range(len(names))]
+    found = [relative(mechanism, factors.solve([-x for x in each])[:n]) for each in columns]
     outputs = relative(mechanism, u[:n])
     for kind in range(len(KINDS)):
         outputs += [found[kind * n + j][i] for i in range(n) for j in range(n)]
     pivots = closure_pivots(state, factors)
     return Formula(state.inputs + state.timed, tuple(outputs), pivots)
-
-
-def _at(slopes: list[Tangents], u: list[Value]) -> list[Tangents]:
-    """Tangents with the unknowns in place of their names."""
-    places = [(i, name) for i, slope in enumerate(slopes) for name in slope]
-    values = substituted(
-        [slopes[i][name] for i, name in places], {f"u{i}": x for i, x in enumerate(u)}
-    )
-    found: list[Tangents] = [{} for _ in slopes]
-    for (i, name), value in zip(places, values, strict=True):
-        found[i][name] = value
-    return found
 
 
 def residual_derivatives_formula(mechanism: Mechanism) -> Formula:

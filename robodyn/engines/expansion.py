@@ -116,7 +116,6 @@ class MotionProgram:
         numbers: Sequence[Value],
         order: int,
         state: State,
-        grounded: bool = False,
         pivoted: bool = False,
     ) -> Coefficients:
         """The series to an order; raises ZeroDivisionError where there are none."""
@@ -127,7 +126,6 @@ class MotionProgram:
             order,
             state,
             slots=[*self.power, *self.bends],
-            grounded=grounded,
             pivoted=pivoted,
         )
         series.expand()

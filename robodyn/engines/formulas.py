@@ -20,10 +20,8 @@ from robodyn.engines.frames import relative, start
 from robodyn.engines.recorded_numbers import RECORDED as RECORDED
 from robodyn.engines.series import Arithmetic, Planar, Series, conjugate_times
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.mechanics.force_rows import PointForce
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import Given, Program, Slot
-from robodyn.scene.scene import Table
+from robodyn.mechanics.program import Given, Program
 
 MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
 
@@ -67,10 +65,6 @@ class Recorded:
         self.mechanism, self.by_direction, self.generic = mechanism, by_direction, generic
         self.parameters = parameters or generic
         self.graph, self.arithmetic = graph or Graph(), arithmetic
-        self.torques: list[Slot | None] = []
-        self.forces: list[PointForce] = []
-        self.moments: list[Slot] = []  # those that vary
-        self.tables: list[tuple[Table, Slot]] = []
         n = mechanism.n
         names = ("q", *rates)
         self.inputs = tuple(f"{name}{k}" for name in names for k in range(n))
@@ -102,7 +96,7 @@ class Recorded:
     ) -> Series:
         """The series from this state; `torques` (n) are constant, or None: those called tau."""
         mechanism = self.mechanism
-        equations = EquationsOfMotion(mechanism)
+        self.equations = equations = EquationsOfMotion(mechanism)
         program = equations.program
         turn = None if self.by_direction else self._turn
         accelerations = self.absolute("qdd") if accelerated else None
@@ -117,17 +111,15 @@ class Recorded:
             state.given[f"tau{j}"] = (tau,)
             driven.append(program.add(Given(f"tau{j}")) if some(tau) else None)
         equations.write(driven, power, chained=chained)
-        self.torques, self.forces = equations.torques, equations.forces
-        self.moments, self.tables = equations.varying_moments, equations.tables
         slots = [x for name in ("gap", "load", "power") for x in program.named.get(name, [])]
-        slots += [*self.moments, *(x for _, x in self.tables)]
+        slots += [*equations.varying_moments, *(x for _, x in equations.tables)]
         return Series(
             program,
             self.arithmetic,
             self.numbers(program),
             orders,
             state,
-            slots=[*slots, *(x.force for x in self.forces if x.force is not None)],
+            slots=[*slots, *(x.force for x in equations.forces if x.force is not None)],
             grounded=self.by_direction,
         )
 
@@ -217,7 +209,7 @@ def inverse_of(state: Recorded) -> Formula:
 def balance(state: Recorded, series: Series) -> list[Value]:
     """M qdd + C qd + D qd + G - Q (n); after `series.residuals(0)`."""
     load = state.to_joints([series.real[slot][0] for slot in series.program.named["load"]])
-    for j, slot in enumerate(state.torques):
+    for j, slot in enumerate(state.equations.torques):
         if slot is not None:  # not summed and taken off again: no rounding of what is large
             load[j] = load[j] - series.real[slot][0]
     return load

@@ -89,23 +89,21 @@ def start(
 Framed = tuple[tuple[int | None, PlanarCoefficient | None, Planar], ...]
 
 
+@dataclass(eq=False)
 class Frames:
     """The coefficients of a program's slots, in an arithmetic."""
 
-    def __init__(
-        self,
-        program: Program,
-        arithmetic: Arithmetic,
-        numbers: Sequence[Value],
-        orders: int,
-        state: State,
-        slots: Sequence[Slot],
-        grounded: bool,
-    ) -> None:
-        self.program, self.arithmetic, self.numbers = program, arithmetic, numbers
-        self.orders, self.state, self.grounded = orders, state, grounded
-        order, self.ahead, self.live = program.schedule(slots)
-        self.rows: list[tuple[Slot, Row]] = [(x, program.rows[x]) for x in order]
+    program: Program
+    arithmetic: Arithmetic
+    numbers: Sequence[Value]
+    orders: int
+    state: State
+    slots: Sequence[Slot] = ()
+    grounded: bool = False
+
+    def __post_init__(self) -> None:
+        order, self.ahead, self.live = self.program.schedule(self.slots)
+        self.rows: list[tuple[Slot, Row]] = [(x, self.program.rows[x]) for x in order]
         self.real: dict[Slot, Any] = {}  # coefficients of real slots
         self.planar: dict[Slot, list[Framed]] = {}
         self.unknown_values: dict[Slot, Value] = {}

@@ -108,7 +108,7 @@ class RowValues:
     def check_tables(self, q: ArrayLike, qd: ArrayLike, t: ArrayLike = 0.0) -> None:
         """Raise TableLeftError where a table does not reach to one of the states."""
         places = self("tables", q, qd, t)
-        for k, (table, _) in enumerate(self._recorded.tables):
+        for k, (table, _) in enumerate(self._recorded.equations.tables):
             x = places[..., k][np.isfinite(places[..., k])]
             out = x[(x < table.x[0]) | (x > table.x[-1])]
             if out.size and not table.repeats:
@@ -137,10 +137,10 @@ class RowValues:
                 return [x for force in self._on_links() for x in force]
             case "tables":
                 real = self._series.real
-                return [real[slot][0] for _, slot in self._recorded.tables]
+                return [real[slot][0] for _, slot in self._recorded.equations.tables]
             case "moments":
                 real = self._series.real  # which has them written
-                return [real[slot][0] for slot in self._recorded.moments]
+                return [real[slot][0] for slot in self._recorded.equations.varying_moments]
             case "PE":
                 q, qd = (self._recorded.relative[x] for x in ("q", "qd"))
                 return [energies(self.mechanism, float, q, qd)[1] + self.mechanism.energy_offset]
@@ -150,7 +150,7 @@ class RowValues:
     @property
     def tables(self) -> list[tuple[Table, int]]:
         """Those that are asked for what they are over."""
-        return self._recorded.tables
+        return self._recorded.equations.tables
 
     @cached_property
     def _series(self) -> Series:
@@ -163,13 +163,13 @@ class RowValues:
 
     def _forces(self) -> Iterator[Planar]:
         series = self._series  # which has the forces written
-        for unit, slot, *_ in self._recorded.forces:
+        for unit, slot, *_ in self._recorded.equations.forces:
             by = unit.real, unit.imag
             yield by if slot is None else planar_times(by, series.ground(slot, 0))
 
     def _on_links(self) -> list[Planar]:
         total, found = [ZERO] * self.mechanism.n, list(self._forces())
-        for force, (x, y) in zip(self._recorded.forces, found, strict=True):
+        for force, (x, y) in zip(self._recorded.equations.forces, found, strict=True):
             for link, sign in ((force.first, 1.0), (force.second, -1.0)):
                 if link is not None:
                     total[link] = planar_plus(total[link], (times(sign, x), times(sign, y)))
@@ -177,7 +177,7 @@ class RowValues:
 
     def _squares(self) -> dict[int, Value]:
         """|d|^2 of each spring that needs a direction, by its place."""
-        real, forces = self._series.real, enumerate(self._recorded.forces)
+        real, forces = self._series.real, enumerate(self._recorded.equations.forces)
         return {k: real[x.square][0] for k, x in forces if x.square is not None}
 
 

@@ -20,6 +20,7 @@ taken in the frame of that link: products of two directions are found once.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from robodyn.engines.arithmetic import FLOATS as FLOATS
@@ -36,7 +37,6 @@ from robodyn.mechanics.program import (
     Derivative,
     Function,
     Moment,
-    Program,
     Slide,
     Slot,
     Sum,
@@ -45,29 +45,20 @@ from robodyn.mechanics.program import (
 )
 
 
+@dataclass(eq=False)
 class Series(Rules):
-    """The coefficients of a program's slots along one motion."""
+    """The coefficients of a program's slots along one motion.
 
-    def __init__(
-        self,
-        program: Program,
-        arithmetic: Arithmetic,
-        numbers: Sequence[Value],
-        orders: int,
-        state: State,
-        *,
-        slots: Sequence[Slot] = (),
-        grounded: bool = False,
-        pivoted: bool = False,
-    ) -> None:
-        """`orders` of unknowns are expanded; `slots` are wanted besides the residuals.
+    `orders` of unknowns are expanded; `slots` are wanted besides the residuals.  With `grounded`
+    forces are summed in the ground's frame, which pays on deep trees; `pivoted` factors serve
+    floats where M alone is singular.
+    """
 
-        With `grounded` forces are summed in the ground's frame, which pays on deep trees;
-        `pivoted` factors serve floats where M alone is singular.
-        """
-        super().__init__(program, arithmetic, numbers, orders, state, slots, grounded)
-        self.pivoted = pivoted
-        room, K = arithmetic.room, orders + 3
+    pivoted: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        program, room, K = self.program, self.arithmetic.room, self.orders + 3
         for slot, row in self.rows:
             if program.planar[slot]:
                 self.planar[slot] = self.planar_room(slot, K)

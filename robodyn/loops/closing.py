@@ -1,7 +1,7 @@
 """Closing loops by Newton's method, and the gap of a state to more digits than floats have.
 
 One loop serves whatever evaluates the gap and solves for a step: dense arrays of states here,
-sparse factorisations (`sparse.py`), extended precision (`extended.py`).  (Straight-line code of
+extended precision (`extended.py`).  (Straight-line code of
 `straightline.py` and the loops over lanes have it written out, and hand what is near singular
 over to this one.)
 

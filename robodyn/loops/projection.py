@@ -3,7 +3,7 @@
     q - Psi^T (Psi Psi^T)^-1 gap(q)    and    qd - Psi^T (Psi Psi^T)^-1 Psi qd
 
 Written out as straight-line floats for small mechanisms, and with singular values where Psi is
-near singular or its rows depend on one another; `sparse.py` has that of large ones.  Each tells
+near singular, its rows depend on one another, or the code would be long.  Each tells
 how regular Psi is there, about d^2 at a distance d from a configuration where it loses rank.
 """
 
@@ -43,7 +43,9 @@ from robodyn.tables.arrays import Array
 FloatClosing = Callable[[list[float]], tuple[list[float], float]]
 
 CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and the rates too
-STRAIGHT = 800  # entries of A and P up to which straight-line code is the fastest
+# Entries of A and P up to which straight-line code is the fastest, with closures and without them.
+# Beyond, a link may have FEW: code grows as the number of loops does, dense algebra as its cube.
+STRAIGHT, STRAIGHT_OPEN, FEW = 800, 300, 8
 PASSES = 4
 
 
@@ -67,13 +69,9 @@ def dense_closing(mechanism: Mechanism) -> Closing:
 
 
 def best_closing(mechanism: Mechanism) -> Closing:
-    """What is fastest for its size: straight-line floats, or a sparse factorisation."""
-    if loop_terms(mechanism) > STRAIGHT:
-        if not mechanism.turns_alone:
-            return dense_closing(mechanism)
-        from robodyn.engines import sparse
-
-        return sparse.closing(sparse.SparseMechanism(mechanism), dense_closing(mechanism))
+    """What is fastest for its size: straight-line floats, or singular values."""
+    if not written_out(mechanism):
+        return dense_closing(mechanism)
     close = float_closing(mechanism)
 
     def nearest(y: Array) -> tuple[Array, float]:
@@ -89,9 +87,8 @@ def float_closing(mechanism: Mechanism) -> FloatClosing:
 
     Straight-line code leaves to `dense_closing` the states at which a pivot is too small.
     """
-    straight = loop_terms(mechanism) <= STRAIGHT
-    otherwise = dense_closing(mechanism) if straight else best_closing(mechanism)
-    formula = projection_formula(mechanism) if straight else None
+    otherwise = dense_closing(mechanism)
+    formula = projection_formula(mechanism) if written_out(mechanism) else None
     close = None
     if formula is not None:
         least, size = EXACT * suspect_quality(mechanism), loop_size(mechanism)
@@ -104,13 +101,19 @@ def float_closing(mechanism: Mechanism) -> FloatClosing:
         except (ZeroDivisionError, ValueError):  # a lost pivot, an infinite angle
             found = None
         if found is None:
-            if straight and not math.isfinite(sum(y)):
+            if not math.isfinite(sum(y)):
                 return y, 0.0
             closed, quality = otherwise(np.array(y))
             found = closed.tolist(), quality
         return found
 
     return nearest
+
+
+def written_out(mechanism: Mechanism) -> bool:
+    """Whether straight-line code serves."""
+    most = STRAIGHT if mechanism.rows else STRAIGHT_OPEN
+    return loop_terms(mechanism) <= max(most, FEW * mechanism.n)
 
 
 def state_led_across(

@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from robodyn.mechanics.run_control import Control, Steps
     from robodyn.mechanics.torque_times import Pieces
     from robodyn.scene.expressions import Change
+
+T = TypeVar("T")
 
 
 @short_repr
@@ -84,24 +86,29 @@ class Actuation:
         return function
 
 
+def _each_joint(
+    mechanism: Mechanism, given: list[T], nothing: tuple[T, ...], what: str, where: str = ""
+) -> list[T]:
+    """One for each joint, given so or for the actuated ones; passive ones have `nothing`."""
+    n, driven = mechanism.n, mechanism.actuated
+    if len(given) not in (n, len(driven)):
+        limit = f"must have {n} {what}, one a joint"
+        if len(driven) != n:
+            limit = f"must have {len(driven)} {what}, one an actuated joint, or {n}, one a joint"
+        raise InputError("tau", where=where, value=f"{len(given)} {what}", limit=limit)
+    if len(given) != n:
+        places = dict(zip(driven, given, strict=True))
+        return [places.get(k, nothing[0]) for k in range(n)]
+    for k in mechanism.passive:
+        if given[k] not in nothing:
+            limit = f"joint {mechanism.link_names[k]} is passive; name it in `actuated`"
+            raise InputError(f"tau{k + 1}", where=where, value=given[k], limit=limit)
+    return given
+
+
 def constant(mechanism: Mechanism, values: Sequence[float]) -> Actuation:
     """Constant torques: all joints (passive ones zero), or the actuated ones, N m."""
-    n, driven = mechanism.n, mechanism.actuated
-    if len(values) not in (n, len(driven)):
-        limit = f"must have {n} values, one a joint"
-        if len(driven) != n:
-            limit = f"must have {len(driven)} values, one an actuated joint, or {n}, one a joint"
-        raise InputError("tau", value=f"{len(values)} values", limit=limit)
-    torques = [0.0] * n
-    for k, value in zip(driven if len(values) != n else range(n), values, strict=True):
-        torques[k] = float(value)
-    for k in mechanism.passive:
-        if torques[k] != 0.0:
-            raise InputError(
-                f"tau{k + 1}",
-                value=torques[k],
-                limit=f"joint {mechanism.link_names[k]} is passive; name it in `actuated`",
-            )
+    torques = _each_joint(mechanism, list(map(float, values)), (0.0,), "values")
     return Actuation(tuple(torques))
 
 
@@ -141,20 +148,8 @@ def expressions(
         values = [_constant(code, text, where) for code in written]
         with at_place(where):
             return constant(mechanism, values)
-    driven = mechanism.actuated
-    if len(written) == mechanism.n and len(driven) != mechanism.n:
-        for k in mechanism.passive:
-            if written[k] not in ("0.0", "-0.0", "0", "-0"):
-                limit = f"joint {mechanism.link_names[k]} is passive; its torque must be 0"
-                raise InputError(f"tau{k + 1}", where=where, limit=limit)
-        targets: Sequence[int] = range(mechanism.n)
-    else:
-        targets = driven
-    if len(written) != len(targets):
-        limit = f"must have {len(driven)} expressions, one an actuated joint"
-        raise InputError("tau", where=where, value=f"{len(written)} expressions", limit=limit)
-    lines = [f"tau{k} = {code}" for k, code in zip(targets, written, strict=True)]
-    lines += [f"tau{k} = 0.0" for k in range(mechanism.n) if k not in set(targets)]
+    each = _each_joint(mechanism, written, ("0.0", "-0.0", "0", "-0"), "expressions", where)
+    lines = [f"tau{k} = {code}" for k, code in enumerate(each)]
     return Actuation(None, tuple(lines), dict(SCOPE))
 
 
@@ -200,23 +195,11 @@ def callback(
     mechanism: Mechanism, function: Callable[[float, list[float], list[float]], Sequence[float]]
 ) -> Actuation:
     """Torques from a Python function of t, q (n), qd (n): all joints, or the actuated ones."""
-    n, driven = mechanism.n, mechanism.actuated
+    n = mechanism.n
 
     def torques(t: float, state: tuple[float, ...]) -> Sequence[float]:
         values = values_given(function(t, list(state[:n]), list(state[n:])), "tau(t, q, qd)")
-        if len(values) == n:
-            for k in mechanism.passive:
-                if values[k] != 0.0:
-                    limit = f"joint {mechanism.link_names[k]} is passive; its torque must be 0"
-                    raise InputError(f"tau{k + 1}", value=values[k], limit=limit)
-            return values
-        if len(values) != len(driven):
-            limit = f"must be {len(driven)} values, one an actuated joint, or {n}"
-            raise InputError("tau(t, q, qd)", value=f"{len(values)} values", limit=limit)
-        full = [0.0] * n
-        for k, value in zip(driven, values, strict=True):
-            full[k] = value
-        return full
+        return _each_joint(mechanism, values, (0.0,), "values", "tau(t, q, qd)")
 
     targets = "".join(f"tau{k}, " for k in range(n))
     state = "".join(f"q{k}, " for k in range(n)) + "".join(f"qd{k}, " for k in range(n))

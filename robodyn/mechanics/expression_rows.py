@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from robodyn.mechanics.program import (
     Function,
@@ -31,6 +32,7 @@ class Slotted(int):
 Part = Slotted | float
 
 
+@dataclass
 class ExpressionRows:
     """Rows of expressions; what is constant stays a number.
 
@@ -38,15 +40,10 @@ class ExpressionRows:
     the switches of an expression stand (see `torque_rows.torque_slots`).
     """
 
-    def __init__(
-        self,
-        program: Program,
-        variable: Callable[[str], Slot],
-        refused: Callable[[str], Exception],
-        held: Sequence[float] | None = None,
-    ) -> None:
-        self.program, self.variable, self.refused = program, variable, refused
-        self.held = held
+    program: Program
+    variable: Callable[[str], Slot]
+    refused: Callable[[str], Exception]
+    held: Sequence[float] | None = None
 
     def slot(self, part: Part) -> Slot:
         """The slot of a part, constants included."""

@@ -108,11 +108,6 @@ class Mechanism:
             link = self.parent[link]
         return path[::-1]
 
-    @property
-    def turns_alone(self) -> bool:
-        """Whether links only turn, and all lines are the ground's: X = E, and gaps linear in E."""
-        return not self.slides and not self.lines
-
     @cached_property
     def lines(self) -> tuple[tuple[int, int], ...]:
         """The rows whose lines links carry, each with the link whose E the line has."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -126,42 +126,42 @@ def values_of(
     return memo[id(node)]  # type: ignore[no-any-return]
 
 
-def samples_of(
-    timely: Sequence[ast.expr],
-    guards: Sequence[ast.expr],
-    switches: Sequence[ast.expr],
-    size: int,
-    t_end: float,
-) -> Array | None:
+class Parts(Protocol):
+    """Parts of expressions, `size` of them in all.
+
+    They are `timely` ones, which may be faster than samples, `guards`, of which `switches` depend.
+    """
+
+    size: int
+    timely: list[ast.expr]
+    guards: list[ast.expr]
+    switches: list[ast.expr]
+
+
+def samples_of(parts: Parts, t_end: float) -> Array | None:
     """Increasing times of the run; None where a switch is faster than they can be.
 
     Among them are the zeros and extremes of the parts, and both sides of every switching time.
-    The parts are `timely` ones, which may be faster, and `guards`, of which switches depend.
     """
+    size = parts.size
     count = first = int(np.clip(WORK // size, *SAMPLES))
     while count <= MOST and count * size <= max(ENTRIES, first * size):
-        t = _sampled(guards, timely, switches, count, t_end, every=True)
+        t = _sampled(parts, count, t_end, every=True)
         if t is not None:
             return t
         count *= DENSE
     # smooth parts that are too fast are left to the control of the steps' errors
-    last = count // DENSE if switches else first
-    return _sampled(guards, timely, switches, last, t_end, every=False)
+    last = count // DENSE if parts.switches else first
+    return _sampled(parts, last, t_end, every=False)
 
 
-def _sampled(
-    guards: Sequence[ast.expr],
-    timely: Sequence[ast.expr],
-    switches: Sequence[ast.expr],
-    count: int,
-    t_end: float,
-    every: bool,
-) -> Array | None:
+def _sampled(given: Parts, count: int, t_end: float, every: bool) -> Array | None:
     """Samples that begin with so many; None where guards or switches are too fast for them.
 
     Or, of `every` part, where any is.
     """
-    parts = [*guards, *timely]
+    guards, switches = given.guards, given.switches
+    parts = [*guards, *given.timely]
     strict = len(parts) if every else len(guards)
     t = np.linspace(0.0, t_end, count + 1)
     # uneven ones: what is as fast as even samples would look slow

@@ -182,7 +182,7 @@ def _found(
     names: dict[str, Any] = {f"q{k}": x for k, x in enumerate(state[:n])}
     names |= {f"qd{k}": x for k, x in enumerate(state[n:])}
     with np.errstate(all="ignore"):
-        samples = samples_of(parts.timely, parts.guards, parts.switches, parts.size, t_end)
+        samples = samples_of(parts, t_end)
         if samples is None:
             limit = f"switches faster than samples from 0 to {t_end:g} s tell"
             raise InputError("tau", limit=f"{limit}; take a slower torque or a shorter time")

@@ -6,10 +6,10 @@ leaves of their torques.  With r = R pi - s, what changes from the scene's pi0 i
 
     base parameters    linear: columns that others make, at all states or in this motion, keep the
                        scene's numbers
-    named numbers      masses, centres of gravity, .. x, by Gauss and Newton: r(pi(x))
+    named numbers      masses, centres of gravity, .. x, by scipy's least_squares: r(pi(x))
 
 With `physical`, where what was found is no body (m > 0, I > 0, no damping below 0), the numbers are
-sought between these bounds, by scipy's least_squares.  The standard errors are those of independent
+sought between these bounds.  The standard errors are those of independent
 noise of each joint's torque.
 """
 
@@ -40,8 +40,6 @@ from robodyn.tables.short_repr import short_repr
 BLOCK = 1 << 14  # states whose Y is held at once
 LARGEST = 1e100  # N m: squares of torques are summed
 QUIET = 1e-10  # part of a joint's torques below which what is left of them weighs no more
-PASSES = 50  # of Gauss and Newton
-SETTLED = 1e-13  # part of the numbers by which the last of these changes them
 TIGHT = 1e-14  # of scipy's tolerances
 HOLD = 1e-7  # weight of the scene's own numbers, beside the data's, where these tell nothing
 
@@ -283,48 +281,37 @@ class _Numbers:
         return found
 
     def free(self, x: Array) -> Array:
-        """Gauss and Newton's steps, each cut in halves until it makes what is left no greater."""
-        r = self.left(x)
-        for _ in range(PASSES):
-            J = self.data.R @ self.slopes(x)
-            size = np.linalg.norm(J, axis=0)
-            size[size == 0.0] = 1.0
-            step = np.linalg.lstsq(J / size, -r, rcond=None)[0] / size
-            part = 1.0
-            while part > SETTLED and np.linalg.norm(self.left(x + part * step)) > np.linalg.norm(r):
-                part /= 2.0
-            x = x + part * step
-            r = self.left(x)
-            if (np.abs(part * step) <= SETTLED * np.maximum(np.abs(x), SETTLED)).all():
-                break
-        return x
+        """Those that fit best."""
+        return self._best(x, np.full(len(x), -np.inf), np.zeros(len(x)))
 
     def bounded(self, x: Array, hold: bool) -> Array:
         """Those of bodies that can be; with `hold` what the data do not tell stays near."""
-        from scipy.optimize import least_squares
-
         data = self.data
         size = np.sqrt(data.rows * ((data.rms_torque / data.weights) ** 2).sum())
         usual = np.where(self.before == 0.0, 1.0, np.abs(self.before))
-        weight = (HOLD * size if hold else 0.0) / usual
+        return self._best(x, self.least, (HOLD * size if hold else 0.0) / usual)
+
+    def _best(self, x: Array, least: Array, weight: Array) -> Array:
+        """Numbers not below `least` that leave the least, by scipy; and that of the scene's own."""
+        from scipy.optimize import least_squares
 
         def left(x: Array) -> Array:
             return np.concatenate([self.left(x), weight * (x - self.before)])
 
         def slopes(x: Array) -> Array:
-            return np.concatenate([data.R @ self.slopes(x), np.diag(weight)])
+            return np.concatenate([self.data.R @ self.slopes(x), np.diag(weight)])
 
         found = least_squares(
             left,
-            np.maximum(x, self.least),
+            np.maximum(x, least),
             slopes,
-            bounds=(self.least, np.inf),
+            bounds=(least, np.inf),
             x_scale="jac",
             ftol=TIGHT,
             xtol=TIGHT,
             gtol=TIGHT,
         )
-        return np.where(found.active_mask < 0, self.least, found.x)
+        return np.where(found.active_mask < 0, least, found.x)
 
 
 def _result(

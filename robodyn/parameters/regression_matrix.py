@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.dense_dynamics import balanced, check_actuators
-from robodyn.dynamics.dynamics import PIVOT_CUT
-from robodyn.dynamics.placed import finite, n_wide
+from robodyn.dynamics.dynamics import PIVOT_CUT, times_of, together
+from robodyn.dynamics.placed import finite
 from robodyn.dynamics.sticking import modes_of
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formula_rows import FormulaRows
 from robodyn.engines.formulas import Formula, Recorded, balance, cheapest, inverse_of
 from robodyn.engines.tangents import slopes_by, substituted
-from robodyn.errors import InputError, SingularError
+from robodyn.errors import SingularError
 from robodyn.loops.closing import closed_jacobians, loop_size, regular_rank
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
@@ -56,15 +56,10 @@ def regressor(
     Raises as `inverse_dynamics` does.
     """
     mechanism = balanced_mechanism(mechanism)
-    given = {"q": q, "qd": qd, "qdd": qdd}
-    arrays = [finite(name, n_wide(mechanism, name, x)) for name, x in given.items()]
-    try:
-        states = dict(zip(given, np.broadcast_arrays(*arrays), strict=True))
-        shape = states["q"].shape[:-1]
-        times = np.broadcast_to(finite("t", np.asarray(t, float)), shape).ravel()
-    except ValueError:
-        shapes = ", ".join(str(array.shape) for array in arrays)
-        raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
+    states = together(mechanism, {"q": q, "qd": qd, "qdd": qdd})
+    for name, array in states.items():
+        finite(name, array)
+    shape, times = states["q"].shape[:-1], times_of(t, states["q"]).ravel()
     check_actuators(mechanism, states["q"])
     flat = {name: array.reshape(-1, mechanism.n) for name, array in states.items()}
     parameters = linear_parameters(mechanism.description)

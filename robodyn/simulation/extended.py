@@ -15,12 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.closed_form import gap_at, jacobian_at
+from robodyn.dynamics.closed_form import jacobian_at, scaled_jacobian
 from robodyn.dynamics.placed import joint_ways, placed_at, relative_matrix
 from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
 from robodyn.engines.series import FLOATS, Arithmetic
+from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError, RobodynError
-from robodyn.loops.closing import NEAR_SINGULAR, exact_gap, loop_size, newton
+from robodyn.loops.closing import exact_gap, loop_size, newton
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import next_stop
 from robodyn.mechanics.mechanism import Mechanism
@@ -43,6 +44,7 @@ LARGEST_STEP = 0.25  # s, of the extrapolation
 ROUNDING = 100.0 * float(np.finfo(np.longdouble).eps)  # part of a rate
 AGREE = 1e-9  # part of a torque's terms by which its series may miss it, where it does not bend
 TOO_NEAR = 1e-8  # s/L below which nothing is closed
+PASSES = 4  # of rates, each of which leaves a part of 1e-8 at most
 
 
 class Reference(NamedTuple):
@@ -279,26 +281,11 @@ def _constants(mechanism: Mechanism) -> Any:
     return Arrays(*(x.astype(COMPLEX if np.iscomplexobj(x) else LONG) for x in given))
 
 
-def solve_columns(matrix: Long, columns: Long) -> Long:
-    """matrix^-1 columns in any precision, by elimination with partial pivoting."""
-    size = len(matrix)
-    work = np.concatenate([matrix, columns], axis=1)
-    for i in range(size):
-        pivot = i + int(np.argmax(np.abs(work[i:, i])))
-        if pivot != i:
-            work[[i, pivot]] = work[[pivot, i]]
-        work[i] = work[i] / work[i, i]
-        others = np.arange(size) != i
-        work[others] -= work[others, i, None] * work[i]
-    return work[:, size:]
-
-
 class _Closing:
-    """The nearest closed state, by Newton steps in extended precision."""
+    """The nearest closed state, by Newton steps: what a step in floats leaves, the next removes."""
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism, self.n, self.x = mechanism, mechanism.n, _constants(mechanism)
-        self.size = loop_size(mechanism)
 
     def __call__(self, y: Long) -> Long:
         if not len(self.x.P):
@@ -306,29 +293,26 @@ class _Closing:
         n = self.n
         try:
             q = newton(y[:n], self._step)
-            Psi, normal, _ = self._at(q)
-            rates = y[n:] / self.x.units
-            rates = rates - Psi.T @ solve_columns(normal, (Psi @ rates)[:, None])[:, 0]
-            projected = rates * self.x.units
+            inverse = self._inverse(q)
         except _TooNear:
             return y  # next to a change point: the two computations will tell
-        return np.concatenate([q, projected])
-
-    def _at(self, q: Long) -> tuple[Long, Long, Long]:
-        """Psi, Psi Psi^T and the gap, which is exact where Psi is nearly singular."""
         at = placed_at(self.mechanism, self.x.J @ q)
         Psi = jacobian_at(self.mechanism, self.x, at) @ self.x.J * self.x.units
-        normal = Psi @ Psi.T
-        least = float(np.linalg.svd(Psi.astype(float), compute_uv=False)[-1]) / self.size
-        if least < TOO_NEAR:
+        rates = y[n:] / self.x.units
+        for _ in range(PASSES):
+            rates = rates - inverse @ (Psi @ rates)
+        return np.concatenate([q, rates * self.x.units])
+
+    def _inverse(self, q: Long) -> Array:
+        """That of Psi, in floats."""
+        U, s, Vt = svd(scaled_jacobian(self.mechanism, q.astype(float)))
+        if s[-1] < TOO_NEAR * loop_size(self.mechanism):
             raise _TooNear
-        if least < NEAR_SINGULAR:
-            return Psi, normal, exact_gap(self.mechanism, q).astype(LONG)
-        return Psi, normal, gap_at(self.mechanism, self.x, at)
+        return np.asarray((Vt.T / s) @ U.T)
 
     def _step(self, q: Long) -> tuple[bool, Long]:
-        Psi, normal, gap = self._at(q)
-        step = self.x.units * (Psi.T @ solve_columns(normal, gap[:, None])[:, 0])
+        gap = exact_gap(self.mechanism, q)
+        step: Long = self.x.units * (self._inverse(q) @ gap)
         return bool(np.abs(step).max() < 10.0 * np.finfo(LONG).eps), step
 
 

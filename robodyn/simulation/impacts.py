@@ -11,17 +11,16 @@ e the restitution of each: of one stop p = -(1 + e) v / (R K^-1 R^T).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 
 import numpy as np
 
 from robodyn.dynamics.dense_dynamics import responses
+from robodyn.dynamics.sticking import forces_between
 from robodyn.errors import SingularError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
 SLACK = 1e-10  # part of the rates by which a condition may be missed
-SINGULAR = 1e-12  # relative singular value below which impulses depend on one another
 
 
 def rates_after(
@@ -47,19 +46,14 @@ def impulses(
     restitutions: Sequence[float],
 ) -> tuple[Array, Array]:
     """Those of `rates_after`, p (k), and how each makes qd jump, (n, k)."""
-    count, joints = len(touches), [joint for joint, _ in touches]
+    joints = [joint for joint, _ in touches]
     ways = -np.array([side for _, side in touches], float)  # in which stops are left
     jumps = (ways[:, None] * responses(mechanism, q, joints)).T  # of qd (n, k) by each impulse
     W, v = ways[:, None] * jumps[joints], ways * qd[joints]
     bounced = v + np.array(restitutions) * v
-    least = -SLACK * float(np.abs(v).max(initial=0.0))
-    for size in range(count + 1):
-        for chosen in combinations(range(count), size):
-            p = np.zeros(count)
-            own = list(chosen)
-            p[own] = np.linalg.lstsq(W[np.ix_(own, own)], -bounced[own], rcond=SINGULAR)[0]
-            if (p >= 0.0).all() and (W @ p + bounced >= least).all():
-                return p, jumps
+    p = forces_between(bounced, W, np.zeros(len(v)), np.full(len(v), np.inf))
+    if (W @ p + bounced >= -SLACK * np.abs(v).max(initial=0.0)).all():
+        return p, jumps
     names = ", ".join(mechanism.link_names[joint] for joint in joints)
     limit = "no impulses throw all of them back"
     raise SingularError(f"impact of {names}", where=mechanism.source, limit=limit)

@@ -345,14 +345,5 @@ class Recorder:
         if not self.rank:  # of closures that depend on one another not all count
             s = np.linalg.svd(Psi[:: max(1, len(Psi) // 8)], compute_uv=False)
             self.rank = max(1, int((s > 1e-9 * size).sum(axis=-1).max()))
-        if self.rank == Psi.shape[1] == 2:  # one loop: where it may be the least, it is exact
-            product = Psi @ np.swapaxes(Psi, -1, -2)
-            half = 0.5 * (product[:, 0, 0] + product[:, 1, 1])
-            apart = np.hypot(0.5 * (product[:, 0, 0] - product[:, 1, 1]), product[:, 0, 1])
-            least = np.sqrt(np.maximum(half - apart, 0.0))
-            near = least**2 <= least.min() ** 2 + 1e-14 * half  # rounding hides which is the least
-            at = np.append(np.flatnonzero(near), -1)
-            least[at] = np.linalg.svd(Psi[at], compute_uv=False)[:, 1]
-            return np.asarray(least / size)
         s = np.linalg.svd(Psi, compute_uv=False)
         return np.asarray(s[:, self.rank - 1] / size)

@@ -2,12 +2,12 @@
 
 The state is y = (q, qd), followed by the states that torques have of their own (the integrals of a
 controller), and last by the work done by torques less dampers where it is wanted.
-Three evaluators serve three sizes (`make bench` shows where they cross):
+Two evaluators serve (`make bench` shows where they cross):
 
-- few links: generated straight-line floats;
-- more: a sparse factorisation of the symmetric system [M Psi^T; Psi 0] in absolute angles;
-- where M alone is singular or nearly so, and for states nearly singular: `dense_dynamics.py`,
-  which keeps to the freedoms that the closures leave.
+- generated straight-line floats: the sparse factorisation of [M Psi^T; Psi 0] written out, whose
+  cost is linear in the number of loops;
+- where links act on many others, M alone is singular or nearly so, and for states nearly singular:
+  `dense_dynamics.py`, which keeps to the freedoms that the closures leave.
 
 Near a singular configuration, at a distance d from it, a gap of delta in position or velocity
 makes an error of delta/d in the accelerations.  A stage of an integrator strays from the closures
@@ -33,15 +33,14 @@ from robodyn.engines import straightline
 from robodyn.engines.row_values import TableLeftError
 from robodyn.errors import RobodynError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across, nearest_singular
-from robodyn.loops.closing import loop_terms, regular_rank
-from robodyn.loops.projection import STRAIGHT, Projection, best_closing, dense_closing
+from robodyn.loops.closing import regular_rank
+from robodyn.loops.projection import Projection, best_closing, dense_closing, written_out
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
 Rates = Callable[[float, Array], Any]
 
-STRAIGHT_OPEN = 300  # entries of A up to which straight-line code is the fastest
 SINGULAR = 1e-4  # relative pivot below which the written-out solve loses digits to the dense one
 NEAR = 0.1  # relative pivot of a closure below which a state is projected before evaluation
 
@@ -52,7 +51,7 @@ class RightHandSide:
 
     rates: Rates
     projection: Projection | None
-    kind: str  # straight-line, sparse or dense
+    kind: str  # straight-line or dense
     near: NearSingular | None = None
 
 
@@ -75,42 +74,20 @@ def right_hand_side(
     """The evaluator of the given kind, or of the kind that is fastest for this mechanism."""
     if kind is None:
         kind = _best_kind(mechanism)
-    if kind == "sparse" and not mechanism.turns_alone:
-        kind = "dense"
 
-    def straight(least_pivot: float, otherwise: Rates, torques: Actuation = actuation) -> Rates:
-        return straightline.compile_rates(
-            mechanism,
-            torques,
-            work=work,
-            baumgarte=baumgarte,
-            least_pivot=least_pivot,
-            otherwise=otherwise,
-        )
-
-    def dense(t: float, y: Array, tau: Array) -> Array:
-        n = mechanism.n
-        return dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], tau, baumgarte, t).qdd
+    straight = partial(straightline.compile_rates, mechanism, work=work, baumgarte=baumgarte)
 
     def solving(torques: Actuation) -> Rates:
         """The rates of a state as it is."""
-        fallback = _rates(mechanism, torques, work, dense)
-        if kind == "sparse":
-            return _rates(mechanism, torques, work, sparsely, fallback)
-        return fallback if kind == "dense" else straight(SINGULAR, fallback, torques)
+        fallback = _dense_rates(mechanism, torques, work, baumgarte)
+        if kind == "dense":
+            return fallback
+        return straight(torques, least_pivot=SINGULAR, otherwise=fallback)
 
-    if kind == "sparse":
-        from robodyn.engines import sparse
-
-        system = sparse.SparseMechanism(mechanism)
-        sparsely = partial(system.accelerations, baumgarte)
     solved = solving(actuation)
     if not mechanism.rows:
         return RightHandSide(solved, None, kind)
-    if kind == "sparse":
-        closing = sparse.closing(system, dense_closing(mechanism))
-    else:
-        closing = (dense_closing if kind == "dense" else best_closing)(mechanism)
+    closing = (dense_closing if kind == "dense" else best_closing)(mechanism)
     project = Projection(mechanism, closing)
     if baumgarte:  # its restoring terms need the gap: no state is projected
         return RightHandSide(solved, project, kind)
@@ -162,8 +139,8 @@ def right_hand_side(
         near.met = True
         return careful(t, y)
 
-    rates = straight(NEAR, watched)
-    near = NearSingular(lambda t, y: watched(t, y))
+    rates = straight(actuation, least_pivot=NEAR, otherwise=watched)
+    near = NearSingular(watched)
     return RightHandSide(rates, project, kind, near)
 
 
@@ -172,18 +149,11 @@ def _best_kind(mechanism: Mechanism) -> str:
         return "dense"
     if mechanism.rows and regular_rank(mechanism) < len(mechanism.rows):
         return "dense"  # closures that depend on one another leave no pivot
-    most = STRAIGHT if mechanism.rows else STRAIGHT_OPEN  # the sparse way projects every stage
-    return "straight-line" if loop_terms(mechanism) <= most else "sparse"
+    return "straight-line" if written_out(mechanism) else "dense"
 
 
-def _rates(
-    mechanism: Mechanism,
-    actuation: Actuation,
-    work: bool,
-    accelerated: Callable[[float, Array, Array], Array | None],
-    otherwise: Rates | None = None,
-) -> Rates:
-    """dy/dt by the qdd of t, y and tau; where that is None, what is had `otherwise`."""
+def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgarte: float) -> Rates:
+    """dy/dt by dense algebra."""
     n = mechanism.n
     torques = actuation.function(n)
     damping = np.array(mechanism.damping)
@@ -199,10 +169,7 @@ def _rates(
             return np.full(len(y), np.nan)
         q, qd = y[:n], y[n : 2 * n]
         try:
-            qdd = accelerated(t, y, tau)
-            if qdd is None:
-                assert otherwise is not None
-                return otherwise(t, y)
+            qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte, t).qdd
             if work and forced:
                 tau = tau + other_forces(mechanism, q, qd, t)
         except TableLeftError:  # a shorter step may not

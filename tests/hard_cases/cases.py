@@ -95,7 +95,7 @@ def swing(n: int, rtol: float, method: str) -> tuple[float, float, float]:
 def parallel_bars(largest: int = 100) -> Iterator[Row]:
     hard = "freedoms jump from 1 to N + 1"
     for method in METHODS:
-        for n in (1, 2, 5, 10, 40, 100):  # the last by sparse factorisation
+        for n in (1, 2, 5, 10, 40, 100):
             if n > largest:
                 break
             for rtol in (1e-6, 1e-9, 1e-12):
