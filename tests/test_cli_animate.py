@@ -336,7 +336,7 @@ def test_what_is_refused(robodyn: Run, options: tuple[str, ...], parts: tuple[st
     ("text", "parts"),
     [
         ("", ("stdin", "empty")),
-        ("q1\n1\n2\n", ("stdin: column t is missing", "there are q1")),
+        ("q1\n1\n2\n", ("stdin: column t is missing", "the header has q1")),
         ("t\n1\n2\n", ("stdin", "column q1 is missing")),
         ("t,q1\n", ("stdin: rows = 0", "two or more")),
         ("t,q1\n0,1\n", ("stdin: rows = 1",)),

@@ -416,7 +416,7 @@ def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
     [
         ("q1\n1\n2\n", "--time 1", ["stdin", "column q2 is missing"]),
         ("q1,q2\n1,1\n", "--time 1", ["stdin: points = 1", "two points"]),
-        ("q1,q2\n", "--time 1", ["stdin: points = 0", "two points"]),
+        ("q1,q2\n", "--time 1", ["stdin: no rows"]),
         ("q1,q2\n1,1\n1,1\n2,2\n", "--time 1", ["stdin: points 1 and 2", "give times"]),
         ("q1,q2\n1,1\n1,x\n", "--time 1", ["stdin: line 3: q2 = x"]),
         ("t,q1,q2\n0,1,1\n0,2,2\n", "", ["stdin: times = 0, 0", "increase"]),

@@ -565,8 +565,8 @@ def test_bad_options(robodyn: Run, options: tuple[str, ...], told: str) -> None:
 @each(
     ("text", "told"),
     [
-        ("x,z\n1,0\n", "column y is missing: needs x, y"),
-        ("y,z\n1,0\n", "column x is missing: needs x, y"),
+        ("x,z\n1,0\n", "column y is missing: the header has x, z"),
+        ("y,z\n1,0\n", "column x is missing: the header has y, z"),
         ("x,y\n1,0\n", "points = 1: a path needs two points or more"),
         ("x,y\n1,0\n0.5,0.5\n0.5,0.5\n", "points 2 and 3: are the same"),
         ("x,y\n1,0\n1,0\n", "points 1 and 2: are the same"),
