@@ -338,8 +338,8 @@ def test_scipy_is_not_imported(shell: Run) -> None:
         "assert not {'scipy', 'rich', 'matplotlib'} & set(sys.modules), 'imported'; sys.exit(code)"
     )
     stdin = "printf 'q1,q2\\n1,2\\n0,1\\n'"
-    for line in (
-        "robots/2r.yaml --from 0,0 --via - --time min --max-tau 30",
+    for line in (  # but for splines
+        "robots/2r.yaml --from 0,0 --via - --time min --max-tau 30 --profile cycloidal",
         "robots/2r.yaml --from 0,0 --to 1,2 --time 1",
         "robots/four-bar.yaml --speed 1 --turns 1",
     ):

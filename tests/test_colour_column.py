@@ -2,41 +2,40 @@
 
 from __future__ import annotations
 
-import io
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from robodyn.errors import InputError
-from robodyn.pictures.value_map import MOST_WORDS, ColourColumn
-from robodyn.tables.table import Reader
+from robodyn.pictures.value_map import MOST_WORDS, colour_values
+from robodyn.tables.csv_fields import unquoted
 
 
-def read(fields: list[str], *, positive: bool = False, parts: int = 1) -> ColourColumn:
-    """The column `c` of a table with these fields, which arrive in so many parts."""
-    column = ColourColumn("c", positive)
-    lines = [f"0,{field},x\n" for field in fields]
-    for part in np.array_split(np.array(lines, object), parts):
-        reader = Reader(io.BytesIO(("a,c,d\n" + "".join(part)).encode()), "x.csv")
-        for chunk in reader.chunks(["a"]):
-            column.add(chunk, 1, "x.csv")
-    return column
+class Column(NamedTuple):
+    values: np.ndarray
+    words: tuple[str, ...]
 
 
-@pytest.mark.parametrize("parts", [1, 3])
-def test_numbers_and_empty_fields(parts: int) -> None:
+def read(fields: list[str], *, positive: bool = False) -> Column:
+    """The column `c` with these fields, in lines 2, 3, ..."""
+    texts = [unquoted(field).strip() for field in fields]
+    places = [f"x.csv: line {k}" for k in range(2, len(texts) + 2)]
+    return Column(*colour_values("c", list(zip(texts, places, strict=True)), positive))
+
+
+def test_numbers_and_empty_fields() -> None:
     texts = ["", "1", " ", "-2.5e-3", '"7"', '""', " 0.1 ", ""]
-    column = read(texts, parts=parts)
+    column = read(texts)
     expected = [math.nan, 1, math.nan, -2.5e-3, 7, math.nan, 0.1, math.nan]
     assert np.array_equal(column.values, expected, equal_nan=True)
     assert column.words == ()
 
 
-@pytest.mark.parametrize("parts", [1, 4])
-def test_words_are_places_in_their_order(parts: int) -> None:
+def test_words_are_places_in_their_order() -> None:
     texts = ["", "open", "crossed", '"a, b"', "open", "7", "", "crossed"]
-    column = read(texts, parts=parts)
+    column = read(texts)
     assert column.words == ("7", "a, b", "crossed", "open")
     found = ["" if math.isnan(v) else column.words[int(v)] for v in column.values]
     assert found == [text.strip('"') for text in texts]

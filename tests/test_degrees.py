@@ -109,7 +109,7 @@ def test_check_tells_a_scene_in_degrees(robodyn: Run, tmp_path: Path) -> None:
     told += [link["limits"]["max_deg"], found["springs"][0]["angle_deg"]]
     assert told == pytest.approx([3.0, 18000.0, 90.0, 20.0])
     out = robodyn("check", str(scene), "--degrees", "--format", "table").out
-    for words in ("from 20°", "+ 30 deg", "above 3 °/s", "speed max 18000 °/s", "min_deg -30"):
+    for words in ("angle [°]", "+ 30 deg", "speed 3 °/s", "speed max 18000 °/s", "min -30 °"):
         assert words in out
 
 

@@ -6,8 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from named_case import case
 
+from robodyn import load
 from robodyn.errors import InputError
+from robodyn.trajectories.joint_paths import path_through
+from robodyn.trajectories.loop_path import WholePath
 from robodyn.trajectories.profiles import Profile, profile
 
 PARTS = (0.05, 0.25, 1 / 3, 0.5)
@@ -79,25 +83,21 @@ def test_it_is_symmetric_and_rises(shape: Profile) -> None:
         assert (rate >= 0).all()
 
 
-@every_profile
-def test_the_peaks_are_the_largest_values(shape: Profile) -> None:
-    found = [values(shape, k, u) for k, u in pieces(shape, 20001)]
-    rate = max(np.abs(piece[1]).max() for piece in found)
-    acceleration = max(np.abs(piece[2]).max() for piece in found)
-    assert shape.peak_rate == pytest.approx(rate, rel=1e-8)
-    assert shape.peak_acceleration == pytest.approx(acceleration, rel=1e-7)
-
-
 def test_peaks_of_the_textbooks() -> None:
-    assert profile("cubic").peak_rate == 1.5
-    assert profile("quintic").peak_rate == 1.875
-    assert profile("cycloidal").peak_rate == 2.0
-    assert profile("quintic").peak_acceleration == pytest.approx(5.7735027, rel=1e-7)
-    assert profile("cycloidal").peak_acceleration == pytest.approx(2 * math.pi)
-    assert profile("trapezoidal", 0.25).peak_rate == pytest.approx(4 / 3)
-    assert profile("trapezoidal", 0.5).peak_acceleration == 4.0
-    assert profile("trapezoidal").peak_rate == pytest.approx(1.5)
-    assert profile("constant").peak_rate == 1.0
+    mechanism = load("robots/pendulum.yaml")
+    for name, part, rate, acceleration in (
+        ("cubic", 1 / 3, 1.5, 6.0),
+        ("quintic", 1 / 3, 1.875, 10 / math.sqrt(3)),
+        ("cycloidal", 1 / 3, 2.0, 2 * math.pi),
+        ("trapezoidal", 0.25, 4 / 3, 16 / 3),
+        ("trapezoidal", 0.5, 2.0, 4.0),
+        ("trapezoidal", 1 / 3, 1.5, 4.5),
+        ("constant", 1 / 3, 1.0, 0.0),
+    ):
+        with case(name, part):
+            path = path_through(np.array([[0.0], [1.0]]), None, name, part)
+            peaks = WholePath(mechanism, path).peaks()
+            assert peaks[:, 0] == pytest.approx([rate, acceleration], rel=1e-14)
 
 
 @pytest.mark.parametrize("part", [0.0, -0.1, 0.51, math.nan, math.inf])

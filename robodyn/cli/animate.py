@@ -22,7 +22,6 @@ from robodyn.pictures.column_units import scene_units
 from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames
 from robodyn.pictures.outlines import at
-from robodyn.tables.delimited import columns_told
 from robodyn.tables.table import Reader
 
 SHOWN = 2.0  # s that a mode is watched at least
@@ -104,10 +103,6 @@ def _of_mode(
 def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames:
     with open_input(states) as (stream, name):
         reader = Reader(stream, name, scene_units(mechanism))
-        if "t" not in reader.header:
-            limit = "an animation needs the time of each row; there are "
-            limit += columns_told(reader.header, "t")
-            raise InputError("column t is missing", where=name, limit=limit)
         quantities = [Quantity("q", None, True), Quantity("qd", None)]
         sources = [table_source(mechanism, x, reader.names, name) for x in quantities]
         sources = [source for source in sources if source.columns]

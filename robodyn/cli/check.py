@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,8 @@ from robodyn.pictures.column_units import (
     in_degrees,
     scene_units,
 )
-from robodyn.scene.forms import Key
-from robodyn.scene.grammar import FORMS
+from robodyn.scene.forms import Form
+from robodyn.scene.grammar import form_of
 from robodyn.scene.scene import (
     FRAMES,
     JOINTS,
@@ -42,13 +43,6 @@ from robodyn.scene.scene import (
 )
 
 STATES = 200
-PHRASES = {  # what a spring or a load is in words, by the first of its keys; of its stiffness
-    "joint": ("joint {joint}: {pull} from {angle:g} rad", "N m/rad"),
-    "slide": ("joint {joint}: {pull} from {length:g} m", "N/m"),
-    "between": ("{between[0]} to {between[1]}: {pull}, length {length:g} m", "N/m"),
-    "link": ("{acting} N m on {link}", ""),
-    "at": ("({acting}) N at {at}", ""),
-}
 OF_JOINTS = {"min": "rad", "max": "rad", "speed": "rad/s", "stribeck": "rad/s"}  # which turn
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains
 
@@ -238,22 +232,6 @@ def _span(values: np.ndarray) -> list[float | None]:
 def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identity]) -> list[Grid]:
     facts = [["gravity", "({:g}, {:g}) m/s²".format(*content["gravity"])]]
     facts.append(["mobility", str(content["mobility"])])
-    for kind in ("spring", "load"):
-        for k, entry in enumerate(content.get(f"{kind}s", []), start=1):
-            first = next(iter(entry))
-            phrase, unit = PHRASES["slide" if first == "joint" and "length" in entry else first]
-            if "angle_deg" in entry:
-                phrase = phrase.replace("{angle:g} rad", "{angle_deg:g}°")
-            text = phrase.format(**entry, **_amounts(entry, unit))
-            per, of = unit.split("/") if unit else ("", "")
-            text += f", damping {entry['damping']:g} {per} s/{of}" if entry.get("damping") else ""
-            text += ", turning with it" if entry.get("frame") == FRAMES[1] else ""
-            facts.append([f"{kind} {k}", text])
-    for k, link in enumerate(content["links"], start=1):
-        if motor := link.get("motor"):
-            keys = FORMS["slide_motor" if "axis" in link else "motor"].keys
-            each = [_amount(name, x, keys) for name, x in motor.items() if x]
-            facts.append([f"motor {k}", ", ".join(each)])
     for k, coupling in enumerate(mechanism.description.couplings, start=1):
         facts.append([f"coupling {k}", _equation(mechanism, coupling, 6)])
     facts += [[f"loop {c}", kind] for c, kind in enumerate(content["loops"], start=1)]
@@ -270,72 +248,60 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
             verdict = [f"{item.residual:.1e}", "holds" if item.holds else "FAILS"]
         proof.append([item.name, *verdict])
     title = f"identities at {content['states']} random states (bound {BOUND:g})"
+    links = [
+        link | {"actuated": "yes" if k in mechanism.actuated else ""}
+        for k, link in enumerate(content["links"])
+    ]
+    forces = [_listed(kind, content.get(f"{kind}s", [])) for kind in ("spring", "load")]
     return [
-        _link_table(mechanism, content["links"]),
+        _listed("link", links)._replace(title=mechanism.name),
+        *(table for table in forces if table.rows),
         Grid(["", ""], facts),
         Grid(["identity", "residual", ""], proof, title),
     ]
 
 
-def _amount(name: str, value: float, keys: Mapping[str, Key]) -> str:
-    """A number of a motor in words."""
-    key = name.removesuffix(IN_DEGREES)
-    unit = DEGREES[keys[key].unit] if key != name else keys[key].unit
-    return f"{key.replace('_', ' ')} {value:g} {unit}".rstrip()
-
-
-def _told_friction(
-    friction: dict[str, float | None] | None, load: str, rate: str, mixed: bool
-) -> str:
-    """As a cell of the table; where joints have different units with its own."""
-    if friction is None:
-        return ""
-    moving, *others = friction.values()
-    own = f"{moving:g} {load}" if mixed else f"{moving:g}"
-    if len(others) == 1:
-        return f"{own} above {others[0]:g} {rate}"
-    static, stribeck = others
-    falls = "" if stribeck is None else f" within {stribeck:g} {rate}"
-    return f"{own}, {static:g} at rest{falls}"
-
-
-def _amounts(entry: dict[str, Any], unit: str) -> dict[str, str]:
-    """What a spring pulls with, or a load acts with, in words."""
-    if unit:
-        pull = f"{entry['stiffness']:g} {unit}" if "stiffness" in entry else ""
-        return {"pull": pull or f"pulls {entry.get('law') or 'by ' + entry['table']}"}
-    acting = entry["force"] if "force" in entry else [entry["torque"]]
-    words = [f"{x['column']} of {x['table']}" if isinstance(x, dict) else x for x in acting]
-    return {"acting": ", ".join(x if isinstance(x, str) else f"{x:g}" for x in words)}
-
-
-def _link_table(mechanism: Mechanism, links: list[dict[str, Any]]) -> Grid:
-    """The links, one a row; where joints have different units each value has its own."""
-    extras = [
-        key for key in ("payload", "damping", "friction", "limits") if any(x[key] for x in links)
+def _listed(what: str, entries: Sequence[Mapping[str, Any]]) -> Grid:
+    """Entries of the scene, one a row; units by the grammar, of each value where they differ."""
+    keys = (x for x in dict.fromkeys(chain(*entries)) if x != "name")
+    names = [x for x in keys if any(entry.get(x) for entry in entries)]
+    forms = [form_of(what, [x.removesuffix(IN_DEGREES) for x in entry]) for entry in entries]
+    pairs = list(zip(forms, entries, strict=True))
+    units = {x: {_unit(form, x) for form, entry in pairs if entry.get(x)} for x in names}
+    plain = {x: x.removesuffix(IN_DEGREES) for x in names}
+    heads = [plain[x] + (f" [{min(units[x])}]" if len(units[x] - {""}) == 1 else "") for x in names]
+    rows = [
+        [f"{k} {entry.get('name', '')}".rstrip()]
+        + [_cell(form, x, entry.get(x), len(units[x]) > 1) for x in names]
+        for k, (form, entry) in enumerate(pairs, start=1)
     ]
-    headed = {name: f"{name} [{key.unit}]" for name, key in FORMS["revolute_link"].keys.items()}
-    headed |= {"friction": "friction [N m]", "limits": "limits"}
-    mixed = bool(mechanism.slides)
-    if mixed:
-        headed |= {"damping": "damping", "friction": "friction"}
-    columns = ["link", *(headed[key] for key in "mlrI"), "hangs from", *["joint"] * mixed]
-    rows = []
-    for k, link in enumerate(links):
-        axis = link.get("axis")
-        turning = "°/s" if degrees.get() else "rad/s"
-        load, rate = ("N m", turning) if axis is None else ("N", "m/s")
-        told = {key: link[key] for key in extras}
-        if mixed and "damping" in told:
-            unit = f"{load} s/{'rad' if axis is None else 'm'}"
-            told["damping"] = f"{link['damping']:g} {unit}" if link["damping"] else ""
-        if "friction" in told:
-            told["friction"] = _told_friction(link["friction"], load, rate, mixed)
-        if "limits" in told:
-            told["limits"] = ", ".join(f"{key} {x:g}" for key, x in (told["limits"] or {}).items())
-        r = "{:g}".format(*link["r"]) if link["r"][1] == 0 else "({:g}, {:g})".format(*link["r"])
-        row = [f"{k + 1} {link['name']}", link["m"], link["l"], r, link["I"], link["from"]]
-        slides = "turns" if axis is None else "slides along ({:g}, {:g})".format(*axis)
-        row += [slides] * mixed + list(told.values())
-        rows.append([*row, "yes" if k in mechanism.actuated else ""])
-    return Grid([*columns, *(headed[key] for key in extras), "actuated"], rows, mechanism.name)
+    return Grid([what, *heads], rows)
+
+
+def _unit(form: Form, name: str) -> str:
+    key = form.keys.get(name.removesuffix(IN_DEGREES))
+    unit = "" if key is None else key.unit
+    return DEGREES[unit] if name.endswith(IN_DEGREES) else unit
+
+
+def _cell(form: Form, name: str, value: Any, with_unit: bool) -> str:
+    """A value as text, one with parts by its keys."""
+    match value:
+        case None:
+            return ""
+        case Mapping():
+            inner = form_of(form.keys[name].kind, [x.removesuffix(IN_DEGREES) for x in value])
+            needed = [x for x, key in inner.keys.items() if key.default != "0"]
+            return ", ".join(
+                f"{x.removesuffix(IN_DEGREES).replace('_', ' ')} {_cell(inner, x, part, True)}"
+                for x, part in value.items()
+                if part or (part is not None and x.removesuffix(IN_DEGREES) in needed)
+            )
+        case list():
+            if name == "r" and value[1] == 0.0:
+                value = value[:1]
+            parts = ", ".join(_cell(form, name, part, False) for part in value)
+            return parts if len(value) == 1 else f"({parts})"
+        case float() | int():
+            return f"{value:g} {_unit(form, name) if with_unit else ''}".rstrip()
+    return str(value)

@@ -181,9 +181,7 @@ def _rows(
         return sources[0].columns
 
     sources: list[Source] = []
-    values, _, name = read_columns(states, columns, scene_units(mechanism))
-    if not len(values):
-        raise InputError("no rows", where=name, limit="the header is followed by no state")
+    values, *_ = read_columns(states, columns, scene_units(mechanism))
     wanted = even_rows(len(values), poses)
     if not whole:
         values, wanted = values[wanted], np.arange(len(wanted))

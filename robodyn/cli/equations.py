@@ -14,7 +14,7 @@ from robodyn.equations.latex import latex
 from robodyn.equations.recorded import recorded
 from robodyn.equations.text import WIDTH, as_json, text
 from robodyn.equations.written import equations as equations_of
-from robodyn.tables.output_file import open_output
+from robodyn.tables.output_file import write_text
 
 EquationFormat = Literal["text", "latex", "python", "c", "json"]  # how equations are written
 READABLE = {"latex": latex, "json": as_json}
@@ -59,5 +59,4 @@ def equations(
         with progress("writing") as watch:
             found = equations_of(mechanism, numeric, lambda part: watch(DERIVING * part))
             content = READABLE[format](found) if format in READABLE else text(found, width)
-    with open_output(out) as stream:
-        stream.write(content.encode())
+    write_text(content, out)

@@ -8,7 +8,7 @@ from typing import Literal
 from robodyn.cli.options import Model, Number, Out, Q, option
 from robodyn.cli.output import note
 from robodyn.errors import InputError
-from robodyn.tables.output_file import open_output
+from robodyn.tables.output_file import write_text
 
 ModelFormat = Literal["urdf", "mjcf"]  # the language of a model file
 
@@ -58,5 +58,4 @@ def export(
         text, notes = mjcf(mechanism, step, pose), contact_notes(mechanism)
     for line in notes:
         note(f"Note: {line}")
-    with open_output(out) as stream:
-        stream.write(text.encode())
+    write_text(text, out)

@@ -63,8 +63,7 @@ def rows_of_options(
 def _driven(mechanism: Mechanism, quantity: Quantity, whole: bool = False) -> Array:
     """An option's values of the actuated joints, or as they are if they may be `whole`."""
     source = option_source(mechanism, quantity)
-    values = np.array(source.values)
-    return values[list(mechanism.actuated)] if source.whole and not whole else values
+    return np.array(source.values if whole else source.driven(mechanism))
 
 
 def rows_given(
@@ -103,9 +102,6 @@ def rows_given(
                 missing = next(x for x in names if x not in there)
                 limit = f"the header has {columns_told(header, missing)}"
                 raise InputError(f"column {missing} is missing", where=name, limit=limit)
-        if moving and "t" not in header:
-            limit = f"a motion is met at times; the header has {columns_told(header, 't')}"
-            raise InputError("column t is missing", where=name, limit=limit)
         if match:
             formulas = ColumnFormulas(mechanism, [], of or ())
             columns = chosen or _fitted(mechanism, formulas, header, states, moving, name)
@@ -115,12 +111,10 @@ def rows_given(
                     what = f"column {column} of --columns is missing"
                     raise InputError(what, where=name, limit=limit)
         used = [x for names in states.values() for x in names]
-        used += ["t"] if "t" in header else []
+        used += ["t"] if moving or "t" in header else []
         return list(dict.fromkeys([*used, *(columns if match else [])]))
 
     values, names, name = read_columns(table, choose, scene_units(mechanism))
-    if not len(values):
-        raise InputError("no rows", where=name, limit="the header is followed by no row")
     place = {x: k for k, x in enumerate(names)}
     T = len(values)
     state: dict[str, Array] = {}

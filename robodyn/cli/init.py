@@ -13,7 +13,7 @@ from robodyn.cli.options import OutputFormat, Text, option, switch
 from robodyn.cli.output import note, row_writer
 from robodyn.errors import InputError
 from robodyn.scene.example_scenes import example_options, scene_names, scene_text, summary
-from robodyn.tables.output_file import open_output
+from robodyn.tables.output_file import write_text
 
 _NAME = "Of the scene, such as four-bar."
 _OUT = "Write here, - for stdout. Default: NAME.yaml in this directory."
@@ -51,7 +51,6 @@ def init(
     path = f"{name}.yaml" if out is None else out
     if os.path.isfile(path) and not force:
         raise InputError("exists already", where=path, limit="give --force to replace it, or --out")
-    with open_output(path) as stream:
-        stream.write(text.encode())
+    write_text(text, path)
     if path != "-":
         note(f"wrote {path}; try: robodyn terms {shlex.quote(path)} {example_options(text)}")

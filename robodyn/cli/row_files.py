@@ -23,7 +23,7 @@ def read_columns(
 ) -> tuple[Array, Sequence[str], str]:
     """Columns (rows, columns) of a CSV file, chosen by its header and name; their names; its.
 
-    `lengths` are columns that are no angles in degrees.
+    `lengths` are columns that are no angles in degrees.  A file without rows is an InputError.
     """
     import numpy as np
 
@@ -33,7 +33,9 @@ def read_columns(
         reader = Reader(stream, name, lengths)
         names = choose(reader.names, name)
         blocks = [chunk.values for chunk in reader.chunks(names)]
-    return np.concatenate([np.zeros((0, len(names))), *blocks]), names, name
+    if not blocks:
+        raise InputError("no rows", where=name, limit="the header is followed by no row")
+    return np.concatenate(blocks), names, name
 
 
 @contextmanager

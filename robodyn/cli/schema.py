@@ -6,7 +6,7 @@ import json
 
 from robodyn.cli.options import Out
 from robodyn.scene.scene_schema import scene_schema
-from robodyn.tables.output_file import open_output
+from robodyn.tables.output_file import write_text
 
 
 def schema(out: Out = None) -> None:
@@ -20,5 +20,4 @@ def schema(out: Out = None) -> None:
       robodyn schema | python -m json.tool
     """
     text = json.dumps(scene_schema(), indent=2, ensure_ascii=False) + "\n"
-    with open_output(out) as stream:
-        stream.write(text.encode())
+    write_text(text, out)

@@ -210,8 +210,7 @@ def controlled(
             source = Source(Quantity("q", None), gains["gain"].q, [], True)
         else:
             source = option_source(mechanism, Quantity("hold", options.hold))
-        point = [source.values[k] for k in mechanism.actuated] if source.whole else source.values
-        reference = ReferenceTable.set_point(point, end)
+        reference = ReferenceTable.set_point(source.driven(mechanism), end)
     how = {"control_rate": rate, "control_model": believed}
     return {"reference": reference, "control": law, **how, **gains}, end
 

@@ -76,6 +76,10 @@ class Source:
         """Whether it is told at all."""
         return bool(self.columns) or self.quantity.option is not None
 
+    def driven(self, mechanism: Mechanism) -> list[float]:
+        """An option's values of the actuated joints."""
+        return [self.values[k] for k in mechanism.actuated] if self.whole else self.values
+
 
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
     """The source that the quantity's option is; zero where there is none."""

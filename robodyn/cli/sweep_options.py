@@ -18,7 +18,7 @@ from robodyn.cli.simulate_options import (
     named,
     reference_from,
 )
-from robodyn.cli.states import joint_values
+from robodyn.cli.states import Quantity, option_source
 from robodyn.cli.times import DEFAULT_POINTS, value_from
 from robodyn.control.laws import controller
 from robodyn.errors import InputError, nearest_first
@@ -217,14 +217,7 @@ def _events(mechanism: Mechanism, given: SweepOptions, wanted: bool) -> tuple[tu
 
 def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, ...]:
     """The values of the actuated joints; zero where they are not given."""
-    actuated = [mechanism.link_names[k] for k in mechanism.actuated]
-    if text is None:
-        return (0.0,) * len(actuated)
-    values = joint_values(mechanism, text, name, f"--{name}")
-    if len(values) != len(actuated):
-        limit = f"needs {len(actuated)} values, one an actuated joint ({', '.join(actuated)})"
-        raise InputError(f"--{name}", value=f"{shown(text)} ({len(values)} values)", limit=limit)
-    return tuple(values)
+    return tuple(option_source(mechanism, Quantity(name, text)).driven(mechanism))
 
 
 def _axes(scene: SceneValues, given: SweepOptions) -> tuple[Axis, ...]:

@@ -16,7 +16,6 @@ from robodyn.kinematics.named_points import named_point
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
 from robodyn.tables.csv_fields import shown
-from robodyn.tables.delimited import columns_told
 from robodyn.trajectories.continuation import FURTHEST, Watch
 from robodyn.trajectories.inverse_kinematics import along_branch
 from robodyn.trajectories.joint_paths import JointPath, Legs, path_through
@@ -156,13 +155,8 @@ def _speed(text: str | None) -> float | None:
 
 
 def _read(file: str) -> _File:
-    def columns(header: Sequence[str], name: str) -> list[str]:
-        for wanted in ("x", "y"):
-            if wanted not in header:
-                limit = "needs x, y, and perhaps t and angle; the header has "
-                limit += columns_told(header, wanted)
-                raise InputError(f"column {wanted} is missing", where=name, limit=limit)
-        return [x for x in ("x", "y", "angle", "t") if x in header]
+    def columns(header: Sequence[str], _: str) -> list[str]:
+        return ["x", "y", *(x for x in ("angle", "t") if x in header)]
 
     values, names, source = read_columns(file, columns)
     if len(values) < 2:

@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
+from math import prod
 from typing import Any, NamedTuple
 
 from robodyn.engines.planar_numbers import Planar as Planar
@@ -104,6 +105,12 @@ class Sum:
         return collected((merged(a, b), x * y) for (a, x), (b, y) in pairs)
 
     __rmul__ = __mul__
+
+    def __truediv__(self, number: float) -> Sum:
+        return NotImplemented if isinstance(number, Sum) else self.times(1 / Fraction(number))
+
+    def __pow__(self, power: float) -> Sum:
+        return prod([self] * int(power), start=ONE) if power in range(9) else NotImplemented
 
     def __rtruediv__(self, one: float) -> Sum:
         """The inverse of a symbol."""

@@ -15,13 +15,12 @@ makes in a motion falls with the square of the time step.
 from __future__ import annotations
 
 from cmath import phase
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import nextafter, pi
 from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
 from robodyn.export.model_xml import (
-    INERTIA_REMARK,
     Names,
     comment,
     document,
@@ -78,37 +77,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
         keys = SubElement(root, "keyframe")
         angles = " ".join(number(q[k]) for k in model.order)
         SubElement(keys, "key", name="start", qpos=angles)
-    return document(root, comment(mechanism, model.names, _remarks(mechanism)))
-
-
-def _remarks(mechanism: Mechanism) -> Iterator[str]:
-    description = mechanism.description
-    yield INERTIA_REMARK
-    if any(link.payload for link in description.links):
-        yield "A payload is a point mass: a body without a joint and without inertia."
-    if description.loads:
-        yield "A load is an actuator of constant force: its control does nothing."
-    if any(rotor.carrier is not None for rotor in mechanism.rotors):
-        told = "is the armature of a tendon, which MuJoCo has from 3.3.1 on."
-        yield f"A rotor on a link that turns {told}"
-    if description.closures or description.couplings:
-        yield (
-            "Loops and couplings are held by equality constraints, as stiff as the time step "
-            "allows.  They are open where all joints are zero: start where they hold, such as from "
-            "a keyframe."
-        )
-    if any(spring.law is not None for spring in description.springs):
-        yield "Springs of the second and third power are MuJoCo's from 3.7 on."
-    if any(closure.along is not None for closure in description.closures):
-        yield (
-            "A slider's line holds the points as far from one site of the ground as from another: "
-            "two tendons of equal length.  MuJoCo leaves out the centripetal acceleration along "
-            "tendons, so that fast motions need a short time step."
-        )
-    if any(x.along and x.second.link is not None for x in description.closures):
-        yield "Those of a slot in a link are sites of that link."
-    if any(closure.aligned is not None for closure in description.closures):
-        yield "An angle that a closure keeps is a sum of joint angles: it counts from turn to turn."
+    return document(root, comment(mechanism, model.names))
 
 
 def _unsaid(place: str, signal: Signal) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Callable, Collection, Iterable, Mapping
-from textwrap import wrap
 from xml.etree import ElementTree
 
 from robodyn import __version__
@@ -18,7 +17,6 @@ from robodyn.scene.scene import Description, DryFriction, Link, Signal, signals_
 
 # what tools name themselves: MuJoCo its ground, Pinocchio its own and its root's joint
 RESERVED = frozenset({"world", "universe", "root_joint"})
-WIDTH = 93  # of remarks
 SAFE, UNSAFE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*"), re.compile(r"[^A-Za-z0-9_]+")
 # these say how a scene is named and assembled, or are said in the comment
 SCENE_SAID = frozenset(
@@ -69,7 +67,7 @@ def vector(point: complex) -> str:
     return f"{number(point.real)} {number(point.imag)} 0.0"
 
 
-def comment(mechanism: Mechanism, joints: Iterable[str], remarks: Iterable[str]) -> list[str]:
+def comment(mechanism: Mechanism, joints: Iterable[str]) -> list[str]:
     """The lines of the comment at the top of a model: what it is, its frame and its coordinates."""
     driven = set(mechanism.actuated)
     moves, told = "every joint turns about +Z", "counter-clockwise:"
@@ -88,13 +86,7 @@ def comment(mechanism: Mechanism, joints: Iterable[str], remarks: Iterable[str])
         remark = "" if joint == name else f" (link {name})"
         remark += ", slides" if k in mechanism.slides else ""
         lines.append(f"  q{k + 1}  {joint}{remark}{', driven' if k in driven else ''}")
-    return [*lines, *(line for remark in remarks for line in wrap(remark, WIDTH))]
-
-
-INERTIA_REMARK = (
-    "Of the inertia only the moment about Z counts in a plane.  The other two are set equal to it, "
-    "so that none exceeds the sum of the others: no body's does, and tools check it."
-)
+    return [*lines, "What this format has otherwise than the scene: robodyn guide export."]
 
 
 def refuse_unsaid(

@@ -22,16 +22,15 @@ at rest.
 
 from __future__ import annotations
 
-import ast
 import math
-from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
+from robodyn.equations.symbolic import Atom, Role, of, summed
 from robodyn.export.model_xml import number
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import DryFriction, Law, Limits, Signal
 
-Powers = tuple[int, int]  # of x and of v
+X, V = (Atom(Role.length, (k,), name) for k, name in enumerate("xv"))
 MOST = 3
 LIMIT = "MJCF has polynomials k1 x + k2 x^2 + k3 x^3 + d1 v + d3 v^3 alone, and no tables"
 WEAK = "0.0001 0.0001 0.001 0.5 2"  # the impedance: a limit's, the least that MuJoCo takes
@@ -130,8 +129,13 @@ def polynomial(law: Signal | None) -> dict[str, str] | None:
         return {}
     if not isinstance(law, Law):
         return None
-    terms = _terms(ast.parse(law.code, mode="eval").body)
-    if terms is None or any(c and (i, j) not in _SAID for (i, j), c in terms.items()):
+    try:
+        found = summed(eval(law.code, {"__builtins__": {}}, {"x": of(X), "v": of(V)}))
+    except (ArithmeticError, NameError, TypeError):  # functions, remainders, powers that are none
+        return None
+    powers = ((dict(monomial), float(number)) for monomial, number in found.terms.items())
+    terms = {(each.get(X, 0), each.get(V, 0)): number for each, number in powers}
+    if not _SAID.issuperset(terms):
         return None
     pulls = [[terms.get((i, 0), 0.0) for i in range(1, MOST + 1)]]
     pulls.append([terms.get((0, j), 0.0) for j in range(1, MOST + 1)])
@@ -143,48 +147,3 @@ def polynomial(law: Signal | None) -> dict[str, str] | None:
 
 
 _SAID = {(i, 0) for i in range(1, MOST + 1)} | {(0, 1), (0, 3)}
-
-
-def _terms(tree: ast.expr) -> Mapping[Powers, float] | None:
-    """The coefficients of a polynomial in x and v; None for what is none, or of a high power."""
-    match tree:
-        case ast.Constant(value=float() as value):
-            return {(0, 0): value}
-        case ast.Name(id=name):
-            return {(1, 0) if name == "x" else (0, 1): 1.0}
-        case ast.UnaryOp(op=operation, operand=operand):
-            sign = -1.0 if isinstance(operation, ast.USub) else 1.0
-            return _product({(0, 0): sign}, _terms(operand))
-        case ast.BinOp(left=left, op=(ast.Add() | ast.Sub()) as operation, right=right):
-            sign = -1.0 if isinstance(operation, ast.Sub) else 1.0
-            a, b = _terms(left), _product({(0, 0): sign}, _terms(right))
-            if a is None or b is None:
-                return None
-            return {key: a.get(key, 0.0) + b.get(key, 0.0) for key in (*a, *b)}
-        case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            return _product(_terms(left), _terms(right))
-        case ast.BinOp(left=left, op=ast.Div(), right=right):
-            by = _terms(right)
-            if by is None or by.keys() != {(0, 0)} or not by[0, 0]:
-                return None
-            return _product(_terms(left), {(0, 0): 1.0 / by[0, 0]})
-        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=float() as power)):
-            if power not in range(MOST + 1):
-                return None
-            found: Mapping[Powers, float] | None = {(0, 0): 1.0}
-            for _ in range(int(power)):
-                found = _product(found, _terms(left))
-            return found
-    return None
-
-
-def _product(
-    a: Mapping[Powers, float] | None, b: Mapping[Powers, float] | None
-) -> Mapping[Powers, float] | None:
-    if a is None or b is None:
-        return None
-    found: dict[Powers, float] = defaultdict(float)
-    for (i, j), x in a.items():
-        for (k, l), y in b.items():
-            found[i + k, j + l] += x * y
-    return found

@@ -15,7 +15,6 @@ from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
 from robodyn.export.model_xml import (
-    INERTIA_REMARK,
     Names,
     comment,
     document,
@@ -83,25 +82,7 @@ def urdf(mechanism: Mechanism) -> str:
             body = names.new(f"{payload}_link")
             _link(root, body, link.payload, 0j, 0.0)
             _joint(root, payload, "fixed", (bodies[k], body), complex(link.l))
-    remarks = [
-        "URDF has no gravity: set it where this file is loaded.  Pinocchio stores the angle of an "
-        "unlimited (continuous) joint as its cosine and sine.",
-        INERTIA_REMARK,
-    ]
-    if couplings:
-        remarks.append(
-            "A joint with `mimic` follows another.  Pinocchio leaves it free without mimic=True, "
-            "and counts the angle that it follows from -pi to pi."
-        )
-    if any(link.payload for link in mechanism.description.links):
-        remarks.append("A payload is a point mass on a fixed joint.")
-    if any(link.slides and not link.limits for link in mechanism.description.links):
-        remarks.append(
-            "A joint that slides must have limits, which are so wide that they are none."
-        )
-    if mechanism.limits:
-        remarks.append("A joint that ends must have all limits; those of 1e9 are none.")
-    return document(root, comment(mechanism, joints, remarks))
+    return document(root, comment(mechanism, joints))
 
 
 def urdf_notes(mechanism: Mechanism) -> Iterator[str]:

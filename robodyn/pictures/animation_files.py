@@ -25,7 +25,7 @@ from robodyn.pictures.mechanism_picture import FONT, FOOT, LONGEST, STYLES, Pict
 from robodyn.pictures.motion_frames import FINER, Frames, time_decimals
 from robodyn.pictures.outlines import Shape
 from robodyn.pictures.picture_plan import Frame, Size, frame, scale_bar, scale_bar_line
-from robodyn.tables.output_file import open_output
+from robodyn.tables.output_file import open_output, write_text
 
 DOTS = 100  # an inch
 COLOURS_OF_GIF = 128
@@ -72,8 +72,7 @@ def write_animation(
     """Write the frames as the suffix of `out` says; gif and mp4, which take time, are watched."""
     suffix = Path(out).suffix.lower()
     if suffix == ".html":
-        with open_output(out) as stream:
-            stream.write(page(drawn, shown, speed, traces, size).encode())
+        write_text(page(drawn, shown, speed, traces, size), out)
         return
     film = Film(drawn, shown.t, traces, size)
     write = write_gif if suffix == ".gif" else write_mp4

@@ -15,7 +15,7 @@ from robodyn.pictures.colour_scale import ColourScale, colour_scale
 from robodyn.pictures.column_units import TURNING, in_degrees, unit_of
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import finite, shown, split_fields, unquoted
-from robodyn.tables.table import Chunk, Reader
+from robodyn.tables.table import Reader
 
 Rows = NDArray[np.int64]
 
@@ -125,17 +125,6 @@ def value_map(
     return ValueMap(*names, x, y, values, tuple(words), scale, find_grid(x, y))
 
 
-def _map_in_degrees(mapped: ValueMap, units: Mapping[str, str]) -> ValueMap:
-    """The map with its angles in degrees."""
-    names = mapped.x_name, mapped.y_name, mapped.name
-    told = [in_degrees(name, units) for name in names]
-    values = told[2][1] * mapped.values if mapped.scale else mapped.values
-    log = mapped.scale is not None and mapped.scale.log
-    x, y = told[0][1] * mapped.x, told[1][1] * mapped.y
-    new = value_map((told[0][0], told[1][0], told[2][0]), x, y, values, mapped.words, log)
-    return new._replace(units=units)
-
-
 def read_map(
     tables: Iterable[Opened],
     x: str,
@@ -150,7 +139,7 @@ def read_map(
 
     Points that others hide are told.
     """
-    column = ColourColumn(colour, positive=log)
+    fields: list[tuple[str, str]] = []
     blocks, ys = [np.zeros((0, 2))], []
     for table in tables:
         with table as (stream, source):
@@ -158,22 +147,31 @@ def read_map(
             choose_x(reader.header, x, source)
             ys += choose_columns(reader.header, patterns, x, source)
             if len(set(ys)) > 1:
-                raise InputError(
-                    "--y", value=", ".join(dict.fromkeys(ys)), limit="a map has one column along y"
-                )
+                told = ", ".join(dict.fromkeys(ys))
+                raise InputError("--y", value=told, limit="a map has one column along y")
             place = place_of(colour, "--colour", reader.header, source)
             for chunk in reader.chunks([x, ys[0]]):
-                column.add(chunk, place, source)
+                for line, number in zip(chunk.lines, chunk.line_numbers, strict=True):
+                    text = unquoted(split_fields(line)[place]).strip()
+                    fields.append((text, f"{source}: line {number}"))
                 blocks.append(chunk.values)
-    if log and column.words:
+    values, words = colour_values(colour, fields, log)
+    if log and words:
         limit = "needs a column of numbers; this one holds words"
         raise InputError("--log", value=shown(colour), limit=limit)
-    along, up = np.concatenate(blocks).T
+    columns = zip((x, ys[0], colour), (*np.concatenate(blocks).T, values), strict=True)
+    pairs = [
+        (in_degrees(name, units) if degrees else (name, 1.0), column) for name, column in columns
+    ]
+    (x_name, y_name, name), (along, up, shades) = zip(
+        *((name, factor * column) for (name, factor), column in pairs), strict=True
+    )
+    shades = values if words else shades
     with at_place(source, "no rows"):
-        mapped = value_map((x, ys[0], colour), along, up, column.values, column.words, log)
+        mapped = value_map((x_name, y_name, name), along, up, shades, words, log)
     if mapped.grid is not None and mapped.grid.hidden:
         tell(f"Note: {mapped.grid.hidden} rows are hidden by later ones with the same {x}, {ys[0]}")
-    return _map_in_degrees(mapped, units) if degrees else mapped._replace(units=units)
+    return mapped._replace(units=units)
 
 
 def find_grid(x: Array, y: Array) -> Grid | None:
@@ -215,57 +213,29 @@ def _edges(lines: Array) -> Array:
     return np.concatenate([[2.0 * lines[0] - middle[0]], middle, [2.0 * lines[-1] - middle[-1]]])
 
 
-class ColourColumn:
-    """One column of successive chunks; its first field that is not empty tells what it holds.
+def colour_values(
+    name: str, fields: Sequence[tuple[str, str]], positive: bool = False
+) -> tuple[Array, tuple[str, ...]]:
+    """Of the fields of a column, (T,) numbers or places in its sorted words, and these.
 
-    After all `add`, `values` (T,) are the numbers, or places in the sorted `words`; nan where
-    the field is empty.  With `positive`, numbers must be > 0.
+    Fields are texts, and where they stand; the first that is not empty tells what the column holds;
+    empty ones are nan.  Raises InputError, with the place, where one is neither empty nor a number
+    (with `positive` > 0).
     """
-
-    def __init__(self, name: str, positive: bool = False) -> None:
-        self.name = name
-        self._positive = positive
-        self._of_words: bool | None = None  # nothing seen so far
-        self._places: dict[str, int] = {}  # of words as they came
-        self._values: list[float] = []
-
-    def add(self, chunk: Chunk, place: int, source: str) -> None:
-        """Take the fields at a place of a chunk's lines.
-
-        Raises InputError, with the line of `source`, where one is neither empty nor what the
-        column holds.
-        """
-        for line, number in zip(chunk.lines, chunk.line_numbers, strict=True):
-            text = unquoted(split_fields(line)[place]).strip()
-            if text and self._of_words is None:
-                self._of_words = _is_word(text)
-            if not text:
-                self._values.append(math.nan)
-            elif self._of_words:
-                self._values.append(self._places.setdefault(text, len(self._places)))
-            else:
-                value = finite(text)
-                if value is None or (self._positive and value <= 0.0):
-                    where, limit = f"{source}: line {number}", "must be > 0 for --log"
-                    limit = "must be a finite number or empty" if value is None else limit
-                    raise InputError(self.name, where=where, value=shown(text), limit=limit)
-                self._values.append(value)
-        if len(self._places) > MOST_WORDS:
-            limit = f"has more than {MOST_WORDS} different words: no colours for so many"
-            raise InputError("--colour", value=shown(self.name), limit=limit)
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        return tuple(sorted(self._places))
-
-    @property
-    def values(self) -> Array:
-        values = np.array(self._values, float)
-        if self._places:
-            order = np.array([self.words.index(word) for word in self._places], float)
-            there = ~np.isnan(values)
-            values[there] = order[values[there].astype(int)]
-        return values
+    worded = _is_word(next((text for text, _ in fields if text), "0"))
+    words = tuple(sorted({text for text, _ in fields if text})) if worded else ()
+    if len(words) > MOST_WORDS:
+        limit = f"has more than {MOST_WORDS} different words: no colours for so many"
+        raise InputError("--colour", value=shown(name), limit=limit)
+    known = {"": math.nan} | {word: float(k) for k, word in enumerate(words)}
+    values = []
+    for text, where in fields:
+        value = known[text] if worded or not text else finite(text)
+        if value is None or (positive and not worded and value <= 0.0):
+            limit = "must be a finite number or empty" if value is None else "must be > 0 for --log"
+            raise InputError(name, where=where, value=shown(text), limit=limit)
+        values.append(value)
+    return np.array(values, float), words
 
 
 def _is_word(text: str) -> bool:

@@ -19,7 +19,7 @@ from robodyn.scene.description import from_text
 from robodyn.scene.scene import Table, signals_of
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
-from robodyn.tables.output_file import open_output
+from robodyn.tables.output_file import write_text
 
 Change = tuple[int, int, str]  # from, to, and what takes its place
 
@@ -39,8 +39,7 @@ def write_scene(
     if table and there and there.resolve() != Path(source).parent.resolve():
         limit = f"must be in the folder of {source}, which names {table} from there"
         raise InputError("the scene", where=str(out), limit=limit)
-    with open_output(out) as stream:
-        stream.write(text.encode())
+    write_text(text, out)
 
 
 def rewritten(text: str, source: str, values: Mapping[str, float | Sequence[float]]) -> str:

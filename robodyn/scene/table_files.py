@@ -1,7 +1,6 @@
 """CSV files that a scene names: two columns, x and a value at each, linear between the rows.
 
 Fields end at commas, or at semicolons (with decimal commas) or tabs where the first line says so.
-They are read without numpy: a command that evaluates one state starts without it.
 """
 
 from __future__ import annotations
@@ -11,10 +10,13 @@ import math
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, BinaryIO, cast
 
+from robodyn.errors import InputError
 from robodyn.scene.scene import Table
-from robodyn.tables.csv_fields import IN_DEGREES, finite, shown, split_fields, unquoted
+from robodyn.tables.csv_fields import unquoted
 from robodyn.tables.delimited import DELIMITERS, Delimited
+from robodyn.tables.table import Reader
 
 MOST_ROWS = 2000  # every engine writes the rows into its code
 MOST_BYTES = 2**20
@@ -48,14 +50,15 @@ def read_table(source: str, file: str, over: str, x: str, column: str, turns: bo
     return Table(file, column, over, places, values, repeats)
 
 
-def _text(data: bytes, column: str) -> str:
-    """A file as text, whose fields end at commas; at what else tells its first line."""
-    first = data.partition(b"\n")[0].decode("utf-8-sig")
+def _commas(data: bytes, column: str) -> BinaryIO:
+    """A file whose fields end at commas; at what else tells its first line."""
+    first = data.partition(b"\n")[0].decode("utf-8-sig", "replace")
+    stream: Any = io.BytesIO(data)
     for mark in DELIMITERS.values():
         fields = [unquoted(field.strip()) for field in first.split(mark)]
         if mark != "," and column in fields and "," not in first:
-            data = b"".join(iter(Delimited(io.BytesIO(data), mark).read, b""))
-    return data.decode("utf-8-sig")
+            stream = Delimited(stream, mark)
+    return cast(BinaryIO, stream)
 
 
 @lru_cache(maxsize=32)
@@ -63,41 +66,20 @@ def _columns(
     path: str, version: tuple[int, int], x: str, column: str, turns: bool
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Both columns; `version` tells the file from what it was."""
-    try:
-        lines = _text(Path(path).read_bytes(), column).splitlines()
-    except UnicodeDecodeError:
-        raise ValueError("is no UTF-8 text") from None
-    scale = 1.0
-    rows = [(i, line) for i, line in enumerate(lines, start=1) if line.strip()]
-    header = [unquoted(field.strip()) for field in split_fields(rows[0][1])] if rows else []
-    if turns and x not in header and x + IN_DEGREES in header:
-        header[header.index(x + IN_DEGREES)], scale = x, math.pi / 180.0
-    for name in (x, column):
-        if header.count(name) != 1:
-            known = ", ".join(map(shown, header)) or "nothing"
-            raise ValueError(f"must have a column {name}; its first line has {shown(known)}")
     if x == column:
         raise ValueError(f"has {x} on both axes")
-    found: tuple[list[float], list[float]] = ([], [])
-    for i, line in rows[1:]:
-        fields = [unquoted(field.strip()) for field in split_fields(line)]
-        if len(fields) != len(header):
-            raise ValueError(f"line {i} has {len(fields)} fields, the first line {len(header)}")
-        for name, values in zip((x, column), found, strict=True):
-            field = fields[header.index(name)]
-            value = finite(field)
-            if value is None:
-                raise ValueError(f"line {i}: {name} must be a finite number, not {shown(field)!r}")
-            values.append(value)
-    places, values = [scale * x for x in found[0]], found[1]
-    if not 2 <= len(places) <= MOST_ROWS:
-        raise ValueError(f"has {len(places)} rows below its header; it needs 2 to {MOST_ROWS}")
-    for before, after in pairwise(places):
+    try:
+        stream = _commas(Path(path).read_bytes(), column)
+        reader = Reader(stream, "", (column,) if turns else (x, column))
+        rows = [row for chunk in reader.chunks([x, column]) for row in chunk.values.tolist()]
+    except InputError as error:
+        raise ValueError(str(error).lstrip(": ")) from None
+    if not 2 <= len(rows) <= MOST_ROWS:
+        raise ValueError(f"has {len(rows)} rows below its header; it needs 2 to {MOST_ROWS}")
+    for (before, low), (after, high) in pairwise(rows):
         if not after > before:
             raise ValueError(f"{x} must increase from row to row: {after:g} follows {before:g}")
-    slopes = [
-        (b - a) / (d - c) for (a, b), (c, d) in zip(pairwise(values), pairwise(places), strict=True)
-    ]
-    if not all(map(math.isfinite, slopes)):
-        raise ValueError(f"{column} rises too steeply: its slopes overflow")
-    return tuple(places), tuple(values)
+        if not math.isfinite((high - low) / (after - before)):
+            raise ValueError(f"{column} rises too steeply: its slopes overflow")
+    places, values = zip(*rows, strict=True)
+    return places, values

@@ -87,6 +87,12 @@ def open_output(
             raise
 
 
+def write_text(text: str, path: str | None) -> None:
+    """Write a file of text, whole or not at all, as `open_output`."""
+    with open_output(path) as stream:
+        stream.write(text.encode())
+
+
 def close_quietly(stream: BinaryIO) -> None:
     """Close after a failure: what waits to be written to a full disk fails again, untold."""
     with suppress(OSError):

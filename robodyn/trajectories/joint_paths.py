@@ -42,10 +42,6 @@ class JointPath:
         """Parts u, in order, after which all joints stand as at the start and go on as there."""
         return np.zeros(0)
 
-    def peaks(self) -> tuple[Array, Array]:
-        """The largest |p'| and |p''| of each joint, (m,), of a scalable path."""
-        raise NotImplementedError
-
 
 def piece_at(breaks: Array, u: Array) -> Pieces:
     """The piece in which each u lies; at a break the one after it."""
@@ -93,36 +89,24 @@ class Legs(JointPath):
         p = np.where(late[:, None], end - D * s[:, None], begin + D * s[:, None])
         return p, D * (s1 / h)[:, None], D * (s2 / h**2)[:, None]
 
-    def peaks(self) -> tuple[Array, Array]:
-        D, h = np.abs(np.diff(self.points, axis=0)), self._lengths[:, None]
-        rates = (D / h).max(axis=0) * self.profile.peak_rate
-        return rates, (D / h**2).max(axis=0) * self.profile.peak_acceleration
-
 
 class Spline(JointPath):
     """A spline through points (K, m) at `times` (K,) that increase from 0 to 1."""
 
     def __init__(self, points: Array, times: Array, kind: str, natural: bool = False) -> None:
         self.breaks = self.knots = times
-        self._end, self._kind, self._natural = points[-1], kind, natural
+        self._ends = points[0], points[-1]
+        self._zero = [1] * (not natural) + [2] * (natural or kind == "quintic")  # at the ends
         self.travel = _way(points)
-        self._coefficients = splines.spline(times, points, 3 if kind == "cubic" else 5, natural)
+        self._curve = splines.spline(times, points, kind, natural)
 
     def within(self, u: Array, piece: Pieces) -> Values:
-        x = u - self.breaks[piece]
-        p, p1, p2 = (splines.evaluate(self._coefficients, piece, x, k) for k in range(3))
-        end = u == 1.0  # where rounding is left out
-        p[end] = self._end
-        if not self._natural:
-            p1[end] = 0.0
-        if self._natural or self._kind == "quintic":
-            p2[end] = 0.0
+        p, p1, p2 = values = [self._curve(u, order) for order in range(3)]  # which do not jump
+        for at, point in zip((u == 0.0, u == 1.0), self._ends, strict=True):  # without rounding
+            p[at] = point
+            for order in self._zero:
+                values[order][at] = 0.0
         return p, p1, p2
-
-    def peaks(self) -> tuple[Array, Array]:
-        lengths = np.diff(self.knots)
-        first, second = (splines.largest(self._coefficients, lengths, k) for k in (1, 2))
-        return first, second
 
 
 class Sweep(JointPath):

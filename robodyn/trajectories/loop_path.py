@@ -29,6 +29,7 @@ from robodyn.trajectories.continuation import (
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, travels
 
 Columns = Callable[[Array, Pieces], Array]  # values (T, columns) at u (T,) of these pieces
+Samples = tuple[Array, Pieces]  # u (T,) and the piece of each
 
 STEP = 0.03  # rad of the fastest joint, between the states that lead across a change point
 FEWEST = 64  # samples of a path of few pieces
@@ -51,11 +52,26 @@ class WholePath(JointPath):
         """q, q', q'' of all joints at u (T,), each (T, n), as these pieces have it."""
         return self.path.within(u, piece)
 
-    def peaks(self) -> tuple[Array, Array]:
-        """The largest |q'| and |q''| of each actuated joint."""
-        return self.path.peaks()
+    def driven(self, u: Array, piece: Pieces) -> Values:
+        """The same of the actuated joints, (T, m) each."""
+        return self.path.evaluate(u, piece)
 
-    def grid(self) -> tuple[Array, Pieces]:
+    def peaks(self) -> Array:
+        """The largest |q'| and |q''| of each actuated joint, (2, m)."""
+        pieces = len(self.breaks) - 1
+        counts = np.full(pieces, max(8, FEWEST // pieces))
+        return self.largest(samples(self.breaks, np.arange(pieces), counts))
+
+    def largest(self, grid: Samples) -> Array:
+        """The same, looked for between these samples."""
+
+        def of(order: int, joint: int) -> float:
+            return largest(lambda *at: self.driven(*at)[order][:, [joint]], grid)
+
+        joints = range(len(self.mechanism.actuated))
+        return np.array([[of(order, joint) for joint in joints] for order in (1, 2)])
+
+    def grid(self) -> Samples:
         """Samples (u, piece) close enough to follow the path, the ends of each piece included."""
         edges = self.path.breaks
         if len(returns := self.path.returns()):
@@ -114,7 +130,7 @@ class LoopPath(WholePath):
                 values[direct] = found
         return result[0], result[1], result[2]
 
-    def grid(self) -> tuple[Array, Pieces]:
+    def grid(self) -> Samples:
         pieces = self._nodes.pieces
         per_piece = np.bincount(pieces, minlength=len(self.path.breaks) - 1)
         least = max(8, FEWEST // len(per_piece))
@@ -160,7 +176,7 @@ def _last_turn(period: float) -> int:
     return math.ceil((1.0 - 1e-9 * period) / period) - 1
 
 
-def _repeated(u: Array, pieces: Pieces, period: float) -> tuple[Array, Pieces]:
+def _repeated(u: Array, pieces: Pieces, period: float) -> Samples:
     """Samples of the first turn, in the first and in the last two as well.
 
     What counts turns (a spring at a joint) grows from turn to turn, so its extremes are there.
@@ -171,20 +187,20 @@ def _repeated(u: Array, pieces: Pieces, period: float) -> tuple[Array, Pieces]:
     return np.concatenate(each), np.tile(pieces, len(turns))
 
 
-def samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> tuple[Array, Pieces]:
+def samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> Samples:
     """count + 1 samples of each interval, both ends included, each with the interval's piece."""
     each = zip(edges[:-1], edges[1:], counts, strict=True)
     us = [np.append(a + (b - a) / count * np.arange(count), b) for a, b, count in each]
     return np.concatenate(us), np.repeat(pieces, counts + 1)
 
 
-def least_along(columns: Columns, path: WholePath) -> tuple[float, float, int, int]:
-    """The least value of any column along a path, with its u, piece and column.
+def least_along(columns: Columns, grid: Samples) -> tuple[float, float, int, int]:
+    """The least value of any column along samples of a path, with its u, piece and column.
 
     Around each sample that may lead to it nine points are taken, then nine between the two next to
     the best of them, a quarter of the interval each time.
     """
-    u, piece = path.grid()
+    u, piece = grid
     blocks = range(0, len(u), BLOCK)
     values = np.concatenate([columns(u[k : k + BLOCK], piece[k : k + BLOCK]) for k in blocks])
     before, after = np.full_like(values, np.inf), np.full_like(values, np.inf)
@@ -221,3 +237,8 @@ def least_along(columns: Columns, path: WholePath) -> tuple[float, float, int, i
         low, high = trial[index, np.maximum(k - 1, 0)], trial[index, np.minimum(k + 1, 8)]
     winner = int(np.argmin(best))
     return float(best[winner]), float(at[winner]), int(piece[rows[winner]]), int(places[winner])
+
+
+def largest(columns: Columns, grid: Samples) -> float:
+    """The largest absolute value of any column along samples of a path."""
+    return -least_along(lambda u, piece: -np.abs(columns(u, piece)), grid)[0]

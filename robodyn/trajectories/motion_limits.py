@@ -112,7 +112,7 @@ def check_ends(motion: ReferenceMotion) -> None:
     def left(u: Array, piece: Pieces) -> Array:
         return np.asarray(sides * (places - motion.path.evaluate(u, piece)[0][:, joints]))
 
-    least, u, piece, column = least_along(left, motion.path)
+    least, u, piece, column = least_along(left, motion.path.grid())
     joint, side, end = ends[column]
     if least >= -NEAR * max(1.0, abs(end)):
         return

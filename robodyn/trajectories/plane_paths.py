@@ -20,7 +20,7 @@ import numpy as np
 from robodyn.errors import InputError
 from robodyn.tables.arrays import Array
 from robodyn.trajectories import splines
-from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at, spread
+from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, spread
 from robodyn.trajectories.profiles import Profile
 
 Curve = Callable[[Array], Values]  # c, dc/ds, d2c/ds2, each (T, m), at parts s (T,)
@@ -65,12 +65,11 @@ def spline_curve(points: Array) -> tuple[Curve, float]:
     it turns back on itself: at a speed along it, the point's velocity would jump there.
     """
     knots = spread(points[:, :2])
-    coefficients = splines.spline(knots, points, 3, natural=True)
+    of = splines.spline(knots, points, "cubic", natural=True)
     edges = _finer(knots)
 
     def bent(tau: Array) -> list[Array]:
-        piece = piece_at(knots, tau)
-        return [splines.evaluate(coefficients, piece, tau - knots[piece], k) for k in range(3)]
+        return [of(tau, order) for order in range(3)]
 
     behind = np.append(0.0, np.cumsum(_lengths(bent, edges[:-1], edges[1:])))
     length = float(behind[-1])

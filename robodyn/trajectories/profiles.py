@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isfinite, pi, sqrt
+from math import isfinite, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +41,6 @@ class Profile:
 
     name: str
     breaks: tuple[float, ...]
-    peak_rate: float  # the largest |s'|
-    peak_acceleration: float  # the largest |s''|
     half: Half
 
     def evaluate(self, u: Array, left: Array, piece: Pieces) -> tuple[Truth, Array, Array, Array]:
@@ -66,7 +64,7 @@ def profile(name: str, acceleration: float = ACCELERATION) -> Profile:
     Raises InputError for a name that is none, or alpha outside of 0 < alpha <= 1/2.
     """
     if name in SMOOTH:
-        return Profile(name, (0.0, 1.0), *SMOOTH[name])
+        return Profile(name, (0.0, 1.0), SMOOTH[name])
     if name != "trapezoidal":
         raise InputError("profile", value=name, limit=f"must be one of {', '.join(NAMES)}")
     alpha = acceleration
@@ -81,7 +79,7 @@ def profile(name: str, acceleration: float = ACCELERATION) -> Profile:
         return s, np.where(ramp, a * w, speed), np.where(ramp, a, 0.0)
 
     breaks = (0.0, 0.5, 1.0) if alpha == 0.5 else (0.0, alpha, 1 - alpha, 1.0)
-    return Profile(name, breaks, speed, a, half)
+    return Profile(name, breaks, half)
 
 
 def _quintic(w: Array, _: Truth) -> tuple[Array, Array, Array]:
@@ -94,10 +92,10 @@ def _cycloidal(w: Array, _: Truth) -> tuple[Array, Array, Array]:
     return w - np.sin(angle) / (2 * pi), 2 * np.sin(pi * w) ** 2, 2 * pi * np.sin(angle)
 
 
-# the largest |s'| and |s''|, and the half, of those that are smooth in all of the time
-SMOOTH: dict[str, tuple[float, float, Half]] = {
-    "cubic": (1.5, 6.0, lambda w, _: (w * w * (3 - 2 * w), 6 * w * (1 - w), 6 - 12 * w)),
-    "quintic": (1.875, 10 / sqrt(3), _quintic),
-    "cycloidal": (2.0, 2 * pi, _cycloidal),
-    "constant": (1.0, 0.0, lambda w, _: (w, np.ones_like(w), np.zeros_like(w))),
+# those that are smooth in all of the time
+SMOOTH: dict[str, Half] = {
+    "cubic": lambda w, _: (w * w * (3 - 2 * w), 6 * w * (1 - w), 6 - 12 * w),
+    "quintic": _quintic,
+    "cycloidal": _cycloidal,
+    "constant": lambda w, _: (w, np.ones_like(w), np.zeros_like(w)),
 }

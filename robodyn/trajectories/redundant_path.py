@@ -36,7 +36,7 @@ from robodyn.trajectories.continuation import (
     corrected,
 )
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values
-from robodyn.trajectories.loop_path import FEWEST, WholePath, samples
+from robodyn.trajectories.loop_path import FEWEST, Samples, WholePath, samples
 from robodyn.trajectories.profiles import profile
 
 PULL = 10.0  # toward a posture, over the whole path
@@ -83,7 +83,7 @@ class RedundantPath(WholePath):
         q1, q2 = self._rates(q, u, piece)
         return q, q1, q2
 
-    def grid(self) -> tuple[Array, Pieces]:
+    def grid(self) -> Samples:
         pieces = np.array(self._pieces)
         share = max(4, -(-FEWEST // len(pieces)))
         return samples(np.array(self._u), pieces, np.full(len(pieces), share))

@@ -27,7 +27,7 @@ from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import PathEndError, TravelError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values
-from robodyn.trajectories.loop_path import Columns, LoopPath, WholePath, least_along
+from robodyn.trajectories.loop_path import LoopPath, Samples, WholePath, largest
 from robodyn.trajectories.plane_paths import length_until
 from robodyn.trajectories.redundant_path import RedundantPath
 from robodyn.trajectories.reference import check_driven, started
@@ -147,27 +147,22 @@ class TaskPath(WholePath):
         q, q1, q2 = (x[:, :n] for x in self._of.within(u, piece))
         return q, q1, q2
 
-    def grid(self) -> tuple[Array, Pieces]:
+    def grid(self) -> Samples:
         return self._of.grid()
 
-    def peaks(self) -> tuple[Array, Array]:
-        def largest(order: int, k: int) -> float:
-            return self._largest(lambda u, piece: self.within(u, piece)[order][:, k : k + 1])
+    def driven(self, u: Array, piece: Pieces) -> Values:
+        q, q1, q2 = (x[:, self.mechanism.actuated] for x in self.within(u, piece))
+        return q, q1, q2
 
-        each = [[largest(order, k) for k in self.mechanism.actuated] for order in (1, 2)]
-        first, second = (1.0 + ROUNDING) * np.array(each)
-        return first, second
+    def peaks(self) -> Array:
+        return (1.0 + ROUNDING) * self.largest(self.grid())
 
     def fastest(self) -> float:
         """The largest speed of the point in u, m."""
-        return self._largest(
-            lambda u, piece: np.linalg.norm(
-                self.path.within(u, piece)[1][:, :2], axis=1, keepdims=True
-            )
+        return largest(
+            lambda *at: np.linalg.norm(self.path.within(*at)[1][:, :2], axis=1, keepdims=True),
+            self.grid(),
         )
-
-    def _largest(self, column: Columns) -> float:
-        return -least_along(lambda u, piece: -np.abs(column(u, piece)), self)[0]
 
     def _end(self, error: PathEndError) -> AssemblyError:
         """What is told of the end of a path: at which length, where, how far beyond is out."""

@@ -5,7 +5,7 @@ A path q(u) run through in the time T has, with x = 1/T,
     qd = x q'(u)        qdd = x^2 q''(u)        tau = a(u) x^2 + b(u) x + g(u)
 
 for open and for closed mechanisms (Hollerbach, Dynamic scaling of manipulator trajectories, 1984).
-So rates and accelerations bound T in closed form, by the profile's peaks.  For torques, a, b and g
+So rates and accelerations bound T directly, by the peaks of the path.  For torques, a, b and g
 follow from inverse dynamics at three values of x, and each u has the least x > 0 at which |tau|
 reaches its limit; the least of all these bounds T.  A slower motion keeps the limits too.  Coulomb
 friction is no such polynomial: with it the three values of x are taken about the bound that the
@@ -74,7 +74,7 @@ def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
 
     bounds = np.concatenate([bound for _, bound in limits.given])
     least, u, piece, column = least_along(
-        lambda u, of: -np.abs(values(u, of)) / bounds, motion.path
+        lambda u, of: -np.abs(values(u, of)) / bounds, motion.path.grid()
     )
     if -least <= 1.0 + ROUNDING:
         return
@@ -213,8 +213,8 @@ def _shortest_by_torque(
 
         return least_x
 
-    scale = _natural_scale(mechanism, whole)
-    slow, *place, joint = least_along(lambda u, of: -np.abs(parts(u, of, scale)[2]) / limit, whole)
+    scale, grid = _natural_scale(mechanism, whole), whole.grid()
+    slow, *place, joint = least_along(lambda u, of: -np.abs(parts(u, of, scale)[2]) / limit, grid)
     if -slow >= 1.0:
         there, of = (np.array([x]) for x in place)
         value = float(parts(there, of, scale)[2][0, joint])
@@ -225,7 +225,7 @@ def _shortest_by_torque(
     x, column = scale, 0
     for _ in range(MOST_FITS):
         before = x
-        x, u, _, column = least_along(reached(before), whole)
+        x, u, _, column = least_along(reached(before), grid)
         if mechanism.rated or _friction_speeds(mechanism):
             # beyond that the parabola is not its torque
             x = min(max(x, 0.5 * before), 2.0 * before)
