@@ -82,6 +82,16 @@ def test_the_gain_is_written_with_what_it_needs(robodyn: Run, tmp_path: Path) ->
     assert [len(written["tau"]), len(written["gain"]), len(written["gain"][0])] == [1, 1, 4]
 
 
+def test_the_gain_holds_a_falling_four_bar(robodyn: Run, tmp_path: Path) -> None:
+    path = tmp_path / "gain.json"
+    made = robodyn("linearize", BAR, "--q", "60deg", "--lqr", "--gain-out", path)
+    assert made.json["stable"] is False
+    law = ("--control", "state-feedback", "--gain", path, "--time", 10, "--points", 2, "--quiet")
+    given = robodyn("simulate", BAR, "--q", "70deg", *law).succeeds()
+    assert given.column("q1")[-1] == pytest.approx(math.pi / 3, abs=1e-8)
+    assert given.column("tau1")[-1] == pytest.approx(made.json["tau"][0], rel=1e-6)
+
+
 def test_a_mode_is_shown_with_loops_closed(robodyn: Run, tmp_path: Path) -> None:
     page = tmp_path / "mode.html"
     robodyn("animate", BAR, "--mode", "1", "--q", "-1.8616182126637683", "-o", page)
