@@ -36,6 +36,15 @@ def test_held_joint_and_its_torque(robodyn: Run) -> None:
         assert given.row["tau1"] == pytest.approx(2.0, rel=1e-9)
 
 
+def test_torques_that_are_not_unique_are_told(robodyn: Run, tmp_path: Path) -> None:
+    both = robodyn("equilibrium", BAR, "--q", "60deg", "--hold", "crank", "--hold", "rocker")
+    assert "Warning: held joints share their torques in many ways (least norm given)" in both.err
+    driven = tmp_path / "driven.yaml"
+    driven.write_text(Path(BAR).read_text().replace("[crank]", "[crank, rocker]"))
+    angles = ",".join(both.rows[0][f"q{k}"] for k in (1, 2, 3))
+    assert "with the least torque that holds it" in robodyn("linearize", driven, "--q", angles).err
+
+
 def test_linear_model_as_json(robodyn: Run) -> None:
     given = robodyn("linearize", "robots/2r.yaml", "--q", "-90deg,0", "--tau", "0,0").succeeds()
     keys = "coordinates q qd tau N A B modes stable controllable"

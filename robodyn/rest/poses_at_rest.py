@@ -9,6 +9,7 @@ downhill and past saddles.  Dry friction and hard stops hold nothing here; compl
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_gap, potential_energy
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.sticking import held_forces
 from robodyn.engines.singular_values import damped
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
@@ -26,7 +28,7 @@ from robodyn.loops.closing import close_positions, half_turn, loop_size, random_
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.mechanism import Mechanism, joint_index
 from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
-from robodyn.rest.balance import Balance, balance, single
+from robodyn.rest.balance import Balance, balance, free_motions, single
 from robodyn.rest.natural_modes import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
@@ -315,6 +317,9 @@ def _rest(mechanism: Mechanism, joints: tuple[int, ...], found: Found, tau: Arra
     q, at, acting = found
     torques, PE = tau.copy(), float(potential_energy(mechanism, q))
     torques[list(joints)] += held_forces(acting, at.multipliers)
+    if free_motions(mechanism, q).shape[1] - at.N.shape[1] < len(joints):
+        remark = "held joints share their torques in many ways (least norm given)"
+        warnings.warn(remark, RobodynWarning, stacklevel=3)
     return Rest(q, PE, torques, _stable(at, _size(mechanism, at, tau)))
 
 
