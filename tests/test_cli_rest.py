@@ -36,6 +36,15 @@ def test_held_joint_and_its_torque(robodyn: Run) -> None:
         assert given.row["tau1"] == pytest.approx(2.0, rel=1e-9)
 
 
+def test_torques_that_are_not_unique_are_told(robodyn: Run, tmp_path: Path) -> None:
+    both = robodyn("equilibrium", BAR, "--q", "60deg", "--hold", "crank", "--hold", "rocker")
+    assert "Warning: held joints share their torques in many ways (least norm given)" in both.err
+    driven = tmp_path / "driven.yaml"
+    driven.write_text(Path(BAR).read_text().replace("[crank]", "[crank, rocker]"))
+    angles = ",".join(both.rows[0][f"q{k}"] for k in (1, 2, 3))
+    assert "with the least torque that holds it" in robodyn("linearize", driven, "--q", angles).err
+
+
 def test_linear_model_as_json(robodyn: Run) -> None:
     given = robodyn("linearize", "robots/2r.yaml", "--q", "-90deg,0", "--tau", "0,0").succeeds()
     keys = "coordinates q qd tau N A B modes stable controllable"
@@ -80,6 +89,16 @@ def test_the_gain_is_written_with_what_it_needs(robodyn: Run, tmp_path: Path) ->
     assert written == {key: given.json[key] for key in written}
     assert written["coordinates"] == ["q1", "q2"]
     assert [len(written["tau"]), len(written["gain"]), len(written["gain"][0])] == [1, 1, 4]
+
+
+def test_the_gain_holds_a_falling_four_bar(robodyn: Run, tmp_path: Path) -> None:
+    path = tmp_path / "gain.json"
+    made = robodyn("linearize", BAR, "--q", "60deg", "--lqr", "--gain-out", path)
+    assert made.json["stable"] is False
+    law = ("--control", "state-feedback", "--gain", path, "--time", 10, "--points", 2, "--quiet")
+    given = robodyn("simulate", BAR, "--q", "70deg", *law).succeeds()
+    assert given.column("q1")[-1] == pytest.approx(math.pi / 3, abs=1e-8)
+    assert given.column("tau1")[-1] == pytest.approx(made.json["tau"][0], rel=1e-6)
 
 
 def test_a_mode_is_shown_with_loops_closed(robodyn: Run, tmp_path: Path) -> None:

@@ -299,6 +299,18 @@ def test_all_poses_of_arms_are_found(name: str, count: int) -> None:
     assert [x.potential_energy for x in rests] == sorted(x.potential_energy for x in rests)
 
 
+def test_all_poses_of_loops_are_where_the_torque_that_holds_them_changes_sign() -> None:
+    for name in ("watt-six-bar", "spring-slider-crank"):
+        mech, crank = scene(name), np.linspace(-3.1, 3.1, 621)
+        q = rd.assemble(mech, crank[:, None])
+        rates = rd.loop_velocities(mech, q, [1.0])
+        torque = (rd.gravity_vector(mech, q) * rates).sum(axis=-1)
+        (places,) = np.nonzero(torque[1:] * torque[:-1] < 0.0)
+        found = sorted(float(rest.q[0]) for rest in rd.equilibria(mech))
+        assert len(found) == len(places) > 1
+        assert np.abs(crank[places] - found).max() < 0.011
+
+
 SPRUNG = """springs:
   - {between: [{link: rocker, at: [0.2, 0.1]}, [0.5, 0.9]], stiffness: 400, length: 0.3}
   - {joint: crank, stiffness: 3, angle: 0.4}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,6 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
 from robodyn.pictures.column_units import in_degrees, scene_units, with_unit
 from robodyn.scene.point_names import PARTS
-from robodyn.scene.scene import BRANCHES
 from robodyn.trajectories.joint_ranges import joint_ranges
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
@@ -130,12 +128,7 @@ def _branches(mechanism: Mechanism, whole: bool) -> list[tuple[str, tuple[str, .
         return [("start", None)]
     ways = [own]
     if len(two_way) <= MOST_LOOPS:
-        for words in product(BRANCHES, repeat=len(two_way)):
-            way = list(own)
-            for closure, word in zip(two_way, words, strict=True):
-                way[closure] = word
-            if tuple(way) != own:
-                ways.append(tuple(way))
+        ways += [way for way in assembly.all_branches(mechanism) if way != own]
     return [(" ".join(way[closure] for closure in two_way), way) for way in ways]
 
 

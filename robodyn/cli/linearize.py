@@ -85,7 +85,8 @@ def linearize(
         held = ", ".join(f"tau{k + 1} = {found.tau[k]:.9g}" for k in mechanism.actuated)
         if tau is None and held:
             far = " as far as it can" if found.remark else ""
-            note(f"Note: with the torque that holds it{far}, {held}")
+            least = "least " if len(mechanism.actuated) > len(found.coordinates) else ""
+            note(f"Note: with the {least}torque that holds it{far}, {held}")
         if found.remark:
             note(f"Note: {found.remark}")
     if gain_out is not None:

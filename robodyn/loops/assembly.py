@@ -20,7 +20,7 @@ a path from the scene's `start` configuration.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import product
 
@@ -156,6 +156,13 @@ def scene_branches(mechanism: Mechanism) -> tuple[str, ...]:
                 away.append(_away(mechanism, driven, own, words))
             words[step.closure] = BRANCHES[int(np.argmin(away))]
     return tuple(words)
+
+
+def all_branches(mechanism: Mechanism) -> Iterator[tuple[str, ...]]:
+    """Each way to assemble: "open" or "crossed" for every closure that has the choice."""
+    usual, two_way = dict(enumerate(scene_branches(mechanism))), assembly_plan(mechanism).two_way
+    for words in product(BRANCHES, repeat=len(two_way)):
+        yield tuple((usual | dict(zip(two_way, words, strict=True))).values())
 
 
 def _nearest(
@@ -304,13 +311,8 @@ def _cannot_close(
     return AssemblyError(what, where=mechanism.source, limit="; ".join(ranges) + others)
 
 
-def _closing(mechanism: Mechanism, given: Array) -> list[str]:
+def _closing(mechanism: Mechanism, given: Array) -> tuple[str, ...]:
     """Branches, closure by closure, by which the loops close where the scene's do not, if any."""
-    two_way = assembly_plan(mechanism).two_way
-    for each in product(BRANCHES, repeat=len(two_way)) if len(two_way) <= MOST_TRIED else ():
-        words = list(scene_branches(mechanism))
-        for closure, word in zip(two_way, each, strict=True):
-            words[closure] = word
-        if attempt(mechanism, given, words)[1] <= 0.0:
-            return words
-    return []
+    few = len(assembly_plan(mechanism).two_way) <= MOST_TRIED
+    ways = all_branches(mechanism) if few else ()
+    return next((way for way in ways if attempt(mechanism, given, way)[1] <= 0.0), ())

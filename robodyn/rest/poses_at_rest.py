@@ -9,6 +9,7 @@ downhill and past saddles.  Dry friction and hard stops hold nothing here; compl
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_gap, potential_energy
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.sticking import held_forces
 from robodyn.engines.singular_values import damped
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
@@ -26,7 +28,7 @@ from robodyn.loops.closing import close_positions, half_turn, loop_size, random_
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.mechanism import Mechanism, joint_index
 from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
-from robodyn.rest.balance import Balance, balance, single
+from robodyn.rest.balance import Balance, balance, free_motions, single
 from robodyn.rest.natural_modes import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
@@ -149,19 +151,22 @@ def _joints(mechanism: Mechanism, names: Sequence[str]) -> tuple[int, ...]:
 
 def _none(mechanism: Mechanism, near: Array | None, tau: Array, left: float) -> RobodynError:
     """That no pose at rest is found; of torques that are given, what part is balanced at most."""
-    what = f"no pose at rest near q = {_listed(near)}" if near is not None else "no pose at rest"
-    where = "on the way from there" if near is not None else "from any start"
-    limit = f"forces do not vanish {where}: start elsewhere, or hold a joint"
-    if near is None:
-        limit = "none is found from any start; give torques, or hold a joint"
+    what, way, other = "no pose at rest", "from any start", "give torques"
+    if near is not None:
+        what, way, other = (
+            f"{what} near q = {_shown(near)}",
+            "on the way from there",
+            "start elsewhere",
+        )
     if not tau.any():
+        limit = f"forces do not vanish {way}: {other}, or hold a joint"
         return RobodynError(what, where=mechanism.source, limit=limit)
-    part = f"{100.0 * max(0.0, 1.0 - left):.3g} % of it is balanced {where} at most"
-    return RobodynError("tau", where=mechanism.source, value=_listed(tau), limit=f"{what}: {part}")
+    part = f"{100.0 * max(0.0, 1.0 - left):.3g} % of it is balanced {way} at most"
+    return RobodynError("tau", where=mechanism.source, value=_shown(tau), limit=f"{what}: {part}")
 
 
-def _listed(values: Array) -> str:
-    return ", ".join(f"{x:.6g}" for x in values)
+def _shown(values: Array) -> str:
+    return ", ".join(f"{x:g}" for x in values)
 
 
 def _near(mechanism: Mechanism, near: ArrayLike | None) -> Array:
@@ -269,12 +274,9 @@ def _steps(
             acting = _acting(mechanism, joints, there)
             nearer = balance(acting, there, tau)
             if settled:  # pin forces that grow beyond bounds stiffen, and hide what is left over
-                left = np.abs(nearer.force).max(initial=0.0)
-                return (
-                    (there, nearer, acting)
-                    if left <= AT_REST * _acts(mechanism, nearer, tau)
-                    else least
-                )
+                bound = AT_REST * _acts(mechanism, nearer, tau)
+                rests = np.abs(nearer.force).max(initial=0.0) <= bound
+                return (there, nearer, acting) if rests else least
         if nearer is not None and (
             downhill or np.linalg.norm(nearer.force) < SHRINKS * np.linalg.norm(at.force)
         ):
@@ -311,15 +313,13 @@ def _acts(mechanism: Mechanism, at: Balance, tau: Array) -> float:
     return max(float(np.abs(part).max(initial=0.0)) for part in parts) * units or 1.0
 
 
-def _rest(
-    mechanism: Mechanism,
-    joints: tuple[int, ...],
-    found: Found,
-    tau: Array,
-) -> Rest:
+def _rest(mechanism: Mechanism, joints: tuple[int, ...], found: Found, tau: Array) -> Rest:
     q, at, acting = found
     torques, PE = tau.copy(), float(potential_energy(mechanism, q))
     torques[list(joints)] += held_forces(acting, at.multipliers)
+    if free_motions(mechanism, q).shape[1] - at.N.shape[1] < len(joints):
+        remark = "held joints share their torques in many ways (least norm given)"
+        warnings.warn(remark, RobodynWarning, stacklevel=3)
     return Rest(q, PE, torques, _stable(at, _size(mechanism, at, tau)))
 
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.placed import numbers
 from robodyn.errors import AssemblyError, InputError
 from robodyn.kinematics.named_points import named_point
-from robodyn.loops.assembly import assembly_plan, attempt, scene_branches
+from robodyn.loops.assembly import all_branches, assembly_plan, attempt, scene_branches
 from robodyn.loops.closing import wrapped
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.scene import BRANCHES
 from robodyn.tables.arrays import Array
 from robodyn.trajectories.joint_paths import Legs, spread
 from robodyn.trajectories.profiles import profile
@@ -102,11 +99,8 @@ def _nearest_branches(task: Task, place: Array, pose: Array | None) -> tuple[str
     words = scene_branches(task.guided)
     if pose is None:
         return words
-    best = np.inf
-    ways = assembly_plan(task.guided).two_way
-    n, usual = task.mechanism.n, dict(enumerate(words))
-    for each in product(BRANCHES, repeat=len(ways)):
-        trial = tuple((usual | dict(zip(ways, each, strict=True))).values())
+    best, n = np.inf, task.mechanism.n
+    for trial in all_branches(task.guided):
         q, missing = attempt(task.guided, place, trial)
         away = float(np.linalg.norm(wrapped(task.mechanism, q[:n] - pose)))
         if missing <= 0.0 and away < best:
