@@ -39,7 +39,6 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.chart_figure import DOTS, save
 from robodyn.pictures.column_units import scene_units
 from robodyn.pictures.drawing import (
-    Drawing,
     Trace,
     drawing,
     drawing_lines,
@@ -109,8 +108,13 @@ def draw(
         elif forces:
             if q is None:
                 raise InputError("--q", limit="missing: --forces needs a state")
-            state = [Quantity("q", q, True), Quantity("qd", qd)]
-            drawn, found = _loaded(mechanism, [*state, Quantity("qdd", qdd), Quantity("tau", tau)])
+            from robodyn.pictures.force_arrows import forces_at
+
+            given = [Quantity("q", q, True), Quantity("qd", qd)]
+            given.append(Quantity("qdd", qdd) if tau is None else Quantity("tau", tau))
+            pose, rates, moved = single_state(mechanism, given)
+            drawn = drawing(mechanism, pose)
+            found = forces_at(mechanism, pose, rates, **{given[2].name: moved})
         elif q is None:
             pose = first_pose(mechanism)
             note(f"Note: without --q drawn at q = {', '.join(f'{x:.6g}' for x in pose)}")
@@ -154,18 +158,6 @@ def _check(
         raise InputError("--poses", value=poses, limit=f"must be from 1 to {MOST_POSES}")
     if forces and format == "text":
         raise InputError("--forces", limit="needs a picture: give --out with .png, .svg or .pdf")
-
-
-def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:
-    """The drawing of one state, and its forces."""
-    from robodyn.pictures.force_arrows import forces_at
-
-    given, torques = quantities[:3], quantities[3]
-    if torques.option is None:
-        q, qd, qdd = single_state(mechanism, given)
-        return drawing(mechanism, q), forces_at(mechanism, q, qd, qdd)
-    q, qd, tau = single_state(mechanism, [*given[:2], torques])
-    return drawing(mechanism, q), forces_at(mechanism, q, qd, tau=tau)
 
 
 def _rows(

@@ -12,7 +12,7 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.files import output_file, rows_argument, rows_file
-from robodyn.cli.fit_table import FitRows, rows_given, rows_of_options
+from robodyn.cli.fit_table import FitRows, rows_given
 from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, Text
 from robodyn.cli.output import Grid, in_told_units, note, row_writer, write_structure
 from robodyn.cli.points import OF, POINTS
@@ -84,11 +84,10 @@ class FitOptions:
         wanted = [name for text in self.minimize or () for name in _names(text, "--minimize")]
         chosen = None if self.columns is None else _names(self.columns, "--columns")
         table = self.match if self.match is not None else states
-        if table is None:
-            return rows_of_options(mechanism, wanted, self.q, self.qd, self.qdd)
         given = {"q": self.q, "qd": self.qd, "qdd": self.qdd}
         matched, moving = self.match is not None, self.simulate
-        return rows_given(mechanism, table, matched, wanted, chosen, self.of, given, moving)
+        of = self.of or ()
+        return rows_given(mechanism, table, matched, wanted, chosen, of, given, moving)
 
     def found(self, mechanism: Mechanism, bounds: Bounds, rows: FitRows, tell: Tell) -> Fit:
         """The numbers within their bounds."""
