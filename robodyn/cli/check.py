@@ -26,8 +26,7 @@ from robodyn.pictures.column_units import (
     in_degrees,
     scene_units,
 )
-from robodyn.scene.forms import Form
-from robodyn.scene.grammar import form_of
+from robodyn.scene.grammar import Form, form_of
 from robodyn.scene.scene import (
     FRAMES,
     JOINTS,
