@@ -771,7 +771,7 @@ def test_points_beyond_all_memory_are_refused(shell: Run) -> None:
     ("table", "parts"),
     [
         ("", ["stdin", "empty"]),
-        ("t,tau1,tau2\n", ["stdin", "two rows"]),
+        ("t,tau1,tau2\n", ["stdin", "no rows"]),
         ("t,tau1,tau2\n0,1,2\n", ["stdin", "two rows"]),
         ("t,tau1\n0,1\n9,1\n", ["stdin", "tau2", "t, tau1"]),
         ("time,tau1,tau2\n0,1,1\n9,1,1\n", ["stdin", "column t "]),

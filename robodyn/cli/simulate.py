@@ -26,10 +26,18 @@ from robodyn.cli.simulate_options import (
     named,
     torque_source,
 )
-from robodyn.cli.states import Quantity, StateOptions, assembled_state, remarks, single_state
+from robodyn.cli.states import (
+    Quantity,
+    StateOptions,
+    complete,
+    option_source,
+    remarks,
+    single_state,
+)
 from robodyn.cli.times import Points, output_times
-from robodyn.errors import RobodynError
+from robodyn.errors import AssemblyError, RobodynError
 from robodyn.events.told import Event
+from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
@@ -160,14 +168,29 @@ def simulate(
 
 
 def _start(mechanism: Mechanism, start: Sequence[Quantity], assemble: bool) -> np.ndarray:
-    """q and qd (2n,) at the start, brought to a closed state where it is to be assembled."""
-    if not assemble:
-        return np.concatenate(single_state(mechanism, start))
-    state, moved = assembled_state(mechanism, start)
-    each = ("rad or m", "rad/s or m/s") if mechanism.slides else ("rad", "rad/s")
-    far, fast = (f"{x:.3g} {unit}" for x, unit in zip(moved, each, strict=True))
-    note(f"assembled: joints moved by up to {far} and {fast}")
-    return np.concatenate(state)
+    """q and qd (2n,) at the start, or of the nearest closed state, which is told.
+
+    Raises AssemblyError where the loops do not close near the given angles.
+    """
+    sources = [option_source(mechanism, quantity) for quantity in start]
+    if not (assemble and sources[0].whole and mechanism.rows):
+        q, qd = given, rates = single_state(mechanism, start)
+    else:
+        given, rates = (np.array(source.values) for source in sources)
+        q = assembly.close_positions(mechanism, given)
+        fault = loop_rates.check_closed(mechanism, q)
+        if fault is not None:
+            raise AssemblyError(f"no closed configuration found near the start: {fault[1].what}")
+        if sources[1].whole:
+            qd = loop_rates.nearest_velocities(mechanism, q, rates)
+        else:
+            rates = qd = complete(mechanism, sources, [q, rates])[1]
+    if assemble:
+        units = ("rad or m", "rad/s or m/s") if mechanism.slides else ("rad", "rad/s")
+        ways = (np.abs(q - given).max(), np.abs(qd - rates).max())
+        far, fast = (f"{x:.3g} {unit}" for x, unit in zip(ways, units, strict=True))
+        note(f"assembled: joints moved by up to {far} and {fast}")
+    return np.concatenate([q, qd])
 
 
 def _accurate(
