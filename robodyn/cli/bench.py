@@ -10,7 +10,7 @@ import numpy as np
 from robodyn.cli.figures import check_directory, check_plot
 from robodyn.cli.files import output_file
 from robodyn.cli.options import Model, Text, option, switch
-from robodyn.cli.output import RowOptions, default_format, note
+from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import StateOptions, remarks, single_state
 from robodyn.errors import InputError
@@ -76,8 +76,6 @@ def bench(
     begin = np.concatenate(single_state(mechanism, state.quantities()))
     with remarks(), progress("measuring", silent=0.0) as watch:
         result = benchmark(mechanism, begin, duration, torques, repeats=repeats, watch=watch)
-    # two digits for people
-    short = default_format(rows.format, rows.out) == "table" and not rows.extremes
     with rows.writer(COLUMNS) as writer:
         for x in result.measurements:
             values: list[float | str] = [x.method, x.tolerance, x.error, x.error_end]
@@ -85,9 +83,6 @@ def bench(
             values += [1e3 * x.median, 1e3 * x.least]
             if x.outcome != "finished":
                 values[2:4], values[8:10] = [x.outcome, ""], ["", ""]
-            for k, value in enumerate(values):
-                if isinstance(value, float) and short and not value.is_integer():
-                    values[k] = f"{value:.2g}"
             writer.write_row([*values, "*" if x.front else ""])
     for line in result.left_out:
         note(f"left out: {line}")

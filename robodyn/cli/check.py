@@ -26,16 +26,13 @@ from robodyn.pictures.column_units import (
     in_degrees,
     scene_units,
 )
-from robodyn.scene.forms import Form
-from robodyn.scene.grammar import form_of
+from robodyn.scene.grammar import Form, form_of
 from robodyn.scene.scene import (
     FRAMES,
     JOINTS,
     Coupling,
     JointSpring,
-    Link,
     Moment,
-    Motor,
     Point,
     Signal,
     Table,
@@ -123,33 +120,23 @@ def _link(mechanism: Mechanism, k: int) -> dict[str, Any]:
         "payload": link.payload,
         "damping": link.damping,
         **in_told_units(
-            {"friction": _friction(link), "limits": _limits(link)},
+            {x: _as_written(getattr(link, x), link.slides) for x in ("friction", "limits")},
             TURNING if link.slides else OF_JOINTS,
         ),
-        **({} if link.motor is None else {"motor": _motor(link.motor)}),
+        **(
+            {}
+            if link.motor is None
+            else in_told_units({"motor": _as_written(link.motor)}, OF_JOINTS)
+        ),
     }
 
 
-def _friction(link: Link) -> dict[str, float | None] | None:
-    """The friction at a link's joint, as its scene writes it."""
-    if link.friction is None:
+def _as_written(item: Any, slides: bool = False) -> dict[str, Any] | None:
+    """What a joint has, key by key, as its scene writes it."""
+    if item is None:
         return None
-    named = link.friction._asdict()
-    return {"force" if link.slides else "torque": named.pop("torque"), **named}
-
-
-def _limits(link: Link) -> dict[str, float] | None:
-    """Where a link's joint ends, as its scene writes it."""
-    if link.limits is None:
-        return None
-    named = {"min": link.limits.low, "max": link.limits.high, **link.limits._asdict()}
-    return {key: x for key, x in named.items() if key not in ("low", "high") and x is not None}
-
-
-def _motor(motor: Motor) -> dict[str, float]:
-    """What its scene says of it."""
-    given = {name: value for name, value in motor._asdict().items() if value is not None}
-    return dict(in_told_units(given, OF_JOINTS))
+    keys = {"low": "min", "high": "max"} | ({"torque": "force"} if slides else {})
+    return {keys.get(name, name): x for name, x in item._asdict().items() if x is not None}
 
 
 def _shown(number: float, signal: Signal | None) -> Any:

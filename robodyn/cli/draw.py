@@ -3,26 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from typer import Option
 
-from robodyn.cli.figures import check_dpi, parse_size, picture_format, write_characters
-from robodyn.cli.options import (
-    Ascii,
-    Dpi,
-    Model,
-    OutputPicture,
-    PictureOut,
-    Q,
-    Qd,
-    Qdd,
-    Size,
-    States,
-    option,
-    switch,
-)
+from robodyn.cli.figures import PictureOptions
+from robodyn.cli.options import Model, Q, Qd, Qdd, States, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.row_files import read_columns
@@ -36,10 +23,8 @@ from robodyn.cli.states import (
 )
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.chart_figure import DOTS, save
 from robodyn.pictures.column_units import scene_units
 from robodyn.pictures.drawing import (
-    Drawing,
     Trace,
     drawing,
     drawing_lines,
@@ -70,11 +55,7 @@ def draw(
     of: list[str] | None = option(OF, POINTS),
     labels: Labels | None = option("Beside each link."),
     poses: int = option("Of STATES, the most that are drawn.", "N", default=DEFAULT_POSES),
-    size: Size = None,
-    dpi: Dpi = DOTS,
-    format: OutputPicture = None,
-    ascii: Ascii = False,
-    out: PictureOut = None,
+    picture: PictureOptions = PictureOptions(),
 ) -> None:
     """The mechanism in a pose, to scale.
 
@@ -95,8 +76,7 @@ def draw(
       robodyn draw five-bar --q 120deg,60deg --format text
     """
     mechanism = model.load()
-    extent, dpi = parse_size(size), check_dpi(dpi)
-    chosen = picture_format(format, out)
+    chosen = picture.checked()
     _check(states, q, {"--qd": qd, "--qdd": qdd, "--tau": tau}, forces, poses, chosen)
     marked = points_given(mechanism, of)
     found: list[Force] = []
@@ -109,8 +89,13 @@ def draw(
         elif forces:
             if q is None:
                 raise InputError("--q", limit="missing: --forces needs a state")
-            state = [Quantity("q", q, True), Quantity("qd", qd)]
-            drawn, found = _loaded(mechanism, [*state, Quantity("qdd", qdd), Quantity("tau", tau)])
+            from robodyn.pictures.force_arrows import forces_at
+
+            given = [Quantity("q", q, True), Quantity("qd", qd)]
+            given.append(Quantity("qdd", qdd) if tau is None else Quantity("tau", tau))
+            pose, rates, moved = single_state(mechanism, given)
+            drawn = drawing(mechanism, pose)
+            found = forces_at(mechanism, pose, rates, **{given[2].name: moved})
         elif q is None:
             pose = first_pose(mechanism)
             note(f"Note: without --q drawn at q = {', '.join(f'{x:.6g}' for x in pose)}")
@@ -121,16 +106,16 @@ def draw(
     texts = list(map(shown, mechanism.link_names))
     if labels != "names":
         texts = [str(k + 1) for k in range(mechanism.n)] if labels else []
-    if chosen == "text":
 
-        def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
-            return drawing_lines(drawn, texts, width, height - 2, plain, bool(colours), traces)
+    def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
+        return drawing_lines(drawn, texts, width, height - 2, plain, bool(colours), traces)
 
-        write_characters(lines, ascii, out)
-        return
-    from robodyn.pictures.mechanism_picture import mechanism_figure
+    def figure() -> Any:
+        from robodyn.pictures.mechanism_picture import mechanism_figure
 
-    save(mechanism_figure(drawn, texts, traces, found, extent), out, chosen, dpi)
+        return mechanism_figure(drawn, texts, traces, found, picture.extent)
+
+    picture.show(lines, figure)
 
 
 def _check(
@@ -154,18 +139,6 @@ def _check(
         raise InputError("--poses", value=poses, limit=f"must be from 1 to {MOST_POSES}")
     if forces and format == "text":
         raise InputError("--forces", limit="needs a picture: give --out with .png, .svg or .pdf")
-
-
-def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:
-    """The drawing of one state, and its forces."""
-    from robodyn.pictures.force_arrows import forces_at
-
-    given, torques = quantities[:3], quantities[3]
-    if torques.option is None:
-        q, qd, qdd = single_state(mechanism, given)
-        return drawing(mechanism, q), forces_at(mechanism, q, qd, qdd)
-    q, qd, tau = single_state(mechanism, [*given[:2], torques])
-    return drawing(mechanism, q), forces_at(mechanism, q, qd, tau=tau)
 
 
 def _rows(

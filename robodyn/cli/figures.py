@@ -6,14 +6,19 @@ import os
 import shutil
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from robodyn.cli.options import PictureFormat
+from robodyn.cli.files import output_file
+from robodyn.cli.options import Text, option, switch
 from robodyn.errors import InputError
-from robodyn.pictures.chart_figure import check_matplotlib
+from robodyn.pictures.chart_figure import DOTS, check_matplotlib, save
 from robodyn.tables.csv_fields import finite
 from robodyn.tables.output_file import on_terminal, open_output
 
+PictureFormat = Literal["text", "png", "svg", "pdf"]  # how a picture is written
+Lines = Callable[[int, int, bool, str], list[str]]  # of a width and height, plain, in colours
 KINDS: dict[str, PictureFormat] = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 MOST_DOTS = 1200
 LEAST_SIZE, MOST_SIZE = 1.0, 50.0  # inches
@@ -34,35 +39,57 @@ def check_directory(path: str) -> None:
         raise InputError("cannot be written", where=path, limit="no such directory")
 
 
-def picture_format(format: PictureFormat | None, out: str | None) -> PictureFormat:
-    """The form that the options ask for: by --format, by the suffix, or text on a terminal.
-
-    Raises before the work where it could not be made.
-    """
-    file = "" if out in (None, "-") else str(out)
-    if format is None:
-        suffix = Path(file).suffix.lower()
-        if file and suffix not in (*KINDS, ".txt"):
-            limit = f"must end in {', '.join(KINDS)} or .txt; or give --format"
-            raise InputError("--out", value=out, limit=limit)
-        if not file and not sys.stdout.isatty():
-            limit = "give a file (.png, .svg, .pdf), or --format text for a picture of characters"
-            raise InputError("--out", limit=limit)
-        format = KINDS.get(suffix, "text")
-    if file:
-        check_directory(file)
-    elif format != "text" and on_terminal(out):
-        raise InputError("--format", value=format, limit="is not for a terminal: give --out")
-    if format != "text":
-        check_matplotlib(f"a picture ({format})")
-    return format
+_OUT = "Write here, all or nothing: .png, .svg, .pdf, or .txt."
+_SUFFIX = "Default: by the suffix of --out; on a terminal text, made of characters."
 
 
-def check_dpi(dpi: int) -> int:
-    """Dots an inch; InputError where they are too few or too many."""
-    if not 10 <= dpi <= MOST_DOTS:
-        raise InputError("--dpi", value=dpi, limit=f"must be from 10 to {MOST_DOTS}")
-    return dpi
+@dataclass(frozen=True)
+class PictureOptions:
+    """What a picture is like, and where it goes."""
+
+    size: Text = option("Of the picture, inches, such as 8x5.", "WxH")
+    dpi: int = option("Dots an inch of a .png: 300 is twice as sharp.", "N", default=DOTS)
+    format: PictureFormat | None = option(_SUFFIX)
+    ascii: bool = switch("Text of plain characters, not of braille dots.")
+    out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None
+
+    @property
+    def extent(self) -> tuple[float, float] | None:
+        """Width and height, inches; InputError naming the option."""
+        return parse_size(self.size)
+
+    def checked(self) -> PictureFormat:
+        """The form, by --format, by the suffix, or text on a terminal.
+
+        Raises before the work where it could not be made.
+        """
+        parse_size(self.size)
+        if not 10 <= self.dpi <= MOST_DOTS:
+            raise InputError("--dpi", value=self.dpi, limit=f"must be from 10 to {MOST_DOTS}")
+        format, file = self.format, "" if self.out in (None, "-") else str(self.out)
+        if format is None:
+            suffix = Path(file).suffix.lower()
+            if file and suffix not in (*KINDS, ".txt"):
+                limit = f"must end in {', '.join(KINDS)} or .txt; or give --format"
+                raise InputError("--out", value=self.out, limit=limit)
+            if not file and not sys.stdout.isatty():
+                limit = "give a file (.png, .svg, .pdf), or --format text for characters"
+                raise InputError("--out", limit=limit)
+            format = KINDS.get(suffix, "text")
+        if file:
+            check_directory(file)
+        elif format != "text" and on_terminal(self.out):
+            raise InputError("--format", value=format, limit="is not for a terminal: give --out")
+        if format != "text":
+            check_matplotlib(f"a picture ({format})")
+        return format
+
+    def show(self, lines: Lines, figure: Callable[[], Any]) -> None:
+        """Write the picture, of characters or by matplotlib."""
+        if (format := self.checked()) == "text":
+            write_characters(lines, self.ascii, self.out)
+        else:
+            save(figure(), self.out, format, self.dpi)
 
 
 def parse_size(size: str | None) -> tuple[float, float] | None:
@@ -76,9 +103,7 @@ def parse_size(size: str | None) -> tuple[float, float] | None:
     return sides[0], sides[1]
 
 
-def write_characters(
-    lines: Callable[[int, int, bool, str], list[str]], ascii: bool, out: str | None
-) -> None:
+def write_characters(lines: Lines, ascii: bool, out: str | None) -> None:
     """The `lines` of a width and height, plain or not, and in colours: "", "palette" or "deep".
 
     As wide as the terminal.  Files are UTF-8; plain is also what a terminal without braille gets.

@@ -12,8 +12,19 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.files import output_file, rows_argument, rows_file
-from robodyn.cli.fit_table import FitRows, rows_given, rows_of_options
-from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, Text, named_options
+from robodyn.cli.fit_table import FitRows, rows_given
+from robodyn.cli.options import (
+    Model,
+    OutputStructured,
+    Q,
+    Qd,
+    Qdd,
+    Quiet,
+    Text,
+    named_options,
+    option,
+    switch,
+)
 from robodyn.cli.output import Grid, in_told_units, note, row_writer, write_structure
 from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
@@ -48,21 +59,17 @@ class FitOptions:
     """What is to be met, or to become least, and how it is searched for."""
 
     match: Annotated[Text, rows_file("--match", _MATCH)] = None
-    columns: Annotated[Text, Option("--columns", metavar="NAMES", help=_COLUMNS)] = None
-    minimize: Annotated[
-        list[str] | None, Option("--minimize", metavar="COLUMNS", help=_MINIMIZE)
-    ] = None
-    subject_to: Annotated[
-        list[str] | None, Option("--subject-to", metavar="EXPR", help=_SUBJECT)
-    ] = None
-    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None
+    columns: Text = option(_COLUMNS, "NAMES")
+    minimize: list[str] | None = option(_MINIMIZE, "COLUMNS")
+    subject_to: list[str] | None = option(_SUBJECT, "EXPR")
+    of: list[str] | None = option(OF, POINTS)
     q: Q = None
     qd: Qd = None
     qdd: Qdd = None
-    simulate: Annotated[bool, Option("--simulate", help=_SIMULATE)] = False
-    tau: Annotated[Text, Option("--tau", metavar="TORQUES", help=_TAU)] = None
-    starts: Annotated[int | None, Option("--starts", metavar="N", help=_STARTS)] = None
-    seed: Annotated[int, Option("--seed", metavar="S", help="Of the random starts.")] = 0
+    simulate: bool = switch(_SIMULATE)
+    tau: Text = option(_TAU, "TORQUES")
+    starts: int | None = option(_STARTS, "N")
+    seed: int = option("Of the random starts.", "S", default=0)
 
     def check(self, states: str | None) -> None:
         """InputError for options that do not go together."""
@@ -84,11 +91,10 @@ class FitOptions:
         wanted = [name for text in self.minimize or () for name in _names(text, "--minimize")]
         chosen = None if self.columns is None else _names(self.columns, "--columns")
         table = self.match if self.match is not None else states
-        if table is None:
-            return rows_of_options(mechanism, wanted, self.q, self.qd, self.qdd)
         given = {"q": self.q, "qd": self.qd, "qdd": self.qdd}
         matched, moving = self.match is not None, self.simulate
-        return rows_given(mechanism, table, matched, wanted, chosen, self.of, given, moving)
+        of = self.of or ()
+        return rows_given(mechanism, table, matched, wanted, chosen, of, given, moving)
 
     def found(self, mechanism: Mechanism, bounds: Bounds, rows: FitRows, tell: Tell) -> Fit:
         """The numbers within their bounds."""
@@ -121,7 +127,7 @@ def fit(
     vary: Annotated[list[str], Option("--vary", metavar="NAME=LOW:HIGH", help=_VARY)],
     states: Annotated[Text, rows_argument("[STATES]", _STATES)] = None,
     given: FitOptions = FitOptions(),
-    residuals: Annotated[bool, Option("--residuals", help=_RESIDUALS)] = False,
+    residuals: bool = switch(_RESIDUALS),
     quiet: Quiet = False,
     format: OutputStructured = None,
     out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None,

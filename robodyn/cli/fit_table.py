@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.tables.arrays import Array
 from robodyn.tables.delimited import columns_told
+
+if TYPE_CHECKING:
+    from robodyn.parameters.column_formulas import ColumnFormulas
 
 KINDS = ("q", "qd", "qdd")
 
@@ -37,29 +40,6 @@ class FitRows(NamedTuple):
     source: str = ""
 
 
-def rows_of_options(
-    mechanism: Mechanism, columns: list[str], q: str | None, qd: str | None, qdd: str | None
-) -> FitRows:
-    """The one state that options give."""
-    if q is None:
-        raise InputError("--minimize", limit="needs STATES, or --q: where columns are taken")
-    state = [
-        _driven(mechanism, Quantity(name, text))[None]
-        for name, text in zip(KINDS, (q, qd, qdd), strict=True)
-    ]
-    names = [f"q{k + 1}" for k in mechanism.actuated]
-    return FitRows(
-        q=state[0],
-        qd=state[1],
-        qdd=state[2],
-        t=np.zeros(1),
-        columns=columns,
-        target=np.zeros((1, len(columns))),
-        names=names,
-        known=state[0],
-    )
-
-
 def _driven(mechanism: Mechanism, quantity: Quantity, whole: bool = False) -> Array:
     """An option's values of the actuated joints, or as they are if they may be `whole`."""
     source = option_source(mechanism, quantity)
@@ -68,20 +48,22 @@ def _driven(mechanism: Mechanism, quantity: Quantity, whole: bool = False) -> Ar
 
 def rows_given(
     mechanism: Mechanism,
-    table: str,
+    table: str | None,
     match: bool,
     wanted: list[str],
     chosen: list[str] | None,
-    of: Sequence[str] | None,
+    of: Sequence[str],
     options: Mapping[str, str | None],
     moving: bool,
 ) -> FitRows:
     """The rows of a table; of one to `match` the columns too, all that serve unless `chosen`.
 
-    Of motions (`moving`) q and qd begin it, by options or by the first row.
+    Without a table the one state that options give.  Of motions (`moving`) q and qd begin it, by
+    options or by the first row.
     """
     from robodyn.parameters.column_formulas import ColumnFormulas
 
+    formulas = ColumnFormulas(mechanism, [], of)
     free = moving and len(mechanism.passive) > len(mechanism.rows)
     joints = range(mechanism.n) if free else mechanism.actuated  # that a motion begins with
     driven = {kind: [f"{kind}{k + 1}" for k in joints] for kind in KINDS}
@@ -103,8 +85,7 @@ def rows_given(
                 limit = f"the header has {columns_told(header, missing)}"
                 raise InputError(f"column {missing} is missing", where=name, limit=limit)
         if match:
-            formulas = ColumnFormulas(mechanism, [], of or ())
-            columns = chosen or _fitted(mechanism, formulas, header, states, moving, name)
+            columns = chosen or fitted(header, name)
             for column in columns:
                 if column not in header:
                     limit = f"the header has {columns_told(header, column)}"
@@ -114,7 +95,29 @@ def rows_given(
         used += ["t"] if moving or "t" in header else []
         return list(dict.fromkeys([*used, *(columns if match else [])]))
 
-    values, names, name = read_columns(table, choose, scene_units(mechanism))
+    def fitted(header: Sequence[str], name: str) -> list[str]:
+        """The columns of a table that can be fitted."""
+        given = {"t", *(() if moving else (x for names in states.values() for x in names))}
+        for kind in ("qdd", "tau") if moving else KINDS:
+            whole = {f"{kind}{k + 1}" for k in range(mechanism.n)}
+            # what follows in a table of whole states is the old scene's
+            given |= whole if moving or whole <= set(header) else set()
+        found = [x for x in header if x not in given and formulas.serves(x)]
+        if not found:
+            limit = "has no column that can be fitted besides; "
+            limit += f"the header has {columns_told(header)}"
+            raise InputError("--match", where=name, limit=limit)
+        left = [x for x in header if x not in given and x not in found]
+        if left:
+            note(f"{name}: {', '.join(left)}: not fitted, as these are no columns of a state")
+        return found
+
+    names: Sequence[str] = []
+    values, name = np.zeros((1, 0)), ""
+    if table is not None:
+        values, names, name = read_columns(table, choose, scene_units(mechanism))
+    elif options["q"] is None:
+        raise InputError("--minimize", limit="needs STATES, or --q: where columns are taken")
     place = {x: k for k, x in enumerate(names)}
     T = len(values)
     state: dict[str, Array] = {}
@@ -126,51 +129,20 @@ def rows_given(
             state[kind] = np.tile(own, (T, 1)).reshape(T, len(own))
     t = values[:, place["t"]] if "t" in place else np.zeros(T)
     given = {*states, *(kind for kind in KINDS if options[kind] is not None)}
-    if not moving and np.ptp(t) and given == {"q"} and _moves(mechanism, of or (), columns):
+    if not moving and np.ptp(t) and given == {"q"} and _moves(formulas, columns):
         tell_at_rest(name, ("qd", "qdd"))
     target = values[:, [place[x] for x in columns]] if match else np.zeros((T, len(columns)))
     shown = [x for x in names if x not in columns or not match or x in ("t",)]
     known = values[:, [place[x] for x in shown]]
+    if table is None:
+        shown, known = driven["q"], state["q"]
     return FitRows(state["q"], state["qd"], state["qdd"], t, columns, target, shown, known, name)
 
 
-def _moves(mechanism: Mechanism, of: Sequence[str], columns: Sequence[str]) -> bool:
+def _moves(formulas: ColumnFormulas, columns: Sequence[str]) -> bool:
     """Whether any of the columns depends on rates, accelerations or forces."""
     from robodyn.engines.tangents import tangents
-    from robodyn.parameters.column_formulas import ColumnFormulas
 
-    formulas = ColumnFormulas(mechanism, [], of)
     nodes = [formulas.column(name) for name in columns]
-    moving = [x for x in formulas.inputs[mechanism.n :] if x != "t"]
-    return any(tangents(nodes, moving))
-
-
-def _fitted(
-    mechanism: Mechanism,
-    formulas: object,
-    header: Sequence[str],
-    states: Mapping[str, list[str]],
-    moving: bool,
-    name: str,
-) -> list[str]:
-    """The columns of a table that can be fitted."""
-    from robodyn.parameters.column_formulas import ColumnFormulas
-
-    assert isinstance(formulas, ColumnFormulas)
-    given = {"t", *(() if moving else (x for names in states.values() for x in names))}
-    if moving:
-        given |= {f"qdd{k + 1}" for k in range(mechanism.n)}
-        given |= {f"tau{k + 1}" for k in range(mechanism.n)}
-    else:
-        for kind in KINDS:  # what follows in a table of whole states is the old scene's
-            whole = {f"{kind}{k + 1}" for k in range(mechanism.n)}
-            if whole <= set(header):
-                given |= whole
-    found = [x for x in header if x not in given and formulas.serves(x)]
-    if not found:
-        limit = f"has no column that can be fitted besides; the header has {columns_told(header)}"
-        raise InputError("--match", where=name, limit=limit)
-    left = [x for x in header if x not in given and x not in found]
-    if left:
-        note(f"{name}: {', '.join(left)}: not fitted, as these are no columns of a state")
-    return found
+    rates = [x for x in formulas.inputs[formulas.mechanism.n :] if x != "t"]
+    return any(tangents(nodes, rates))

@@ -24,7 +24,6 @@ Text = str | None  # of an option that may be left out
 Number = float | None
 Format = Literal["table", "csv", "json"]  # how a result is written
 StructuredFormat = Literal["table", "json"]  # how a result with matrices or parts is written
-PictureFormat = Literal["text", "png", "svg", "pdf"]  # how a picture is written
 _SET = "A number of the scene in place of its own: links.forearm.m=1.1; repeatable."
 
 
@@ -161,17 +160,10 @@ Extremes = Annotated[bool, Option("--extremes", help=_EXTREMES)]
 _PARTS = "Default: table on a terminal, json in a pipe."
 OutputStructured = Annotated[StructuredFormat | None, Option("--format", help=_PARTS)]
 Out = Annotated[Text, output_file("--out", "-o", help="Write here, all or nothing.")]
-_PICTURE = "Write here, all or nothing: .png, .svg, .pdf, or .txt."
-PictureOut = Annotated[Text, output_file("--out", "-o", help=_PICTURE)]
-_SUFFIX = "Default: by the suffix of --out; on a terminal text, made of characters."
-OutputPicture = Annotated[PictureFormat | None, Option("--format", help=_SUFFIX)]
 _DEGREES = "Angles and their rates in degrees, in columns such as q1_deg."
 Degrees = Annotated[bool, Option("--degrees", help=_DEGREES)]
-Ascii = Annotated[bool, Option("--ascii", help="Text of plain characters, not of braille dots.")]
 _SIZE = "Of the picture, inches, such as 8x5."
 Size = Annotated[Text, Option("--size", metavar="WxH", help=_SIZE)]
-_DPI = "Dots an inch of a .png: 300 is twice as sharp."
-Dpi = Annotated[int, Option("--dpi", metavar="N", help=_DPI)]
 Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
 
 

@@ -6,16 +6,15 @@ from typing import Annotated
 
 from typer import Option
 
-from robodyn.cli.figures import check_dpi, parse_size, picture_format, write_characters
+from robodyn.cli.figures import PictureOptions
 from robodyn.cli.files import model_file, rows_argument
-from robodyn.cli.options import Ascii, Degrees, Dpi, OutputPicture, PictureOut, Size, option, switch
+from robodyn.cli.options import Degrees, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import load
 from robodyn.pictures import chart_figure
 from robodyn.pictures.chart import read_chart
-from robodyn.pictures.chart_figure import DOTS, save
 from robodyn.pictures.column_units import TURNING, scene_units
 from robodyn.pictures.value_map import read_map
 from robodyn.tables.csv_fields import shown
@@ -38,11 +37,7 @@ def plot(
     log: bool = switch("Logarithmic --colour."),
     degrees: Degrees = False,
     title: str | None = option("Above it.", "TEXT"),
-    size: Size = None,
-    dpi: Dpi = DOTS,
-    format: OutputPicture = None,
-    ascii: Ascii = False,
-    out: PictureOut = None,
+    picture: PictureOptions = PictureOptions(),
 ) -> None:
     """Columns of CSV files against time, or against each other; a map of one over two others.
 
@@ -67,7 +62,7 @@ def plot(
         robodyn plot - --model rp-arm -o motion.svg
       robodyn plot sweep.csv --x q1 --y q2 --colour flip --log -o flips.png
     """
-    extent, dpi = parse_size(size), check_dpi(dpi)
+    picture.checked()
     if files.count("-") > 1:
         raise InputError("CSV", value="-", limit="is given twice: stdin can be read once")
     patterns = None if y is None else [word for word in map(str.strip, y.split(",")) if word]
@@ -77,37 +72,27 @@ def plot(
         raise InputError("--colour", value=shown(colour), limit="needs --x and --y")
     if log and colour is None:
         raise InputError("--log", limit="is a scale of colours: give --colour")
-    chosen = picture_format(format, out)
     units = TURNING if model is None else scene_units(load(model))
-    opened = map(open_input, files)
+    opened, above = map(open_input, files), [f"  {shown(title)}"] if title else []
     if colour is not None:
         mapped = read_map(opened, x or "", patterns or [], colour, log, units, degrees, note)
-        if chosen == "text":
+
+        def cells(width: int, height: int, plain: bool, colours: str) -> list[str]:
             from robodyn.pictures.characters import map_lines
 
-            above = _above(title)
+            return above + map_lines(mapped, width, height - 1 - len(above), plain, colours)
 
-            def drawn(width: int, height: int, plain: bool, colours: str) -> list[str]:
-                return above + map_lines(mapped, width, height - 1 - len(above), plain, colours)
-
-            write_characters(drawn, ascii, out)
-            return
-        save(chart_figure.map_figure(mapped, extent, shown(title or "")), out, chosen, dpi)
+        figure = chart_figure.map_figure
+        picture.show(cells, lambda: figure(mapped, picture.extent, shown(title or "")))
         return
     content = read_chart(opened, x, patterns, units, degrees)
-    if chosen == "text":
+
+    def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
         from robodyn.pictures.characters import chart_lines
 
-        def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
-            panels = len(content.panels)
-            rows = max(5, min(12 + 6 // panels, (height - 4) // panels - 1))
-            return _above(title) + chart_lines(content, width, rows, plain, bool(colours))
+        panels = len(content.panels)
+        rows = max(5, min(12 + 6 // panels, (height - 4) // panels - 1))
+        return above + chart_lines(content, width, rows, plain, bool(colours))
 
-        write_characters(lines, ascii, out)
-        return
-    save(chart_figure.chart_figure(content, extent, shown(title or "")), out, chosen, dpi)
-
-
-def _above(title: str | None) -> list[str]:
-    """The title as a line of characters."""
-    return [f"  {shown(title)}"] if title else []
+    chart = chart_figure.chart_figure
+    picture.show(lines, lambda: chart(content, picture.extent, shown(title or "")))

@@ -24,9 +24,17 @@ from robodyn.cli.simulate_options import (
     named,
     torque_source,
 )
-from robodyn.cli.states import Quantity, StateOptions, assembled_state, remarks, single_state
+from robodyn.cli.states import (
+    Quantity,
+    StateOptions,
+    complete,
+    option_source,
+    remarks,
+    single_state,
+)
 from robodyn.cli.times import Points, output_times
-from robodyn.errors import RobodynError, at_place
+from robodyn.errors import AssemblyError, RobodynError, at_place
+from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
@@ -136,7 +144,13 @@ def simulate(
     settings, estimate = _accurate(mechanism, begin, duration, torques, settings, how)
     with named():
         torques = over_run(mechanism, torques, begin, duration, settings.atol)
-        carried = _carried(mechanism, torques, begin, settings, how)
+        carried = None
+        if how.sensitivity is not None:
+            from robodyn.simulation.sensitivity import with_sensitivities
+
+            by = [name.strip() for name in how.sensitivity.split(",")]
+            with at_place("--sensitivity", *by):
+                carried = with_sensitivities(mechanism, torques, begin, by, settings.method)
     acting = carried.actuation if carried else torques
     with watching(duration, results.quiet) as watch, results.opened() as stream:
         rows = _Rows(mechanism, torques, carried, results, stream)
@@ -150,18 +164,34 @@ def simulate(
                 note("error of q and qd: not estimated, as no tighter run finishes")
         if outcome not in (Outcome.FINISHED, Outcome.EVENT):
             stream.flush()
-            raise _unfinished(facts, duration)
+            where = f"{facts.ended_by or facts.outcome} at t = {facts.t_reached:.6g} s"
+            raise UnfinishedError(f"{where} of {duration:g} s", limit=facts.advice)
 
 
 def _start(mechanism: Mechanism, start: Sequence[Quantity], assemble: bool) -> np.ndarray:
-    """q and qd (2n,) at the start, brought to a closed state where it is to be assembled."""
-    if not assemble:
-        return np.concatenate(single_state(mechanism, start))
-    state, moved = assembled_state(mechanism, start)
-    each = ("rad or m", "rad/s or m/s") if mechanism.slides else ("rad", "rad/s")
-    far, fast = (f"{x:.3g} {unit}" for x, unit in zip(moved, each, strict=True))
-    note(f"assembled: joints moved by up to {far} and {fast}")
-    return np.concatenate(state)
+    """q and qd (2n,) at the start, or of the nearest closed state, which is told.
+
+    Raises AssemblyError where the loops do not close near the given angles.
+    """
+    sources = [option_source(mechanism, quantity) for quantity in start]
+    if not (assemble and sources[0].whole and mechanism.rows):
+        q, qd = given, rates = single_state(mechanism, start)
+    else:
+        given, rates = (np.array(source.values) for source in sources)
+        q = assembly.close_positions(mechanism, given)
+        fault = loop_rates.check_closed(mechanism, q)
+        if fault is not None:
+            raise AssemblyError(f"no closed configuration found near the start: {fault[1].what}")
+        if sources[1].whole:
+            qd = loop_rates.nearest_velocities(mechanism, q, rates)
+        else:
+            rates = qd = complete(mechanism, sources, [q, rates])[1]
+    if assemble:
+        units = ("rad or m", "rad/s or m/s") if mechanism.slides else ("rad", "rad/s")
+        ways = (np.abs(q - given).max(), np.abs(qd - rates).max())
+        far, fast = (f"{x:.3g} {unit}" for x, unit in zip(ways, units, strict=True))
+        note(f"assembled: joints moved by up to {far} and {fast}")
+    return np.concatenate([q, qd])
 
 
 def _accurate(
@@ -188,23 +218,6 @@ def _accurate(
     return settings, None
 
 
-def _carried(
-    mechanism: Mechanism,
-    torques: Actuation,
-    begin: np.ndarray,
-    settings: Settings,
-    how: RunOptions,
-) -> Sensitivities | None:
-    """The sensitivities that the run carries along."""
-    if how.sensitivity is None:
-        return None
-    from robodyn.simulation.sensitivity import with_sensitivities
-
-    wanted_by = [name.strip() for name in how.sensitivity.split(",")]
-    with at_place("--sensitivity", *wanted_by):
-        return with_sensitivities(mechanism, torques, begin, wanted_by, settings.method)
-
-
 @dataclass(eq=False, repr=False)
 class _Rows:
     """Writes the rows of a run, or what is asked for in their place."""
@@ -225,10 +238,13 @@ class _Rows:
         return told(make, names, units=units, summary=extremes_writer if results.extremes else None)
 
     def write(self, t: np.ndarray, y: np.ndarray, moving: Mechanism) -> None:
-        rows = _rows(self.mechanism, moving, self.torques, t, y)
-        if self.carried:
-            rows = np.concatenate([rows, self.carried.flat(self.carried.of(y))], axis=-1)
-        self.writer.write_columns(rows)
+        """The rows at times t (T,) and states y; `moving` is what moves there."""
+        n, control = self.mechanism.n, self.torques.control
+        tau = applied_torques(self.mechanism, self.torques, t, y)
+        rows = [motion_values(self.mechanism, moving, t, y[:, :n], y[:, n : 2 * n], tau)]
+        rows += [] if control is None else [control.errors(t, y)]
+        rows += [self.carried.flat(self.carried.of(y))] if self.carried else []
+        self.writer.write_columns(np.concatenate(rows, axis=-1))
 
 
 def _told(
@@ -259,24 +275,6 @@ def _told(
             found = sorted([*watched.found, *recorder.contacts], key=lambda x: abs(x.t))
             _write_events(table, mechanism, found)
     return outcome, facts
-
-
-def _unfinished(facts: Report, duration: float) -> UnfinishedError:
-    what = facts.ended_by or facts.outcome
-    where = f"{what} at t = {facts.t_reached:.6g} s of {duration:g} s"
-    return UnfinishedError(where, limit=facts.advice)
-
-
-def _rows(
-    mechanism: Mechanism, moving: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray
-) -> np.ndarray:
-    """The columns' values (T, columns) at times and states; `moving` is what moves there."""
-    n = mechanism.n
-    tau = applied_torques(mechanism, torques, t, y)
-    values = motion_values(mechanism, moving, t, y[:, :n], y[:, n : 2 * n], tau)
-    if torques.control is not None:
-        values = np.concatenate([values, torques.control.errors(t, y)], axis=-1)
-    return values
 
 
 def _write_events(stream: BinaryIO, mechanism: Mechanism, found: Sequence[Event]) -> None:

@@ -198,33 +198,6 @@ def single_state(
     return complete(mechanism, sources, [np.array(x.values) for x in sources], branches)
 
 
-def assembled_state(
-    mechanism: Mechanism, quantities: Sequence[Quantity]
-) -> tuple[list[Array], tuple[float, float]]:
-    """q and qd of the options brought to the nearest closed state, and how far each had to go.
-
-    Raises AssemblyError where the loops do not close near the given angles.
-    """
-    import numpy as np
-
-    from robodyn.errors import AssemblyError
-    from robodyn.loops import assembly, loop_rates
-
-    sources = [option_source(mechanism, quantity) for quantity in quantities]
-    if not sources[0].whole or not mechanism.rows:
-        return single_state(mechanism, quantities), (0.0, 0.0)
-    given, rates = (np.array(source.values) for source in sources)
-    q = assembly.close_positions(mechanism, given)
-    fault = loop_rates.check_closed(mechanism, q)
-    if fault is not None:
-        raise AssemblyError(f"no closed configuration found near the start: {fault[1].what}")
-    if sources[1].whole:
-        qd = loop_rates.nearest_velocities(mechanism, q, rates)
-    else:
-        rates = qd = complete(mechanism, sources, [q, rates])[1]
-    return [q, qd], (float(np.abs(q - given).max()), float(np.abs(qd - rates).max()))
-
-
 def evaluate(
     mechanism: Mechanism,
     options: TableOptions,

@@ -178,10 +178,14 @@ def _go_on(
 
 
 def _correlations(*given: Any, varied: int) -> Writer:
-    from robodyn.tables.rank_correlations import correlation_table
+    from robodyn.tables.rank_correlations import correlations
     from robodyn.tables.summaries import KeptRows
 
-    return KeptRows(*given, of=partial(correlation_table, varied=varied))
+    def told(header: Sequence[str], rows: Any, _: Any) -> tuple[Sequence[str], Any]:
+        found = correlations(header, varied, [rows])
+        return ["column", *header[:varied]], [[name, *row] for name, row in found.items()]
+
+    return KeptRows(*given, of=told)
 
 
 class _Lines:

@@ -1,4 +1,4 @@
-"""Figures that leave a notebook's own settings of matplotlib as they are."""
+"""Figures that leave a notebook's own settings as they are, and errors that name arguments."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from robodyn.errors import RobodynError
 
 
 @contextmanager
@@ -31,3 +33,14 @@ def own_settings() -> Iterator[None]:
                 os.environ.pop("MPLBACKEND", None)
             else:
                 os.environ["MPLBACKEND"] = backend
+
+
+@contextmanager
+def named_as_arguments() -> Iterator[None]:
+    """`--max-steps` is max_steps where a function is called."""
+    try:
+        yield
+    except RobodynError as error:
+        if error.what.startswith("--"):
+            error.what = error.what[2:].replace("-", "_")
+        raise

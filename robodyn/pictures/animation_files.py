@@ -29,7 +29,6 @@ from robodyn.tables.output_file import open_output, write_text
 
 DOTS = 100  # an inch
 COLOURS_OF_GIF = 128
-APART = 8  # of 255, of two of them
 DIGITS = 4  # of coordinates, in powers of ten below the width of the picture
 BEHIND = 2.9  # the height of traces, below that of links
 
@@ -125,12 +124,8 @@ def write_gif(film: Film, rate: float, out: str, watch: Watch) -> None:
     from PIL import Image
 
     some = [np.asarray(film.image(pose)) for pose in {0, film.count // 2, film.count - 1}]
-    sample: Any = Image.fromarray(np.concatenate(some))
-    alike: dict[tuple[int, ...], tuple[int, ...]] = {}  # which Pillow would mix up
-    for _, colour in sorted(sample.getcolors(sample.width * sample.height), reverse=True):
-        alike.setdefault(tuple(part // APART for part in colour), colour)
-    palette = Image.new("P", (1, 1))
-    palette.putpalette([part for colour in [*alike.values()][:COLOURS_OF_GIF] for part in colour])
+    sample = Image.fromarray(np.concatenate(some))
+    palette = sample.quantize(COLOURS_OF_GIF, Image.Quantize.MAXCOVERAGE)
 
     def images() -> Iterator[Any]:
         for pose in range(film.count):

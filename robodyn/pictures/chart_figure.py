@@ -302,21 +302,12 @@ def new_figure(size: tuple[float, float], formulas: bool = False, **options: Any
 
 
 def save(figure: Any, path: str | None, format: str, dpi: int = DOTS) -> None:
-    """Write the figure, all or nothing; the same figure makes the same bytes.
-
-    A .png has `dpi` dots an inch, and the 256 colours that suit it best, in a third of the bytes.
-    """
+    """Write the figure, all or nothing; the same figure makes the same bytes."""
     from matplotlib import rc_context
-    from PIL import Image
 
-    dates = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
-    drawn, written = BytesIO(), BytesIO()
+    dates, drawn = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}, BytesIO()
     with rc_context({"svg.hashsalt": "robodyn"}), open_output(path) as stream:
         with warnings.catch_warnings():  # long names may leave little room
             warnings.simplefilter("ignore", UserWarning)
             figure.savefig(drawn, format=format, dpi=dpi, metadata={dates[format]: None})
-        if format == "png":
-            with Image.open(drawn) as image:
-                small = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
-                small.save(written, format="PNG", optimize=True, dpi=image.info["dpi"])
-        stream.write((written if format == "png" else drawn).getvalue())
+        stream.write(drawn.getvalue())

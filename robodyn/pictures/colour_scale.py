@@ -24,7 +24,7 @@ VIRIDIS = (
     *("#21908c", "#1f9f88", "#28ae80", "#3ebc74", "#5dc963", "#82d34c", "#abdc32", "#d5e21a"),
     "#fde725",
 )
-LEVELS = 160  # shades of a scale; with words and greys a picture has 256 colours at most
+LEVELS = 160  # shades of a scale
 
 
 class ColourScale(NamedTuple):

@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 
 from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
-from robodyn.scene.contact_values import ContactReader
 from robodyn.scene.grammar import Key
 from robodyn.scene.point_values import PointReader
 from robodyn.scene.quantities import in_unit, parse_coupling
@@ -24,8 +23,11 @@ from robodyn.scene.scene import (
     Closure,
     Coupling,
     Description,
+    DryFriction,
+    Friction,
     JointSpring,
     Law,
+    Limits,
     Link,
     Load,
     Moment,
@@ -67,7 +69,7 @@ def from_tree(root: Node | None, source: str, text: str = "") -> Description:
     raise DescriptionError(source, sorted(reader.faults, key=lambda fault: fault.line or 0))
 
 
-class _Reader(PointReader, SignalReader, ContactReader):
+class _Reader(PointReader, SignalReader):
     """Walks the tree of a scene; a method each for the kinds of the grammar that need one."""
 
     missing: ClassVar[dict[str, Any]] = {
@@ -185,6 +187,34 @@ class _Reader(PointReader, SignalReader, ContactReader):
 
     motor = partialmethod(_motor, "motor")
     slide_motor = partialmethod(_motor, "slide_motor")
+
+    def _friction(self, kind: str, node: Node, place: str) -> Friction | DryFriction:
+        faults = len(self.faults)
+        values = list(self.form(kind, node, place).items())
+        if len(values) == 2:
+            return Friction(*(value for _, value in values))
+        (name, moving), (_, static), (_, stribeck) = values
+        if static < moving and len(self.faults) == faults:
+            limit = f"must be at least the {name} in motion, {moving:g}"
+            self.fault(f"{place}.static", node, limit, f"{static:g}")
+        return DryFriction(moving, static, stribeck)
+
+    def _limits(self, kind: str, node: Node, place: str) -> Limits:
+        faults = len(self.faults)
+        values: dict[str, Any] = self.form(kind, node, place)
+        low, high = values.pop("min"), values.pop("max")
+        if len(self.faults) > faults:
+            pass  # it is told what is wrong
+        elif low is None and high is None:
+            self.fault(place, node, "needs a min, a max, or both")
+        elif low is not None and high is not None and not low < high:
+            self.fault(f"{place}.max", node, f"must be above min, {low:g}", f"{high:g}")
+        return Limits(low, high, **values)
+
+    friction = partialmethod(_friction, "friction")
+    slide_friction = partialmethod(_friction, "slide_friction")
+    limits = partialmethod(_limits, "limits")
+    slide_limits = partialmethod(_limits, "slide_limits")
 
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""

@@ -7,25 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from robodyn.tables.arrays import Array
-from robodyn.tables.summaries import Rows
-
-
-def correlation_table(
-    header: Sequence[str], rows: Array, _: Array, varied: int
-) -> tuple[Sequence[str], Rows]:
-    """Of each column after the first `varied` ones its rank correlation with each of these.
-
-    It is 1 where the one never falls as the other grows, -1 where it never grows, and empty where
-    one of them is constant.  Rows (T, columns) in which the column has no value do not count.
-    """
-    found = correlations(header, varied, [rows])
-    return ["column", *header[:varied]], [[name, *row] for name, row in found.items()]
 
 
 def correlations(
     header: Sequence[str], varied: int, parts: Sequence[Array]
 ) -> dict[str, list[float | None]]:
-    """Of each column after the first `varied` ones its rank correlations with each of these."""
+    """Of each column after the first `varied` ones its rank correlations with each of these.
+
+    It is 1 where the one never falls as the other grows, -1 where it never grows, and None where
+    one of them is constant.  Rows (T, columns) in which the column has no value do not count.
+    """
     columns = np.concatenate([np.zeros((0, len(header))), *parts]).T
     found = {}
     for name, y in zip(header[varied:], columns[varied:], strict=True):

@@ -80,7 +80,7 @@ class SteppingEngine:
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.halts: Callable[[float], bool] | None = None  # asked after each step
         self.keeps, self.most = False, STEPS
-        self.forms = None  # not looked at
+        self.forms: tuple[list[Array], list[int]] | None = None  # not looked at
         self._held: tuple[float, ...] | None = None
         self._made: dict[tuple[float, ...] | None, Steps] = {}
         self._torques = actuation.function(mechanism.n)
