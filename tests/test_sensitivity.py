@@ -540,6 +540,7 @@ def test_what_has_no_sensitivities(robodyn: Callable[..., Outcome], scene: Scene
         "links:\n  - {name: a, m: 1, l: 1, r: 0.5, I: 0.1, friction: {torque: 1, static: 1}}\n"
     )
     force = ("--force", "forearm=0,-20")
+    pd = ("--hold", "1", "--control", "pd", "--kp", "9", "--kd", "1")
     for line, said in (
         ((*arm, "links.forarm.m"), "links.forarm.m: is no number of the scene"),
         ((*arm, "q3"), "q3: must be one of q1..q2"),
@@ -548,6 +549,7 @@ def test_what_has_no_sensitivities(robodyn: Callable[..., Outcome], scene: Scene
         ((*arm, "q1", "--tau", "abs(q1) if q1 > 0 else 1, 0"), "tau1: has no derivative"),
         ((*arm, "links.forearm.m", *force), "--force"),
         ((*bar, "q2"), "q2: joint coupler follows"),
+        ((*bar, "q1", *pd, "--method", "taylor"), "acts continuously has no series"),
         (("simulate", dry, "--q", "0", "--sensitivity", "links.a.friction.kind"), "is no number"),
     ):
         given = robodyn(*line)
