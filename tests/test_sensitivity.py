@@ -296,6 +296,25 @@ def test_controllers_that_meet_ends_and_friction(scene: Scene) -> None:
     check(path, *given)
 
 
+def test_a_joint_that_bounces_until_friction_holds_it(scene: Scene) -> None:
+    """It comes to rest on its end: that it meets it there, and stops, is one order."""
+    end = "limits: {min: -0.5, max: 2, restitution: 0.3}, friction: {torque: 0.5, static: 0.6}"
+    path = scene(ENDS.replace("limits: {min: -0.5, max: 2, stiffness: 300, damping: 2}", end))
+    mech, law = rd.load(path), Law(path, [-0.7, 0.3], "pd", kp=[40, 20], kd=[4, 2])
+
+    def run(q: float, names: Sequence[str] = ()) -> rd.Motion:
+        given = {"rtol": 1e-10, "atol": 1e-10, "t_eval": [0.0, 0.2], "sensitivity": names}
+        return rd.simulate(mech, [q, LOW[0][1]], LOW[1], 0.2, law(mech), **given)
+
+    found = run(LOW[0][0], ["q1"])
+    h = 1e-4
+    ahead, behind = (np.hstack([x.q, x.qd]) for x in (run(LOW[0][0] + h), run(LOW[0][0] - h)))
+    expected = (ahead - behind)[1] / (2.0 * h)
+    assert found.sensitivity is not None
+    assert sum(event.name == "arm hits its min" for event in found.events) > 3
+    assert np.abs(found.sensitivity[1, :, 0] - expected).max() < 1e-6 * np.abs(expected).max()
+
+
 BLOCKS = """
 gravity: 0
 links:

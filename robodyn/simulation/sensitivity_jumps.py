@@ -109,7 +109,8 @@ class Modes:
         jumps = responses(self.mechanism, q, held)
         s[:, n : 2 * n] -= lost @ np.linalg.solve(jumps[:, held], jumps)
         stopping = np.abs(lost).max(axis=0) > SAME * np.abs(s).max()
-        if np.any(jumps[stopping][:, [joint for joint, _ in phases.hits]]):
+        hit = {joint for joint, _ in phases.hits}
+        if any(np.any(jumps[i][list(hit - {held[i]})]) for i in np.flatnonzero(stopping)):
             raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=ORDER)
 
     def _refuse(self, change: Array, s: Array, joint: int, why: str) -> None:

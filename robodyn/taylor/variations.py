@@ -8,7 +8,6 @@ tangents: in machine code (`engines/machine_variation.py`) or in Python (`varied
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import accumulate
@@ -60,9 +59,8 @@ class Variations:
         self._torques = actuation.function(mechanism.n)
         self._driven = np.array(mechanism.actuated, int)
         self._made: dict[object, Any] = {}
-        if actuation.constants is not None or actuation.linear:
-            given = actuation.constants, actuation.control is None
-            self._made = _kept(mechanism, *given, order, tuple(numbers))
+        if actuation.constants is not None:
+            self._made = _kept(mechanism, actuation.constants, order, tuple(numbers))
 
     def along(
         self, t: float, y: Array, chunk: Chunk, kind: str, within: Callable[[Array], Array]
@@ -101,19 +99,16 @@ class Variations:
         return chunk._replace(y=y, row_y=rows), both
 
     def _acting(self, t: float, y: Array, end: float) -> tuple[Any, Any, Array]:
-        """The torques at t, their slopes up to `end`, and how both change with each name."""
-        n, given = self.mechanism.n, self.actuation
+        """The torques at t, their slopes up to `end`, and what a controller changes them by."""
+        n, given, state = self.mechanism.n, self.actuation, y.tolist()
         if given.constants is not None or not given.linear:
             return (), (), np.zeros((len(self.s), 0))
-        fed = np.zeros((len(self.s), n))
+        fed = np.zeros((len(self.s), n))  # for each name
         if self.control is None:
-            return *linear_piece(
-                given, self._torques, t, y.tolist(), math.copysign(1.0, end - t)
-            ), fed
-        at = 0.5 * (t + end)  # its torques are held, and so is what they change by
-        changes = np.array(self.control.slopes_at(at)).reshape(len(fed), -1)
-        fed[:, self._driven] = changes
-        return self._torques(at, y.tolist()), [0.0] * n, fed
+            return *linear_piece(given, self._torques, t, state, end - t), fed
+        at = 0.5 * (t + end)  # the torques are held, and so is what they change by
+        fed[:, self._driven] = np.array(self.control.slopes_at(at)).reshape(len(fed), -1)
+        return self._torques(at, state), [0.0] * n, fed
 
     def joined(self, y: Array, s: Array) -> Array:
         """States (m, 2n or 2n + 1) with s (m, k, 2n) before the work done."""
@@ -160,7 +155,7 @@ def _every(
 
 @lru_cache(maxsize=64)
 def _kept(*given: object) -> dict[object, Any]:
-    """What is made for runs under constant torques, or linear ones, for runs to come."""
+    """What is made for runs under constant torques, for runs to come."""
     return {}
 
 
