@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -185,6 +184,8 @@ def write_structure(
         if as_tables:
             text = render(tables(), on_terminal(out))
         else:  # one key a line, matrices in one line each
+            import json
+
             lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in content.items()]
             text = "{\n" + ",\n".join(lines) + "\n}\n"
         stream.write(text.encode())

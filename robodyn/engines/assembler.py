@@ -307,8 +307,8 @@ class Kernel:
     def each(self, count: int, write: Callable[[Word], None]) -> None:
         """Write something for 0 .. count - 1."""
         if count <= UNROLLED:
-            for i in range(count):
-                write(self.whole(i))
+            for place in range(count):
+                write(self.whole(place))
             return
         with self.loop(self.whole(count)) as i:
             write(i)

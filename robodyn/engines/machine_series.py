@@ -109,11 +109,14 @@ def _vectors(run: Run, module: Module, columns: int) -> Iterator[Vector]:
 
 
 def _batches(vectors: Sequence[Vector], least: int, most: int) -> Iterator[Sequence[Vector]]:
-    """Up to `most` that are summed together: of about as many terms, `least` of which there are."""
+    """Up to `most` that are summed together: of about as many terms.
+
+    Where these may be `least`, there may be none, and the first term is added first.
+    """
     left = sorted(vectors, key=lambda vector: vector.terms)
     while left:
         few = left[0].terms
-        alike = [x for x in left if x.terms == few or least <= few >= x.terms - 2]
+        alike = [x for x in left if x.terms == few or least < few >= x.terms - 2]
         size = -(-len(alike) // -(-len(alike) // most))
         yield alike[:size]
         left = left[size:]

@@ -315,11 +315,11 @@ class SteppingEngine:
 
 def _agree(series: Sequence[float], x: float, value: float, relative: float, small: float) -> bool:
     """Whether a series gives a value at x; it may miss by `small`, or that part of its terms."""
-    total = most = 0.0
-    power = 1.0
-    for coefficient in series:
-        term = coefficient * power
-        total += term
-        most = max(most, abs(term))
-        power *= x
-    return abs(total - value) <= max(small, relative * most)
+    total = 0.0
+    for coefficient in reversed(series):
+        total = total * x + coefficient
+    miss = abs(total - value)
+    if miss <= small or not miss < math.inf:
+        return miss <= small
+    most = max(abs(coefficient * x**k) for k, coefficient in enumerate(series))
+    return miss <= relative * most
