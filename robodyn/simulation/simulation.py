@@ -81,10 +81,10 @@ class Motion:
     @cached_property
     def qdd(self) -> Array:
         """The accelerations (T, n), rad/s^2, computed when they are asked for."""
-        states = self._in_phases(self.q, self.qd, self.tau, self.t)
+        states = self.in_phases(self.q, self.qd, self.tau, self.t)
         return np.concatenate([dynamics.forward_dynamics(moving, *x) for moving, *x in states])
 
-    def _in_phases(self, *values: Array) -> Iterator[tuple[Any, ...]]:
+    def in_phases(self, *values: Array) -> Iterator[tuple[Any, ...]]:
         """What moves in each phase, and these values there."""
         if not self.mechanism.switches or not self.phases:
             yield self.mechanism, *values
@@ -100,7 +100,7 @@ class Motion:
         """
         from robodyn.simulation.motion_columns import motion_columns, motion_values
 
-        states = self._in_phases(self.t, self.q, self.qd, self.tau)
+        states = self.in_phases(self.t, self.q, self.qd, self.tau)
         with np.errstate(all="ignore"):
             parts = [motion_values(self.mechanism, moving, *x) for moving, *x in states]
         values = [*np.concatenate(parts).T, *(() if self.errors is None else self.errors.T)]

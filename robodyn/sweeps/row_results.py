@@ -108,11 +108,9 @@ def of_motion(
     motion: Motion, texts: Sequence[str], of: Sequence[str], reference: ReferenceTable | None
 ) -> Array:
     """What the texts take of a motion's rows, (results,)."""
-    mechanism, whole = motion.mechanism, (motion.t, motion.q, motion.qd, motion.tau)
-    wanted = [parsed(text).column for text in texts]
-    named, found, begin = named_points(mechanism, of), [], 0
-    for count, moving in motion.phases:
-        t, q, qd, tau = (x[begin : begin + count] for x in whole)
+    mechanism, wanted = motion.mechanism, [parsed(text).column for text in texts]
+    named, found = named_points(mechanism, of), []
+    for moving, t, q, qd, tau in motion.in_phases(motion.t, motion.q, motion.qd, motion.tau):
         solution = forward_dynamics_and_forces(moving, q, qd, tau, t)
         forces = solution.multipliers[..., : len(mechanism.rows)]
         solved = Solved(t, q, qd, solution.qdd, tau, forces)
@@ -123,5 +121,4 @@ def of_motion(
         others = [name for name in wanted if name not in given]
         given |= columns_of(mechanism, named, solved, others)
         found.append(np.stack([given[name] for name in wanted], axis=-1))
-        begin += count
     return of_rows(texts, np.concatenate(found))
