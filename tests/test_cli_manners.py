@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +19,7 @@ import pytest
 import typer
 from conftest import ROOT, Outcome
 from each_case import each
+from named_case import case
 
 from robodyn import cli
 from robodyn.cli import command_groups
@@ -66,6 +68,23 @@ def test_every_option_stands_once_under_its_heading(robodyn: Run, name: str) -> 
     if name == "simulate":
         wanted = ["Arguments", "Options", "Start", "Torques", "Control", "Integration", "Output"]
         assert list(options) == wanted
+
+
+def test_the_help_on_a_terminal_is_whole_and_flows(
+    robodyn: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Brackets stay; paragraphs break where the terminal ends, and the examples' lines nowhere."""
+    monkeypatch.setenv("COLUMNS", "80")
+    for name in cli.COMMANDS:
+        with case(name), monkeypatch.context() as patch:
+            patch.setattr(type(sys.stdout), "isatty", lambda _: True)
+            out = re.sub(r"\x1b\[[\d;]*m", "", robodyn(name, "--help").succeeds().out)
+            told = {line.strip() for line in out.partition("─ Arguments")[0].splitlines()}
+            for paragraph in (inspect.getdoc(function_of(name)) or "").split("\n\n"):
+                lines = [line.strip() for line in paragraph.splitlines()[1:]]
+                if not paragraph.startswith("\b"):
+                    lines = textwrap.wrap(" ".join(paragraph.split()), 78, break_on_hyphens=False)
+                assert {*lines} <= told
 
 
 def imported(*words: str) -> set[str]:

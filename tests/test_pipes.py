@@ -550,6 +550,14 @@ def test_a_narrow_terminal_hides_no_digit(robodyn: Run, columns: int) -> None:
         assert f"{value:.6g}" in shown
 
 
+def test_sentences_in_a_table_break_between_words(robodyn: Run) -> None:
+    shown = re.sub(r"\x1b\[[\d;]*m", "", on_terminal("init", columns=60))
+    assert max(map(len, shown.splitlines())) <= 60
+    words = shown.split()
+    for row in robodyn("init", "--format", "csv").succeeds().rows:
+        assert f" {row['name']} {row['scene']} " in f" {' '.join(words)} "
+
+
 # Help
 
 

@@ -134,11 +134,24 @@ def _application(arguments: list[str], whole: bool = True) -> typer.Typer:
         application.command(
             name,
             cls=Command,
+            help=_flowing(function.__doc__ or "") if asked and sys.stdout.isatty() else None,
             short_help=SUMMARIES[name],
             epilog=_more(name) if asked else None,
             rich_help_panel=HEADINGS[name],
         )(function)
     return application
+
+
+def _flowing(text: str) -> str:
+    """A docstring as typer lays it out on a terminal: without line ends, and brackets as they are.
+
+    Else it would keep the former, and take the latter for marks of style.
+    """
+    from rich.markup import escape
+
+    parts = inspect.cleandoc(text).split("\n\n")
+    lines = (x if x.startswith("\b") else " ".join(x.split()) for x in parts)
+    return escape("\n\n".join(lines))
 
 
 def _listed() -> None:

@@ -46,7 +46,7 @@ def bench(
     \b
     Examples:
       robodyn bench 2r --q=-1.3,-0.2 --qd 0.5,0.25
-      robodyn bench four-bar --q 60deg --qd 5 --time 5 --plot four-bar.png > bench.csv
+      robodyn bench four-bar --q 60deg --qd 5 --plot four-bar.png > bench.csv
       robodyn bench 2r --evaluators
     """
     mechanism = model.load()

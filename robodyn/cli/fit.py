@@ -150,9 +150,9 @@ def fit(
     Examples:
       robodyn fit hoeken --match line.csv --vary links.coupler.l=0.3:0.7 \\
         --vary links.rocker.l=0.15:0.4 --of P=coupler -o straight.yaml
-      robodyn fit 2r --simulate --match measured.csv --vary links.forearm.m=0.5:1.5
+      robodyn fit 2r --simulate --match run.csv --vary links.forearm.m=0.5:1.5
       robodyn trajectory four-bar --speed 60rpm --turns 1 --points 73 | \\
-        robodyn fit four-bar - --vary links.rocker.r=0:0.8 --minimize shake_fx,shake_fy
+        robodyn fit four-bar - --vary links.rocker.r=0:0.8 --minimize shake_fx
     """
     given.check(states)
     values = model.values()

@@ -63,7 +63,7 @@ def identify(
     \b
     Examples:
       robodyn identify 2r measured.csv --format table
-      robodyn identify 2r measured.csv --of links.forearm.m,links.forearm.I -o new.yaml
+      robodyn identify 2r measured.csv --of links.forearm.m -o new.yaml
       robodyn identify 2r measured.csv --cutoff 20 --physical --residuals left.csv
     """
     mechanism = model.load()

@@ -64,7 +64,7 @@ def linearize(
     \b
     Examples:
       robodyn linearize 2r --q -90deg,0 --format table
-      robodyn linearize cart-pole --q 0,90deg --lqr --weights-x 1,10,1,1 --weights-u 0.1
+      robodyn linearize cart-pole --q 0,90deg --lqr --weights-x 1,10,1,1
     """
     mechanism = model.load()
     weigh = {"--weights-x": weights_x, "--weights-u": weights_u}

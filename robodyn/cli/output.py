@@ -31,6 +31,7 @@ MakeWriter = Callable[..., Writer]
 Summary = Callable[[MakeWriter, Sequence[str], Sequence[str]], Writer]
 degrees: ContextVar[bool] = ContextVar("degrees", default=False)  # whether angles are told so
 PAGE = 200  # rows of one table on the terminal; a longer result goes on in another
+LEAST = 30  # characters of a sentence in a table, however narrow the terminal
 
 
 @contextmanager
@@ -214,10 +215,14 @@ def render(tables: Sequence[Grid], terminal: bool) -> str:
                 console.print(Text(fit(title), style="bold"))
             texts = [[x if isinstance(x, str) else f"{x:.6g}" for x in row] for row in rows]
             table = Table(box=box.SIMPLE_HEAD, show_header=any(columns))
+            left = Console().width - 3 if terminal else console.width
             for k, name in enumerate(columns):
                 numeric = all(finite(row[k]) is not None for row in texts)
                 justify: Literal["right", "left"] = "right" if numeric else "left"
-                table.add_column(Text(fit(name)), justify=justify, no_wrap=True)
+                last = k == len(columns) - 1 and not numeric  # sentences break between their words
+                shape = {"max_width": max(left, LEAST)} if last else {"no_wrap": True}
+                table.add_column(Text(fit(name)), justify=justify, **shape)
+                left -= 3 + max(len(row[k]) for row in [columns, *texts])
             for row in texts:
                 table.add_row(*(Text(fit(text)) for text in row))
             console.print(table)

@@ -49,7 +49,8 @@ def points(
     \b
     Examples:
       robodyn points four-bar --q 60deg --qd 5 --of P=coupler@0.3,0.1
-      robodyn points four-bar --q 60deg --of rocker --transmission --ratio rocker/crank
+      robodyn points four-bar --q 60deg --of rocker --transmission \\
+        --ratio rocker/crank
       robodyn simulate 2r --q 0,0 --time 2 | robodyn points 2r - --of tip2
       robodyn points 2r states.csv --of tip2 --extremes
     """

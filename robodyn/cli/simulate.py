@@ -122,8 +122,8 @@ def simulate(
     \b
     Examples:
       robodyn simulate 2r --q 30deg,45deg --time 10 > motion.csv
-      robodyn simulate four-bar --q 60deg --tau "2*sin(3*t)" --every 0.01 -o run.csv
-      robodyn simulate 2r --q 0,0 --until "q1 < -90deg" --event apex=qd1 > swing.csv
+      robodyn simulate four-bar --q 60deg --tau "2*sin(3*t)" -o run.csv
+      robodyn simulate 2r --q 0,0 --until "q1 < -90deg" --event apex=qd1
       robodyn simulate 2r --q 0,0 --quiet | robodyn torque 2r - | tail -1
       robodyn simulate 2r --q 0,0 --force forearm=0,-20 --extremes
       robodyn simulate 2r --q 0,0 --time 1 --sensitivity links.forearm.m,q1

@@ -85,12 +85,13 @@ def sweep(
 
     \b
     Examples:
-      robodyn sweep 2r --vary q1=0:360deg:10deg --vary q2=0:360deg:10deg -o flips.csv
-      robodyn sweep 2r --vary links.forearm.m=0.5:1.5 --sample 10000 --seed 1 --time 5
+      robodyn sweep 2r --vary q1=0:360deg:10deg --vary q2=0:360deg:10deg
+      robodyn sweep 2r --vary links.forearm.m=0.5:1.5 --sample 10000 --time 5
       robodyn sweep four-bar --vary q1=0:350deg:36 --kind torque --qd 5
       robodyn sweep four-bar --kind torque --track turn.csv --sample 1000 \\
-        --vary "links.coupler.m=normal(1.3,0.02)" --result "max(tau1),rms(shake_fx)" --correlations
-      robodyn sweep 2r --vary qd1=0:10:1001 --scheduler tcp://10.0.0.1:8786 -o far.csv
+        --vary "links.coupler.m=normal(1.3,0.02)" \\
+        --result "max(tau1),rms(shake_fx)" --correlations
+      robodyn sweep 2r --vary qd1=0:10:1001 --scheduler tcp://10.0.0.1:8786
     """
     plan = plan_of(model, given, control)
     work.check()
