@@ -56,10 +56,11 @@ class KeptStep:
     __slots__ = ("K", "f", "h_previous", "nfev", "solver", "status", "t", "t_old", "y", "y_old")
 
     def __init__(self, solver: Any) -> None:
-        self.solver = solver
-        for name in (*MOVED, "nfev", "status"):
-            setattr(self, name, getattr(solver, name))
-        self.K: Array = solver.K.copy()
+        # one by one: there are as many of these as steps
+        self.solver, self.K = solver, solver.K.copy()
+        self.t, self.t_old, self.h_previous = solver.t, solver.t_old, solver.h_previous
+        self.y, self.y_old, self.f = solver.y, solver.y_old, solver.f
+        self.nfev, self.status = solver.nfev, solver.status
 
     def dense_output(self) -> Any:
         """The solver's own, of this step: the solver goes back to it for that."""

@@ -162,9 +162,13 @@ class EventWatch(EventRecord):
         return doubtful
 
     def near(self, steps: Sequence[Any]) -> dict[int, list[int]]:
-        """For steps of an explicit method, which functions are to be looked at in each of them."""
+        """For steps of an explicit method, which functions are to be looked at in each of them.
+
+        Those that hold zeros found already are among them.
+        """
         known = by_stages(self.watched, steps)
-        return self._doubtful(known, lambda at: as_steps([steps[j] for j in at]))
+        doubtful = self._doubtful(known, lambda at: as_steps([steps[j] for j in at]))
+        return {j: [] for j in self._found_in} | doubtful
 
     def begin(self, j: int, places: Sequence[int]) -> list[int]:
         """Know the signs at the start of step j of those looked at together.
