@@ -78,7 +78,8 @@ class EventWatch(EventRecord):
 
     def take(self, found: Found) -> None:
         """Take what was found along some steps."""
-        self.packed.append(found)
+        if len(found.zeros):
+            self.packed.append(found)
         self.signs = found.signs
 
     def series(

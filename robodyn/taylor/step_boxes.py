@@ -165,12 +165,15 @@ def _write_strays(scene: Scene, module: Module, twice: bool) -> str:
 
 
 def write_shift(scene: Scene, module: Module) -> None:
-    """series_shift(rows, x): a series of all coordinates side by side, as it is from x on."""
+    """series_shift(first, width, x, rows): into rows what a series of all coordinates is from x."""
     wide = Module(2 * scene.mechanism.n)
     wide.functions = module.functions
-    k = Kernel(wide, "series_shift", (ADDRESS, SCALAR), "void")
-    rows, x = k.arguments
+    k = Kernel(wide, "series_shift", (ADDRESS, WHOLE, SCALAR, ADDRESS), "void")
+    first, width, x, rows = k.arguments
     step, last = k.spread(x), k.whole(scene.order + 1)
+    with k.loop(k.whole(scene.order + 2)) as m:
+        row = k.load(k.at(first, k.multiply(m, width)))
+        k.store(row, k.at(rows, k.multiply(m, k.whole(wide.lanes))))
     top = k.load(k.at(rows, k.multiply(last, k.whole(wide.lanes))))
     with k.loop(last) as i, k.loop(k.subtract(last, i)) as m:
         later = k.carried(top)

@@ -47,7 +47,6 @@ class Watch:
         """All of them."""
         write_shift(self.scene, module)
         self._write_value(module)
-        self._write_rows(module)
         self._write_on(module)
         self._write_state(module)
         self._write_locate(module)
@@ -76,21 +75,12 @@ class Watch:
     def _tell(self, k: Kernel, watch: Word, name: str, value: Word) -> None:
         k.store(value, k.at(watch, WATCH.index(name)))
 
-    def _write_rows(self, module: Module) -> None:
-        """event_rows(block, rows): the series of all coordinates, side by side."""
-        k = Kernel(module, "event_rows", (ADDRESS, ADDRESS), "void")
-        block, rows = k.arguments
-        with k.loop(k.whole(self.scene.order + 2)) as m:
-            source, target = self.scene.row(k, block, m), k.multiply(m, k.whole(self.count))
-            target = k.at(rows, target)
-            k.each(self.count, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
-        k.done()
-
     def _write_on(self, module: Module) -> None:
-        """event_on(rows, x): the series as it is from x on, turned back to where it begins."""
-        k = Kernel(module, "event_on", (ADDRESS, SCALAR), "void")
-        rows, x = k.arguments
-        k.line(f"call void @series_shift({rows}, {x})")
+        """event_on(block, x, rows): the series as it is from x on, turned back to how it begins."""
+        k = Kernel(module, "event_on", (ADDRESS, SCALAR, ADDRESS), "void")
+        block, x, rows = k.arguments
+        first, width = self.scene.row(k, block, 0), k.whole(len(self.scene.loop.columns))
+        k.line(f"call void @series_shift({first}, {width}, {x}, {rows})")
         for j in range(self.n):
             if j in self.scene.mechanism.slides:
                 continue
@@ -164,11 +154,9 @@ class Watch:
                     given = block, watch, f, form, start, wide, now, then, slope, noise
                     k.line(f"call void @event_locate({', '.join(map(str, given))})")
                 k.leave(k.compare("sge", to, k.whole(PIECES)), done)
-                with k.when(k.compare("eq", at, k.whole(0))):
-                    k.line(f"call void @event_rows({block}, {rows})")
-                    k.set(series[0], rows)
-                    k.set(series[1], k.whole(self.count))
-                k.line(f"call void @event_on({rows}, {wide})")
+                k.line(f"call void @event_on({block}, {k.add(start, wide)}, {rows})")
+                k.set(series[0], rows)
+                k.set(series[1], k.whole(self.count))
                 k.set(place, to)
                 k.set(value, then)
                 odd = k.both(to, many)  # where it is even the next part may be twice as long
