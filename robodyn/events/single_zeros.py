@@ -1,8 +1,8 @@
 """Functions along many steps together: signs that boxes tell, and where they pass zero once.
 
-The last is most of what happens.  A function that is monotone on a step, or bends once (`signs.py`),
-and has for certain not the same sign at its ends, passes zero there once: Newton's method finds
-where on the polynomial, and on the states themselves to rounding.
+The last is most of what happens.  A function that is monotone on a step, or bends once
+(`signs.py`), and has for certain not the same sign at its ends, passes zero there once: Newton's
+method finds where on the polynomial, and on the states themselves to rounding.
 """
 
 from __future__ import annotations

@@ -140,19 +140,21 @@ def _write_strays(scene: Scene, module: Module, twice: bool) -> str:
         return k.multiply(factors, moved(row, (i | 1 for i in range(count))))
 
     last = scene.order + 1
-    powers, rows, sums = [k.number(1.0), step], [first], [k.number(0.0)] * SUMS
-    for m in range(2, last + 1):
-        powers.append(k.multiply(powers[m // 2], powers[m - m // 2]))
-        rows.append(k.at(rows[-1], width))
-    z = [k.load(row) for row in rows]
-    own = [k.load(k.at(strays[0], m * count)) for m in range(last)] if twice else z
-    w, v = rates(z[0]), rates(own[0])
+    powers, sums = [k.number(1.0), step], [k.number(0.0)] * SUMS
+    row, z = first, k.load(first)
+    own = k.load(strays[0]) if twice else z
+    w, v = rates(z), rates(own)
     for m in range(1, last + 1):  # one after the other in text: a loop would wait for its sums
-        found = k.multiply(w, turned(own[m - 1]))
+        if m > 1:
+            powers.append(k.multiply(powers[m // 2], powers[m - m // 2]))
+        found = k.multiply(w, turned(own))
         if twice:
-            found = k.add(found, k.multiply(v, turned(z[m - 1])))
+            found = k.add(found, k.multiply(v, turned(z)))
         if m < last:
-            found = k.add(found, k.multiply(k.number(m + 1.0), own[m]))
+            row = k.at(row, width)
+            z = k.load(row)
+            own = k.load(k.at(strays[0], m * count)) if twice else z
+            found = k.add(found, k.multiply(k.number(m + 1.0), own))
         if not twice:
             k.store(found, k.at(out, m * count))
         size = k.multiply(k.intrinsic("fabs", found), powers[m])
