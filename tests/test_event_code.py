@@ -102,6 +102,27 @@ def test_a_pendulum_by_elliptic_integrals(calls: Counter[bool]) -> None:
         assert abs(event.t - float(k * quarter)) < 1e-11
 
 
+def test_two_in_one_step(calls: Counter[bool], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Levels just below where a pendulum, or an arm, turns: machine code finds both passages."""
+    for scene, level in (("pendulum", 1e-2), ("pendulum", 1e-5), ("2r", 1e-3), ("rp-arm", 1e-4)):
+        for rtol, end in ((1e-6, 4.0), (1e-9, -4.0), (1e-13, 4.0)):
+            given = *start(scene, 1.0), end
+            how = {"method": "taylor", "engine": "compiled", "rtol": rtol, "atol": rtol}
+            turns = robodyn.simulate(*given, **how, events={"turns": "qd1"}).events
+            assert turns
+            events = {
+                f"e{i}": f"q1 - {float(turn.y[0]) * (1.0 - level)!r}"
+                for i, turn in enumerate(turns[:6])
+            }
+            motion = robodyn.simulate(*given, **how, events=events)
+            other = from_python(monkeypatch, *given, **how, events=events)
+            assert motion.report.events == other.report.events
+            for one, same in zip(motion.events, other.events, strict=True):
+                assert one.name == same.name
+                assert abs(one.t - same.t) <= 1e-12 * abs(end) + same.apart
+    assert calls == {True: calls[True]}
+
+
 def test_what_it_is_not_sure_of(calls: Counter[bool], monkeypatch: pytest.MonkeyPatch) -> None:
     """A height that the pendulum comes back to and touches: Python looks, and tells the same."""
     pendulum, *_ = start("pendulum", 0.0)

@@ -13,10 +13,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robodyn.events.signs import NODES
-from robodyn.events.single_zeros import Steps
+from robodyn.events.functions import EventFunction
+from robodyn.events.signs import NODES, certain, node_times
+from robodyn.events.single_zeros import MARGIN, Places, Steps
 from robodyn.tables.arrays import Array
 
 MOVED = ("t", "t_old", "y", "y_old", "f", "h_previous")  # of a solver, by a step
@@ -56,10 +56,11 @@ class KeptStep:
     __slots__ = ("K", "f", "h_previous", "nfev", "solver", "status", "t", "t_old", "y", "y_old")
 
     def __init__(self, solver: Any) -> None:
-        self.solver = solver
-        for name in (*MOVED, "nfev", "status"):
-            setattr(self, name, getattr(solver, name))
-        self.K: Array = solver.K.copy()
+        # one by one: there are as many of these as steps
+        self.solver, self.K = solver, solver.K.copy()
+        self.t, self.t_old, self.h_previous = solver.t, solver.t_old, solver.h_previous
+        self.y, self.y_old, self.f = solver.y, solver.y_old, solver.f
+        self.nfev, self.status = solver.nfev, solver.status
 
     def dense_output(self) -> Any:
         """The solver's own, of this step: the solver goes back to it for that."""
@@ -83,7 +84,7 @@ def as_steps(steps: Sequence[Any]) -> Steps:
     begin, end = (np.array([getattr(step, name) for step in steps]) for name in ("t_old", "t"))
     made: dict[int, Any] = {}
 
-    def states(places: NDArray[np.int64], t: Array) -> Array:
+    def states(places: Places, t: Array) -> Array:
         for j in places.tolist():
             if j not in made:
                 made[j] = steps[j].dense_output()
@@ -117,3 +118,22 @@ def two_guesses(steps: Sequence[Any]) -> Array:
         both[0] = first[:, None] + h * (BY_STAGES @ K[:, STAGES])
     both[0] += BLEND[:, None] * (last - both[0, :, -1])[:, None]
     return both
+
+
+def by_stages(functions: Sequence[EventFunction], steps: Sequence[Any]) -> list[Places]:
+    """The signs (m,) of each function along m steps of an explicit method."""
+    both, m = two_guesses(steps), len(steps)
+    begin = np.array([step.t_old for step in steps])
+    at = node_times(begin, begin + np.array([step.h_previous for step in steps]))
+    at, y = np.concatenate([at, at]), both.reshape(-1, both.shape[-1])
+    found = []
+    for function in functions:
+        known = np.ones(m, np.int64)
+        with np.errstate(all="ignore"):
+            for part in (*function.switches, function):
+                better, worse = part.values(at, y).reshape(2, m, -1)
+                noise = np.abs(better - worse).max(axis=1)
+                noise += MARGIN * np.abs(better).max(axis=1)
+                known = np.where(known, certain(better, noise), 0)
+        found.append(known)
+    return found

@@ -1,8 +1,8 @@
-"""Where functions pass zero once along a step, of many steps together.
+"""Functions along many steps together: signs that boxes tell, and where they pass zero once.
 
-That is most of what happens.  A function that is monotone on a step, or bends once (`signs.py`),
-and has for certain not the same sign at its ends, passes zero there once: Newton's method finds
-where on the polynomial, and on the states themselves to rounding.
+The last is most of what happens.  A function that is monotone on a step, or bends once
+(`signs.py`), and has for certain not the same sign at its ends, passes zero there once: Newton's
+method finds where on the polynomial, and on the states themselves to rounding.
 """
 
 from __future__ import annotations
@@ -163,6 +163,19 @@ def _located(
         sharp = np.abs(value) <= hidden
     apart = np.minimum(np.abs(2.0 * noise / slope), 1.0) * 0.5 * np.abs(h)
     return t, y[:, : steps.nodes.shape[2]], apart, near & sharp
+
+
+def by_boxes(function: EventFunction, *box: Array) -> Places:
+    """The signs (m,) along m steps from begin (m,) to end, the states within dy (m, N) of y."""
+    found: Places | None = None
+    for part in (*function.switches, function):
+        if part.around is None:
+            return np.zeros(len(box[0]), np.int64)
+        value, reach = part.around(*box)
+        signs = np.subtract(value > reach, value < -reach, dtype=np.int64)
+        found = signs if found is None else signs * np.abs(found)
+    assert found is not None
+    return found
 
 
 class Single(NamedTuple):

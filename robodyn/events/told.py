@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import repeat
@@ -81,28 +81,30 @@ class EventRecord:
 
     def unpack(self) -> None:
         """Make events of what was found together: that takes as long as finding them."""
+        if not self.packed:
+            return
         packed, self.packed = self.packed, []
-        names = [function.name for function in self.functions]
+        names: Iterable[str] = repeat(self.functions[0].name)
         for zeros, _ in packed:
-            if not len(zeros):
-                continue
-            if len(names) > 1:
+            if len(self.functions) > 1:
                 ways = np.array([function.way for function in self.functions])
                 zeros = zeros[ways[zeros[:, 0].astype(np.int64)] * zeros[:, 3] >= 0.0]
                 zeros = zeros[np.argsort(np.abs(zeros[:, 1]), kind="stable")]
-            elif way := self.functions[0].way:
-                zeros = zeros[zeros[:, 3] == way]
-            place, t, apart = zeros[:, :3].T.tolist()
-            for i in range(len(names)):
-                self.happened[i] += place.count(i)
-            named = map(names.__getitem__, map(int, place)) if len(names) > 1 else repeat(names[0])
-            self.kept.extend(map(_event, zip(named, t, zeros[:, 4:], apart, strict=False)))
-            del self.kept[MOST:]
+                places = zeros[:, 0].astype(np.int64).tolist()
+                names = [self.functions[i].name for i in places]
+                for i in places:
+                    self.happened[i] += 1
+            else:
+                if way := self.functions[0].way:
+                    zeros = zeros[zeros[:, 3] == way]
+                self.happened[0] += len(zeros)
+            t, apart = zeros[:, 1:3].T.tolist()
+            self.kept.extend(map(_event, zip(names, t, zeros[:, 4:], apart, strict=False)))
+        del self.kept[MOST:]
 
     def tell(self, one: Single) -> None:
         """A function passes zero: an event, where this way counts and it is not known."""
-        if self.packed:
-            self.unpack()
+        self.unpack()
         i, t = one.place, one.t
         if self.functions[i].way in (0, one.sign) and (
             abs(t - self.cut.get(i, np.inf)) > self.instant

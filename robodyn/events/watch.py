@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.events.explicit_steps import as_steps
+from robodyn.events.explicit_steps import as_steps, by_stages
 from robodyn.events.functions import EventFunction
-from robodyn.events.kept_signs import Signs, by_boxes, by_stages
 from robodyn.events.pieces import Remembered, States, Step, along, signs_along
 from robodyn.events.signs import Budget, Stretch, bracket
-from robodyn.events.single_zeros import Single, Steps, followed
+from robodyn.events.single_zeros import Places, Single, Steps, by_boxes, followed
 from robodyn.events.told import EventRecord, Found, Stop
 from robodyn.tables.arrays import Array
 
@@ -41,8 +40,8 @@ class EventWatch(EventRecord):
         super().__post_init__()
         self.doubts = 0  # calls of machine code that were unsure
         self.watched = list(self.functions)
-        self._known: list[Signs] = []  # of the steps looked at together
-        self._after: list[Signs] = []  # those at their ends
+        self._known: list[Places] = []  # of the steps looked at together
+        self._after: list[Places] = []  # those at their ends
         self._found_in: dict[int, list[Single]] = {}  # by step, what needs no look at it by itself
         self._single: list[Single] = []  # those in the step looked at
         self._along: list[int] = []  # of that one of them which is looked at by itself
@@ -78,18 +77,19 @@ class EventWatch(EventRecord):
 
     def take(self, found: Found) -> None:
         """Take what was found along some steps."""
-        self.packed.append(found)
+        if len(found.zeros):
+            self.packed.append(found)
         self.signs = found.signs
 
     def series(
         self,
         times: Array,
         boxes: Array,
-        sampled: Callable[[Signs], Array],
+        sampled: Callable[[Places], Array],
         ends: Array,
         step: Callable[[int], Step],
         exact: bool,
-        within: Callable[[Signs, Array], Array],
+        within: Callable[[Places, Array], Array],
     ) -> tuple[int, Stop] | None:
         """Steps from times[j] to times[j + 1], in which the state stays in boxes (m, 2, N).
 
@@ -104,7 +104,7 @@ class EventWatch(EventRecord):
         left = np.flatnonzero(~np.logical_and.reduce(known))
         nodes = sampled(left) if len(left) else np.zeros(0)
 
-        def steps(at: Signs) -> Steps:
+        def steps(at: Places) -> Steps:
             there = nodes if len(at) == len(left) else nodes[np.searchsorted(left, at)]
             last = ends[at, None]
             return Steps(times[at], times[at + 1], there, last, lambda i, t: within(at[i], t))
@@ -124,7 +124,7 @@ class EventWatch(EventRecord):
         return None
 
     def _doubtful(
-        self, known: list[Signs], steps: Callable[[Signs], Steps]
+        self, known: list[Places], steps: Callable[[Places], Steps]
     ) -> dict[int, list[int]]:
         """Which functions are to be looked at by themselves, by step.
 
@@ -133,7 +133,7 @@ class EventWatch(EventRecord):
         """
         self._known, self._after, self._found_in = known, list(known), {}
         doubtful: dict[int, list[int]] = {}
-        found: list[tuple[Signs, Array]] = []
+        found: list[tuple[Places, Array]] = []
         for i, signs in enumerate(known):
             before, touched = self.signs[i], self._touched[i] is not None
             if not touched and (signs == (before or signs[0])).all() and signs[0]:
@@ -162,9 +162,13 @@ class EventWatch(EventRecord):
         return doubtful
 
     def near(self, steps: Sequence[Any]) -> dict[int, list[int]]:
-        """For steps of an explicit method, which functions are to be looked at in each of them."""
+        """For steps of an explicit method, which functions are to be looked at in each of them.
+
+        Those that hold zeros found already are among them.
+        """
         known = by_stages(self.watched, steps)
-        return self._doubtful(known, lambda at: as_steps([steps[j] for j in at]))
+        doubtful = self._doubtful(known, lambda at: as_steps([steps[j] for j in at]))
+        return {j: [] for j in self._found_in} | doubtful
 
     def begin(self, j: int, places: Sequence[int]) -> list[int]:
         """Know the signs at the start of step j of those looked at together.

@@ -116,7 +116,7 @@ class Recorder:
         assert self.events is not None
         near = self.events.near(steps)
         for j, step in enumerate(steps):
-            self._step(step, self.events.begin(j, near.get(j, ())))
+            self._step(step, self.events.begin(j, near[j]) if j in near else ())
         self.events.seen()
 
     def _step(self, solver: Any, places: Sequence[int] = ()) -> None:

@@ -27,6 +27,9 @@ STEPS = 128  # at a time, at first: between them the run can be watched and inte
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 
 
+Forms = tuple[list[Array], list[int]]  # linear ones, and the signs of their functions
+
+
 class Status(IntEnum):
     """Why an engine stopped."""
 
@@ -71,7 +74,7 @@ class Engine(Protocol):
 
     order: int
     keeps: bool
-    forms: tuple[list[Array], list[int]] | None
+    forms: Forms | None
     most: int
 
     def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:

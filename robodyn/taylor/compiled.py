@@ -22,7 +22,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
-from robodyn.taylor import STEPS, Chunk, NoCodeError, Status, default_order
+from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, default_order
 from robodyn.taylor.step_boxes import Kept, write_box
 from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, Watch
 
@@ -170,7 +170,7 @@ class CompiledEngine:
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps, self.most = False, STEPS
-        self.forms: tuple[list[Array], list[int]] | None = None
+        self.forms: Forms | None = None
         self._linear: list[Array] = []  # forms that machine code has, and with their signs
         self._forms = np.empty((0, 0))
         self._watch = np.zeros(len(WATCH), np.int64)
@@ -222,7 +222,7 @@ class CompiledEngine:
         """
         chunk = None
         if self.keeps and self.forms is not None:
-            chunk = self._watched(*self.forms, t, y, bound, times, steps)
+            chunk = self._watched(self.forms, t, y, bound, times, steps)
         if chunk is None:
             chunk = self._advance(t, y, bound, times, steps, self.keeps)
         if count := len(chunk.t):
@@ -231,17 +231,10 @@ class CompiledEngine:
         return chunk
 
     def _watched(
-        self,
-        linear: list[Array],
-        signs: list[int],
-        t: float,
-        y: Array,
-        bound: float,
-        times: Array,
-        steps: int,
+        self, forms: Forms, t: float, y: Array, bound: float, times: Array, steps: int
     ) -> Chunk | None:
         """The same, in which the code finds events itself; None where it is unsure of one."""
-        watch, zeros = self._watch, self._zeros
+        watch, zeros, (linear, signs) = self._watch, self._zeros, forms
         if len(linear) != len(self._linear) or any(map(is_not, linear, self._linear)):
             self._linear = linear
             self._forms = np.pad(linear, ((0, 0), (0, 1)))

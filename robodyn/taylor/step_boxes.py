@@ -9,11 +9,19 @@ D = z' - i w0 z, which is zero there, z = exp(i w0 x) (1 + integral of exp(-i w0
 and the angle goes away from alpha_0 + w0 x by h times that at most.  Of a displacement z' - z'(0)
 is D, and far is all.  Sizes |z| are |rho| + |theta|, and a joint's box is that of its own
 coordinate and the one below.
+
+The rate's slope a = Im(z'/z)' stays near a0, that at the start, likewise: with u = z'/z and
+F = D' - i w0 D - i a0 z is (u' - i a0) z = F - (u - i w0) D, so that
+
+    |a - a0| <= (sum |F_k| h^k + |w - w0| far) / (1 - h far),
+
+and of a displacement F is z'' - z''(0), and all.  Of the pair D_0 and F_0, zero but for rounding
+and for what a series leaves out, the sums have the sizes too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -101,40 +109,52 @@ def as_complex(parts: Array) -> Complex:
 
 
 def _write_strays(scene: Scene, module: Module, twice: bool) -> str:
-    """strays(first, width, h, about, out): of a series' rows from the order 1 on, side by side.
+    """strays(first, width, h, out): of a series' rows from the order 1 on, side by side.
 
-    D_m = (m + 1) z_{m+1} - i w z_m of each order m > 0 into rows of `out`, and before them the sums
-    of |D_m| h^m; `about` are w and -w in turns.  `twice`: with the D_m, and a and -a in turns,
-    besides, the sums of |(m + 1) D_{m+1} - i w D_m - i a z_m| h^m alone.
+    D_m = (m + 1) z_{m+1} - i w0 z_m of each order m > 0 into rows of `out`, and before them the
+    sums of |D_m| h^m.  `twice`, of the D_m, which are given besides: the sums of
+    |(m + 1) D_{m+1} - i w0 D_m - i a0 z_m| h^m alone.
     """
     name, count = f"strays{1 + twice}", 2 * scene.mechanism.n
     if name in module.functions:
         return name
     wide = Module(count)
     wide.functions = module.functions
-    types = ADDRESS, WHOLE, SCALAR, *(ADDRESS,) * (4 if twice else 2)
+    types = ADDRESS, WHOLE, SCALAR, *(ADDRESS,) * (2 if twice else 1)
     k = Kernel(wide, name, types, "void")
-    first, width, h, about, out, *strays = k.arguments
-    w, step = k.load(about), k.spread(h)
-    other = ", ".join(f"i32 {i ^ 1}" for i in range(count))
-    swapped = f"{k.numbers} poison, <{count} x i32> <{other}>"
+    first, width, h, out, *strays = k.arguments
+    step = k.spread(h)
+    # less i times what turns: theta and -rho
+    ways = (0.0 if i // 2 in scene.mechanism.slides else 1.0 - 2.0 * (i % 2) for i in range(count))
+    factors = Word(f"<{', '.join(str(k.scalar(way)) for way in ways)}>", k.numbers)
+
+    def moved(row: Word, places: Iterable[int]) -> Word:
+        other = ", ".join(f"i32 {i}" for i in places)
+        text = f"shufflevector {row}, {k.numbers} poison, <{count} x i32> <{other}>"
+        return k.op(k.numbers, text)
 
     def turned(row: Word) -> Word:
-        return k.op(k.numbers, f"shufflevector {row}, {swapped}")
+        return moved(row, (i ^ 1 for i in range(count)))
+
+    def rates(row: Word) -> Word:
+        return k.multiply(factors, moved(row, (i | 1 for i in range(count))))
 
     last = scene.order + 1
-    powers, rows, sums = [k.number(1.0), step], [first], [k.number(0.0)] * SUMS
-    for m in range(2, last + 1):
-        powers.append(k.multiply(powers[m // 2], powers[m - m // 2]))
-        rows.append(k.at(rows[-1], width))
-    z = [k.load(row) for row in rows]
-    own = [k.load(k.at(strays[0], m * count)) for m in range(last)] if twice else z
+    powers, sums = [k.number(1.0), step], [k.number(0.0)] * SUMS
+    row, z = first, k.load(first)
+    own = k.load(strays[0]) if twice else z
+    w, v = rates(z), rates(own)
     for m in range(1, last + 1):  # one after the other in text: a loop would wait for its sums
-        found = k.multiply(w, turned(own[m - 1]))
+        if m > 1:
+            powers.append(k.multiply(powers[m // 2], powers[m - m // 2]))
+        found = k.multiply(w, turned(own))
         if twice:
-            found = k.add(found, k.multiply(k.load(strays[1]), turned(z[m - 1])))
+            found = k.add(found, k.multiply(v, turned(z)))
         if m < last:
-            found = k.add(found, k.multiply(k.number(m + 1.0), own[m]))
+            row = k.at(row, width)
+            z = k.load(row)
+            own = k.load(k.at(strays[0], m * count)) if twice else z
+            found = k.add(found, k.multiply(k.number(m + 1.0), own))
         if not twice:
             k.store(found, k.at(out, m * count))
         size = k.multiply(k.intrinsic("fabs", found), powers[m])
@@ -147,12 +167,15 @@ def _write_strays(scene: Scene, module: Module, twice: bool) -> str:
 
 
 def write_shift(scene: Scene, module: Module) -> None:
-    """series_shift(rows, x): a series of all coordinates side by side, as it is from x on."""
+    """series_shift(first, width, x, rows): into rows what a series of all coordinates is from x."""
     wide = Module(2 * scene.mechanism.n)
     wide.functions = module.functions
-    k = Kernel(wide, "series_shift", (ADDRESS, SCALAR), "void")
-    rows, x = k.arguments
+    k = Kernel(wide, "series_shift", (ADDRESS, WHOLE, SCALAR, ADDRESS), "void")
+    first, width, x, rows = k.arguments
     step, last = k.spread(x), k.whole(scene.order + 1)
+    with k.loop(k.whole(scene.order + 2)) as m:
+        row = k.load(k.at(first, k.multiply(m, width)))
+        k.store(row, k.at(rows, k.multiply(m, k.whole(wide.lanes))))
     top = k.load(k.at(rows, k.multiply(last, k.whole(wide.lanes))))
     with k.loop(last) as i, k.loop(k.subtract(last, i)) as m:
         later = k.carried(top)
@@ -181,28 +204,14 @@ def _size(k: Kernel, *parts: Word) -> Word:
     return k.add(*(k.intrinsic("fabs", part) for part in parts))
 
 
-def _about(scene: Scene, k: Kernel, row: Word) -> Word:
-    """The second of each pair and less it, in turns, of coordinates that turn."""
-    n = scene.mechanism.n
-    about = k.room(SCALAR, 2 * n)
-    for j, (_, value) in enumerate(_pairs(k, row, n)):
-        w = k.number(0.0) if j in scene.mechanism.slides else value
-        k.store(w, k.at(about, 2 * j))
-        k.store(k.negate(w), k.at(about, 2 * j + 1))
-    return about
-
-
 def _bounds(
     scene: Scene, k: Kernel, first: Word, width: Word, h: Word
-) -> tuple[list[_Bounds], Word, Word]:
-    """Those of all coordinates by their series, of which `first` has the order 1.
-
-    And where w and -w of each stand, and the D_m, m > 0.
-    """
+) -> tuple[list[_Bounds], Word]:
+    """Those of all coordinates by their series, of which `first` has the order 1; and the D_m."""
     n, zero, one = scene.mechanism.n, k.number(0.0), k.number(1.0)
-    strays, about = k.room(SCALAR, 2 * n * (scene.order + 2)), _about(scene, k, first)
+    strays = k.room(SCALAR, 2 * n * (scene.order + 2))
     name = _write_strays(scene, k.module, twice=False)
-    k.line(f"call void @{name}({first}, {width}, {h}, {about}, {strays})")
+    k.line(f"call void @{name}({first}, {width}, {h}, {strays})")
     found = []
     given = zip(_pairs(k, strays, n), _pairs(k, first, n), strict=True)
     for j, (far, (stray, rate)) in enumerate(given):
@@ -215,7 +224,7 @@ def _bounds(
             left = k.subtract(one, k.multiply(h, total))
             left = k.select(k.less(zero, left), left, zero)
         found.append(_Bounds(rate, total, left, k.add(k.divide(total, left), slack)))
-    return found, about, k.at(strays, 2 * n)
+    return found, k.at(strays, 2 * n)
 
 
 def write_box(scene: Scene, k: Kernel, block: Word, end: Word, there: Word, box: Word) -> None:
@@ -248,11 +257,9 @@ def write_slope(
 ) -> tuple[Word, Word]:
     """The slope of a linear function where a series begins, and how far it goes from there in h."""
     n, first = scene.mechanism.n, k.at(rows, width)
-    bounds, turns, strays = _bounds(scene, k, first, width, h)
-    sums, speedups = k.room(SCALAR, 2 * n), _about(scene, k, strays)
-    name = _write_strays(scene, k.module, twice=True)
-    given = first, width, h, turns, sums, strays, speedups
-    k.line(f"call void @{name}({', '.join(map(str, given))})")
+    bounds, strays = _bounds(scene, k, first, width, h)
+    sums, name = k.room(SCALAR, 2 * n), _write_strays(scene, k.module, twice=True)
+    k.line(f"call void @{name}({first}, {width}, {h}, {sums}, {strays})")
     slope, reach = k.load(k.at(form, 1)), k.number(0.0)
     each = zip(bounds, _pairs(k, sums, n), _pairs(k, strays, n), strict=True)
     for j, (own, far, (stray, speedup)) in enumerate(each):

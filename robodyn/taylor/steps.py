@@ -18,7 +18,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
-from robodyn.taylor import PARTS, STEPS, Chunk, Status
+from robodyn.taylor import PARTS, STEPS, Chunk, Forms, Status
 
 if TYPE_CHECKING:
     from robodyn.loops.projection import FloatClosing
@@ -80,7 +80,7 @@ class SteppingEngine:
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.halts: Callable[[float], bool] | None = None  # asked after each step
         self.keeps, self.most = False, STEPS
-        self.forms: tuple[list[Array], list[int]] | None = None  # not looked at
+        self.forms: Forms | None = None  # not looked at
         self._held: tuple[float, ...] | None = None
         self._made: dict[tuple[float, ...] | None, Steps] = {}
         self._torques = actuation.function(mechanism.n)

@@ -1,24 +1,22 @@
 """Machine code that finds where linear functions of the state pass zero, step by step.
 
-A function's series along a step follows from that of the rates, sum (2 j - m - 1) theta_j
-rho_{m+1-j} of a coordinate that turns.  As a sum of Chebyshev's polynomials it tells what
-`events/signs.py` does: that the function has one sign, or passes zero once.  What neither holds of
-is `unsure`, and so is the whole call: the steps are made once more, and looked at from Python.
+What holds, and of what.  The motion along a step is that of the polynomials z (degree order + 1)
+which a run keeps: the angles of z, the rates Im(z'/z).  On these, whatever the series leaves out of
+the true motion, the following holds to rounding, of open chains:
 
-What is proved, and what is assumed.  A run returns, of a step's polynomials z of degree order + 1,
-the angles of z and the rates Im(z'/z).  Of these the following holds to rounding, of open chains:
+- a function that a box (`step_boxes.py`) tells the sign of has this sign on the whole step;
+- where a function may be zero, its slope stays within bounds that sums of |z_k| h^k give
+  (`step_boxes.write_slope`).  Where they have one sign it is monotone, and its signs at the ends,
+  those of the states themselves, tell whether it passes zero.  Where it has one sign at both ends
+  it keeps it if the lines of these slopes from the ends meet before zero;
+- what neither holds of is halved, and each part looked at with the series as it is from its begin
+  on, to 1/1024 of a step.  What is not known then is `unsure`, and so is the whole call: the steps
+  are made once more, and looked at from Python;
+- a time at which it passes zero is found on the states, to rounding.
 
-- a sign by a box (`step_boxes.py`) holds on the whole step;
-- the signs at a step's ends, and a zero, are those of the states themselves.
-
-That there is no other zero in a step rests on the series above, which has the orders of
-Im(z' conj(z)) up to `order`; it leaves out those beyond, and |z|^2 - 1.  Assumed, not proved, is
-that these stay below an E, their slope below 256 E and their bend below 21760 E, as a polynomial of
-degree 16 would on [-1, 1].  E is twice the sum of the last three terms kept, 1e-9 of the sum of
-|c_k|, k > 0, and rounding.  They are no larger where the terms from the last one kept on fall at
-least as fast as 1, 1/2, 1/4; steps are chosen so by their last terms.  States of closed chains are
-brought back onto the closures, by a miss known at the step's end: it is assumed to be at most
-4 times that, in a box as well, within the step.
+States of closed chains are brought back onto the closures, by a miss known at the step's end.  Of
+these it is assumed, not proved, that the miss within a step, or a part of it, is at most 4 times
+that, and its slope what a polynomial of degree 16 of that size may have.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ from robodyn.events.rounding import EPS, STATE
 from robodyn.events.signs import DEGREE, MISSED, ROUNDING, SLOPES
 from robodyn.taylor.step_boxes import write_box, write_shift, write_slope
 
-PIECES = 32  # of a step, those that it is looked at by at most
+PIECES = 1024  # of a step, those that it is looked at by at most
 ROUNDS = 8  # of secants on the states
 ROOM = 4096  # zeros that a call may find
 # of the table of a watch: addresses, then how many functions, zeros found, whether it is unsure
@@ -49,7 +47,6 @@ class Watch:
         """All of them."""
         write_shift(self.scene, module)
         self._write_value(module)
-        self._write_rows(module)
         self._write_on(module)
         self._write_state(module)
         self._write_locate(module)
@@ -78,21 +75,12 @@ class Watch:
     def _tell(self, k: Kernel, watch: Word, name: str, value: Word) -> None:
         k.store(value, k.at(watch, WATCH.index(name)))
 
-    def _write_rows(self, module: Module) -> None:
-        """event_rows(block, rows): the series of all coordinates, side by side."""
-        k = Kernel(module, "event_rows", (ADDRESS, ADDRESS), "void")
-        block, rows = k.arguments
-        with k.loop(k.whole(self.scene.order + 2)) as m:
-            source, target = self.scene.row(k, block, m), k.multiply(m, k.whole(self.count))
-            target = k.at(rows, target)
-            k.each(self.count, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
-        k.done()
-
     def _write_on(self, module: Module) -> None:
-        """event_on(rows, x): the series as it is from x on, turned back to where it begins."""
-        k = Kernel(module, "event_on", (ADDRESS, SCALAR), "void")
-        rows, x = k.arguments
-        k.line(f"call void @series_shift({rows}, {x})")
+        """event_on(block, x, rows): the series as it is from x on, turned back to how it begins."""
+        k = Kernel(module, "event_on", (ADDRESS, SCALAR, ADDRESS), "void")
+        block, x, rows = k.arguments
+        first, width = self.scene.row(k, block, 0), k.whole(len(self.scene.loop.columns))
+        k.line(f"call void @series_shift({first}, {width}, {x}, {rows})")
         for j in range(self.n):
             if j in self.scene.mechanism.slides:
                 continue
@@ -166,13 +154,14 @@ class Watch:
                     given = block, watch, f, form, start, wide, now, then, slope, noise
                     k.line(f"call void @event_locate({', '.join(map(str, given))})")
                 k.leave(k.compare("sge", to, k.whole(PIECES)), done)
-                with k.when(k.compare("eq", at, k.whole(0))):
-                    k.line(f"call void @event_rows({block}, {rows})")
-                    k.set(series[0], rows)
-                    k.set(series[1], k.whole(self.count))
-                k.line(f"call void @event_on({rows}, {wide})")
+                k.line(f"call void @event_on({block}, {k.add(start, wide)}, {rows})")
+                k.set(series[0], rows)
+                k.set(series[1], k.whole(self.count))
                 k.set(place, to)
                 k.set(value, then)
+                odd = k.both(to, many)  # where it is even the next part may be twice as long
+                more = k.select(k.compare("eq", odd, k.whole(0)), many, k.whole(0))
+                k.set(pieces, k.add(many, more))
             with k.when(k.invert(sure)):
                 self._tell_where(k, watch, k.compare("sle", many, k.whole(1)))
                 k.leave(k.compare("sle", many, k.whole(1)), done)
