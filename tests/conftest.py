@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import io
 import json
 import os
@@ -39,9 +40,11 @@ os.environ["ROBODYN_CACHE"] = str(Path(tempfile.gettempdir()) / f"robodyn-tests-
 
 # the files that take the longest, the longest first; the others follow by their number of tests
 LONGEST = (
-    "hard_cases", "sensitivity", "near_misses", "accuracy", "sweep_columns", "cli_sweep",
-    "sweep", "cli_bench", "notebook", "readme", "simulation", "lanes", "pipes", "shown_text",
-    "identify", "motors", "prismatic", "benchmark", "shortest", "fit", "equations",
+    "hard_cases", "readme", "sensitivity", "engines", "cli_simulate", "near_misses", "accuracy",
+    "simulation", "sweep", "contacts", "pipes", "cli_sweep", "sweep_columns", "task_space", "lanes",
+    "torque_times", "extended", "fit", "prismatic", "time_scaling", "right_hand_side", "equations",
+    "taylor_steps", "cli_draw", "derivatives", "identify", "equations_latex", "shown_text", "motors",
+    "regressor", "contacts_mixed", "assembly", "signals", "feedback", "cli_bench", "notebook",
 )  # fmt: skip
 
 # the scenes of robots/ as the oracles take them
@@ -91,6 +94,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     place = {f"test_{name}": k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda x: (place.get(x.path.stem, len(place)), -count[x.path], x.path))
     _thin(config, items)
+
+
+def pytest_collection_finish() -> None:
+    """Garbage is looked for rarely, and not among all that was imported: it takes long."""
+    gc.freeze()
+    gc.set_threshold(500_000, 50, 100)
 
 
 def _thin(config: pytest.Config, items: list[pytest.Item]) -> None:
