@@ -194,7 +194,7 @@ def test_torques_that_bend_and_jump() -> None:
     )
     mech = rd.load(path)
     table = torque_table(mech, [0.0, 0.25, 0.7], [[1.0, 0.0], [-2.0, 1.0], [3.0, 0.5]])
-    check(path, names, [0.5, 0.8], [0.3, -0.4], table, TWO)
+    check(path, names, [0.5, 0.8], [0.3, -0.4], table, THREE)
 
 
 GAIN = StateFeedback((0, 1), [0.3, 0.6], [1.0, 0.5], [[40.0, 3, 8, 1], [2, 30, 1, 5]])
