@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import io
 import json
 import os
@@ -13,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,11 +38,16 @@ settings.load_profile("fresh" if FRESH else "fixed")
 # machine code that tests make is kept, but not among the user's
 os.environ["ROBODYN_CACHE"] = str(Path(tempfile.gettempdir()) / f"robodyn-tests-{os.geteuid()}")
 
+# of the processor, s: ten times what the longest test takes; a loop without end is told by it
+longest = [3600.0 if FRESH else 50.0]
+
 # the files that take the longest, the longest first; the others follow by their number of tests
 LONGEST = (
-    "hard_cases", "sensitivity", "near_misses", "accuracy", "sweep_columns", "cli_sweep",
-    "sweep", "cli_bench", "notebook", "readme", "simulation", "lanes", "pipes", "shown_text",
-    "identify", "motors", "prismatic", "benchmark", "shortest", "fit", "equations",
+    "hard_cases", "readme", "sensitivity", "engines", "cli_simulate", "near_misses", "accuracy",
+    "simulation", "sweep", "contacts", "pipes", "cli_sweep", "sweep_columns", "task_space", "lanes",
+    "torque_times", "extended", "fit", "prismatic", "time_scaling", "right_hand_side", "equations",
+    "taylor_steps", "cli_draw", "derivatives", "identify", "equations_latex", "shown_text",
+    "motors", "regressor", "contacts_mixed", "assembly", "signals", "feedback", "cli_bench",
 )  # fmt: skip
 
 # the scenes of robots/ as the oracles take them
@@ -91,6 +97,31 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     place = {f"test_{name}": k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda x: (place.get(x.path.stem, len(place)), -count[x.path], x.path))
     _thin(config, items)
+
+
+def pytest_collection_finish() -> None:
+    """Garbage is looked for rarely, and not among all that was imported: it takes long."""
+    gc.freeze()
+    gc.set_threshold(500_000, 50, 100)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    """A test that does not end fails: a fault in the package must not hang the suite."""
+    if not hasattr(signal, "setitimer"):
+        return (yield)
+
+    def ended(*_: object) -> None:
+        longest.append(longest[-1] / 4.0)  # where one hangs, others may
+        pytest.fail(f"{item.nodeid} took more than {longest[-2]:g} s of the processor")
+
+    before = signal.signal(signal.SIGVTALRM, ended)
+    signal.setitimer(signal.ITIMER_VIRTUAL, max(longest[-1], longest[0] / 8.0))
+    try:
+        return (yield)
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, before)
 
 
 def _thin(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -9,6 +9,7 @@ import re
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -100,6 +101,13 @@ def test_cells_are_even_and_square_to_the_dot(robodyn: Run, tmp_path: Path, draw
     assert len(changes) == 6
     assert len(set(np.diff(changes))) == 1
     assert width * wide == pytest.approx(height * tall, abs=0.01)
+
+
+@pytest.mark.parametrize("flat", [None, 0.25, 1.0, 3.0])
+def test_the_longer_side_of_a_map_of_points_is_always_as_long(flat: float | None) -> None:
+    wide, high = chart_figure._inside(SimpleNamespace(grid=None), flat)
+    assert wide / high == pytest.approx(flat or chart_figure.WIDE)
+    assert max(wide, high) == chart_figure.LONGEST
 
 
 def test_labels_units_bar_and_none(robodyn: Run, sweep: Path, tmp_path: Path, drawn: list) -> None:

@@ -351,6 +351,20 @@ def test_ground_pivots_of_hanging_links_hang_from_above() -> None:
         assert all((np.sign(z.imag) == side).all() for z in hatches)
 
 
+def test_what_holds_a_spring_alone_is_smaller() -> None:
+    """Two ground pivots, and where a spring hangs from the ground."""
+    links = "".join(
+        f"  - {{name: {k}, m: 1, l: 1, r: 0.5, I: 0.1, from: [{x}, 0]}}\n"
+        for k, x in (("a", 0), ("b", 3))
+    )
+    spring = "springs: [{between: [a, [1, 2]], stiffness: 9, length: 1}]\n"
+    drawn = drawing(build(from_text(f"links:\n{links}{spring}", "held")), [0.3, 0.3])
+    found = {z[0]: np.ptp(z.real) for _, s, z in drawn.placed(0) if s.kind == "support"}
+    assert set(found) == {0, 3, 1 + 2j}
+    assert found[0] == pytest.approx(found[3])
+    assert found[1 + 2j] == pytest.approx(0.6 * found[0])
+
+
 # Outlines
 
 

@@ -10,10 +10,11 @@ from conftest import FRESH
 
 import robodyn
 from hard_cases import near_misses
+from hard_cases.cases import n_four_bar
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.engines import machine
 from robodyn.loops.change_points import known, nearest_singular
-from robodyn.loops.closing import BITS, HALF_PI, _cos_sin
+from robodyn.loops.closing import BITS, HALF_PI, _cos_sin, singular_size
 from robodyn.simulation.simulation import simulate
 
 FAST = "taylor, python"
@@ -96,6 +97,15 @@ def test_two_freedoms_are_never_interpolated():
     found = nearest_singular(mechanism, np.array([0.01, -0.012, 0.008, np.pi - 0.01]))
     assert found is not None
     assert not found.crosses
+
+
+def test_many_loops_in_a_row_are_no_singularity():
+    """The least singular value of N loops falls as 1/N, and so does what it is measured by."""
+    for loops in (1, 2, 3, 6, 12, 20):
+        bars = n_four_bar(loops)
+        q = np.concatenate([np.full(loops + 1, 1.1), np.full(loops, -1.1)])
+        least = np.linalg.svd(robodyn.closure_jacobian(bars, q), compute_uv=False)[-1]
+        assert 0.1 < least / singular_size(bars) < 0.3, loops
 
 
 def test_it_is_said():

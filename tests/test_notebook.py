@@ -269,6 +269,9 @@ def test_a_motion_is_charted(motion: package.Motion, figures: None) -> None:
     html = motion._repr_html_()
     root = ET.fromstring(html[html.index("<svg") :])
     assert root.tag.endswith("svg")
+    for k in range(motion.q.shape[1]):  # matplotlib notes each text beside its outlines
+        assert f"<!-- q{k + 1} -->" in html
+    assert f"<!-- q{motion.q.shape[1] + 1} -->" not in html
     assert html == motion._repr_html_()
 
 
@@ -503,6 +506,7 @@ WRONG = [
     (lambda: package.draw(FOUR_BAR, [0.1, 0.2, 0.3]), "open"),
     (lambda: package.draw(ARM, [0, 0], [1, 1]), "qd"),
     (lambda: package.draw(ARM, forces=True), "q: missing"),
+    (lambda: package.draw(ARM, [REST, REST], forces=True), "must be one pose"),
     (lambda: package.draw(ARM, REST, poses=0), "poses = 0"),
     (lambda: package.draw(ARM, REST, of=["x"]), "of"),
     (lambda: package.animate(ARM), "t and q"),
