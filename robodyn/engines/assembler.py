@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
-UNROLLED = 8  # passes of a loop that are written out
 WHOLE, SCALAR, ADDRESS, TRUTH = "i64", "double", "ptr", "i1"
 
 
@@ -125,10 +124,6 @@ class Kernel:
     def all_lanes(self, value: bool) -> Word:
         """A mask, the same in every lane."""
         return self._everywhere(Word(str(value).lower(), TRUTH))
-
-    def zero(self, type: str) -> Word:
-        """Zeros of any type of numbers."""
-        return Word("zeroinitializer" if "x" in type else self.scalar(0.0).text, type)
 
     def _everywhere(self, one: Word) -> Word:
         if self.lanes == 1:
@@ -306,10 +301,6 @@ class Kernel:
 
     def each(self, count: int, write: Callable[[Word], None]) -> None:
         """Write something for 0 .. count - 1."""
-        if count <= UNROLLED:
-            for place in range(count):
-                write(self.whole(place))
-            return
         with self.loop(self.whole(count)) as i:
             write(i)
 

@@ -7,226 +7,18 @@ waits for its last term then.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from robodyn.engines.arithmetic import Planar
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.expansion import Coefficients, ends, integral, longest_formula
 from robodyn.engines.expression import Graph, Value
-from robodyn.engines.order_loop import LoopExpansion, Sum
+from robodyn.engines.machine_sums import WIDE, Run, read_together, repeated, write_sums
+from robodyn.engines.order_loop import Sum
 from robodyn.engines.segment import Segment
 
 if TYPE_CHECKING:
     from robodyn.engines.machine_steps import Scene
-
-WIDE = 8  # items that a sum takes at a time: what stands beside a run may be read
-
-
-class Run(NamedTuple):
-    """Sums of columns x, x + strides[0], ... with y, y + strides[1], ...: where they are."""
-
-    sum: Sum
-    x: int
-    y: int
-    wide: int  # columns of y
-    strides: tuple[int, int]
-    place: int  # of its results, after what is left by the runs before it
-
-
-Weight = tuple[float, Value]  # slope, and level at the first term
-
-
-class Vector(NamedTuple):
-    """Some of the sums of x_j y_{p-j}, side by side."""
-
-    x: int  # columns after the first one of order 0
-    y: int  # after the first one of order p
-    place: int  # of its results
-    wide: int  # columns
-    terms: int  # how many more than p
-    same: bool  # one column x serves them all
-    weight: Weight | None
-
-
-def runs(loop: LoopExpansion) -> tuple[list[Run], dict[str, int], int]:
-    """The sums as runs, where the result of each stands, and how much room they take."""
-    column = {x.index: i for i, x in enumerate(loop.columns)}
-    alike: dict[tuple[object, ...], dict[tuple[int, int], tuple[str, Sum]]] = {}
-    for name, one in loop.sums:
-        key = (*one[2:6], getattr(one.level, "index", one.level))
-        pair = column[one.x.index], column[one.y.index]
-        alike.setdefault(key, {})[pair] = name, one
-    found: list[Run] = []
-    places: dict[str, int] = {}
-    room = 0
-    for group in alike.values():
-        left = sorted(group)
-        while left:
-            x, y = left[0]
-            for strides in ((1, 1), (2, 2), (0, 1)):
-                count = 1
-                while (x + count * strides[0], y + count * strides[1]) in group:
-                    count += 1
-                if count > 1:
-                    break
-            members = [(x + i * strides[0], y + i * strides[1]) for i in range(count)]
-            places |= {group[pair][0]: room + pair[1] - y for pair in members}
-            wide = members[-1][1] - y + 1
-            found.append(Run(group[x, y][1], x, y, wide, strides, room))
-            room += wide + WIDE
-            left = [pair for pair in left if pair not in members]
-    return found, places, room
-
-
-# -- loops over columns ----------------------------------------------------------------------------
-
-
-def _pieces(count: int) -> Iterator[tuple[int, int]]:
-    """So many items in pieces that are vectors: where each begins, and its width."""
-    begin, wide = 0, WIDE
-    while begin < count:
-        while wide > count - begin:
-            wide //= 2
-        yield begin, wide
-        begin += wide
-
-
-def _vectors(run: Run, module: Module, columns: int) -> Iterator[Vector]:
-    """Those of a run, the gaps between its columns left out where a column is a vector."""
-    each = max(1, WIDE // module.lanes) if module.together else run.wide
-    if each == WIDE:  # of one lane
-        pieces = list(_pieces(run.wide))
-    else:
-        pieces = [(i, each) for i in range(0, run.wide, run.strides[1] if each == 1 else each)]
-    one = run.sum
-    weight = (one.slope, one.level + one.slope * one.first) if one.slope else None
-    x, y = one.first * columns + run.x, (one.m - one.first) * columns + run.y
-    same, terms = run.strides[0] == 0, one.last - one.first + 1
-    for i, wide in pieces:
-        yield Vector(x if same else x + i, y + i, run.place + i, wide, terms, same, weight)
-
-
-def _batches(vectors: Sequence[Vector], least: int, most: int) -> Iterator[Sequence[Vector]]:
-    """Up to `most` that are summed together: of about as many terms.
-
-    Where these may be `least`, there may be none, and the first term is added first.
-    """
-    left = sorted(vectors, key=lambda vector: vector.terms)
-    while left:
-        few = left[0].terms
-        alike = [x for x in left if x.terms == few or least < few >= x.terms - 2]
-        size = -(-len(alike) // -(-len(alike) // most))
-        yield alike[:size]
-        left = left[size:]
-
-
-def _write_batch(
-    module: Module,
-    name: str,
-    vectors: Sequence[Vector],
-    weights: Sequence[Weight],
-    columns: int,
-    fewest: int,
-) -> None:
-    """name(x, y, out, p, levels): sums of (slope j + level) x_j y_j to their places in `out`.
-
-    The rows of x go up from order 0, those of y down from order p; a level for each weight.  What
-    the order before has found stands in the first term and the last: they come last, so that the
-    processor adds up the others while it is found.  There may be no term where there are `fewest`.
-    """
-    wide = Module(max(WIDE, module.lanes)) if module.together else module
-    wide.functions = module.functions
-    k = Kernel(wide, name, [*[ADDRESS] * 3, WHOLE, *[SCALAR] * len(weights)], "void")
-    x, y, out, p, *levels = k.arguments
-    if not module.together:
-        for v in vectors:
-            places = (k.at(base, i, k.numbers) for base, i in zip((x, y, out), v[:3], strict=True))
-            rest = [*places, k.add(p, k.whole(v.terms)), k.whole(v.wide), k.whole(v.same)]
-            if v.weight is not None:
-                rest += [levels[weights.index(v.weight)], k.scalar(v.weight[0])]
-            k.line(f"call void @sum_rows({', '.join(map(str, rest))})")
-        k.done()
-        return
-    least = min(v.terms for v in vectors)
-
-    def term(among: Sequence[int], rows: tuple[Word, Word], levels: Sequence[Word]) -> None:
-        """Add one to the totals."""
-        known: dict[tuple[Word, int, int, bool], Word] = {}
-
-        def read(row: Word, column: int, wide: int, same: bool = False) -> Word:
-            key = row, column, wide, same
-            if key not in known:
-                place = k.at(row, column * module.lanes)
-                if same:
-                    known[key] = _repeated(k, place, module.lanes, wide)
-                else:
-                    known[key] = k.load(place, numbers(wide))
-            return known[key]
-
-        for i in among:
-            wide = vectors[i].wide * module.lanes
-            a = read(rows[0], vectors[i].x, wide, vectors[i].same)
-            if (weight := vectors[i].weight) is not None:
-                a = k.multiply(a, k.spread(levels[weights.index(weight)], wide))
-            totals[i] = k.add(totals[i], k.multiply(a, read(rows[1], vectors[i].y, wide)))
-
-    def numbers(wide: int) -> str:
-        return f"<{wide} x double>" if wide > 1 else SCALAR
-
-    def after(rows: tuple[Word, Word], levels: Sequence[Word]) -> tuple[Word, Word, list[Word]]:
-        """The rows and levels of the next term."""
-        slopes = (k.scalar(slope) for slope, _ in weights)
-        new = [k.add(level, slope) for level, slope in zip(levels, slopes, strict=True)]
-        step = columns * module.lanes
-        return k.at(rows[0], step), k.at(rows[1], -step), new
-
-    held = least > fewest
-    newest, at_first = (x, y), levels
-    if held:
-        x, y, levels = after(newest, levels)
-    with k.loop(k.add(p, k.whole(least - held))):
-        zeros = [k.zero(numbers(v.wide * module.lanes)) for v in vectors]
-        carried = [k.carried(word) for word in (x, y, *levels, *zeros)]
-        totals = carried[2 + len(levels) :]
-        begun, rows, levels = totals.copy(), (carried[0], carried[1]), carried[2 : 2 + len(levels)]
-        term(range(len(vectors)), rows, levels)
-        up, down, new = after(rows, levels)
-        for word, now in zip(carried, (up, down, *new, *totals), strict=True):
-            k.becomes(word, now)
-    totals[:] = begun
-    for more in range(max(v.terms for v in vectors) - least):  # of those with more terms
-        term([i for i, v in enumerate(vectors) if v.terms - least > more], rows, levels)
-        up, down, levels = after(rows, levels)
-        rows = up, down
-    if held:
-        term(range(len(vectors)), newest, at_first)
-    for total, vector in zip(totals, vectors, strict=True):
-        k.store(total, k.at(out, vector.place * module.lanes))
-    k.done()
-
-
-def _write_sums(
-    module: Module, name: str, runs: Sequence[Run], columns: int, least: int
-) -> list[tuple[str, list[Weight]]]:
-    """The functions that sum all of these runs, and the weights of each."""
-    vectors = [vector for run in runs for vector in _vectors(run, module, columns)]
-    found = []
-    for i, batch in enumerate(_batches(vectors, least, module.together or len(vectors))):
-        weights = list(dict.fromkeys(v.weight for v in batch if v.weight is not None))
-        _write_batch(module, f"{name}{i}", batch, weights, columns, least)
-        found.append((f"{name}{i}", weights))
-    return found
-
-
-def _repeated(k: Kernel, place: Word, lanes: int, wide: int) -> Word:
-    """So many numbers, again and again."""
-    if wide == 1:
-        return k.load(place, SCALAR)
-    type, again = f"<{lanes} x double>", ", ".join(f"i32 {i % lanes}" for i in range(wide))
-    shuffled = f"shufflevector {k.load(place, type)}, {type} poison, <{wide} x i32> <{again}>"
-    return k.op(f"<{wide} x double>", shuffled)
 
 
 def write_polynomials(module: Module, columns: int) -> None:
@@ -235,7 +27,7 @@ def write_polynomials(module: Module, columns: int) -> None:
     wide.functions = module.functions
     k = Kernel(wide, "polynomials", (*[ADDRESS] * 3, WHOLE, WHOLE, ADDRESS), "void")
     series, values, slopes, rows, numbers, place = k.arguments
-    x = _repeated(k, place, module.lanes, k.lanes)
+    x = repeated(k, place, module.lanes, k.lanes)
     with k.loop(numbers, step=k.lanes) as i:
         last = k.at(k.at(series, i), k.multiply(rows, k.whole(columns * module.lanes)))
         with k.loop(rows):
@@ -259,7 +51,7 @@ def write_expand(scene: Scene, module: Module, chooses: bool = True) -> None:
     """
     loop = scene.loop
     all_runs, places, _ = scene.runs
-    sums = _write_sums(module, "sums", all_runs, len(loop.columns), -loop.first)
+    sums = write_sums(module, "sums", all_runs, len(loop.columns), -loop.first)
     k, block = scene.kernel(module, "expand")
     columns = {x.index: i for i, x in enumerate(loop.columns)}
     rows: dict[int, Word] = {}  # by the offset from p
@@ -292,7 +84,7 @@ def write_expand(scene: Scene, module: Module, chooses: bool = True) -> None:
         words = segment.write([value for *_, value in grown])
         found = {(offset, i): word for (i, offset, _), word in zip(grown, words, strict=True)}
         if k.lanes == 1 and module.together:  # a vector is had at once only where it is stored so
-            for offset, begin, wide in _read_together(all_runs, found):
+            for offset, begin, wide in read_together(all_runs, found):
                 together = k.gathered([found.pop((offset, begin + i)) for i in range(wide)])
                 k.store(together, k.at(rows[offset], begin))
         for (offset, column), word in found.items():
@@ -302,21 +94,6 @@ def write_expand(scene: Scene, module: Module, chooses: bool = True) -> None:
     if scene.rate_series or scene.link >= 0:
         _rates(scene, k, block)
     k.done()
-
-
-def _read_together(
-    runs: Sequence[Run], found: Mapping[tuple[int, int], Word]
-) -> Iterator[tuple[int, int, int]]:
-    """What is found and sums read as one vector: offset from p, first column, and how many."""
-    taken: set[tuple[int, int]] = set()
-    for run in (x for x in runs if x.strides == (1, 1)):
-        for first, (begin, wide) in product((run.x, run.y), _pieces(run.wide)):
-            columns = range(first + begin, first + begin + wide)
-            for offset in sorted({offset for offset, _ in found}):
-                places = {(offset, i) for i in columns}
-                if wide > 1 and places <= found.keys() - taken:
-                    taken |= places
-                    yield offset, columns[0], wide
 
 
 def _coefficients(graph: Graph, column: int, orders: range) -> list[Value]:
@@ -359,7 +136,7 @@ def _rates(scene: Scene, k: Kernel, block: Word) -> None:
         wanted += [("rate0_0", j * orders, j, above) for j, above in parents]
     rate = Sum(columns[1], columns[0], 1, 0, 1, 2.0, 0.0)  # its level changes with m
     run = Run(rate, 1, 0, 2 * n - 1, (2, 2), 0)
-    functions = _write_sums(k.module, "rates", [run], len(columns), 0)
+    functions = write_sums(k.module, "rates", [run], len(columns), 0)
     x, out = scene.row(k, block, 0), scene.at(k, block, "value")
     with k.loop(k.whole(orders)) as m:
         above = k.add(m, k.whole(1))

@@ -25,7 +25,8 @@ from robodyn.engines.assembler import ADDRESS, Kernel, Module, Word
 from robodyn.engines.expansion import KINK, MotionProgram
 from robodyn.engines.expression import Value
 from robodyn.engines.formulas import Formula, projection_formula
-from robodyn.engines.machine_series import WIDE, Run, runs, write_evaluate, write_expand
+from robodyn.engines.machine_series import write_evaluate, write_expand
+from robodyn.engines.machine_sums import WIDE, Run, runs
 from robodyn.engines.order_loop import LoopExpansion, loop_expansion
 from robodyn.engines.segment import Segment
 from robodyn.loops.assembly import loop_size
@@ -141,7 +142,7 @@ class Scene:
 
     @cached_property
     def runs(self) -> tuple[list[Run], dict[str, int], int]:
-        """See `machine_series.runs`."""
+        """See `machine_sums.runs`."""
         return runs(self.loop)
 
     @cached_property

@@ -16,21 +16,21 @@ import numpy as np
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.placed import matvec
+from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.report import Outcome, Report, StopRun
+from robodyn.simulation.unseen_work import UnseenWork
 from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolver
 
-    from robodyn.events.explicit_steps import KeptStep
     from robodyn.events.functions import EventFunction
     from robodyn.events.told import Event, Stop
     from robodyn.events.watch import EventWatch
-    from robodyn.simulation.unseen_work import UnseenWork
 
 Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n or more)
 
@@ -73,13 +73,11 @@ class Recorder:
     last_row: float | None = None  # its time
     closes: bool = False  # whether the mechanism has closures, in all modes
     contacts: list[Event] = field(default_factory=list)  # what joints met, and left
-    kept: list[KeptStep] = field(default_factory=list)  # not yet looked at for events
+    kept: list[Any] = field(default_factory=list)  # not yet looked at for events
 
     def begin(self, y: Array) -> None:
         given = self.actuation.alone or self.actuation
         if given.constants is None and not given.linear and given.control is None:
-            from robodyn.simulation.unseen_work import UnseenWork
-
             self.unseen = UnseenWork(given.function(self.mechanism.n), self.report.t_end)
         zero = np.zeros(1)
         if self.times is None or (len(self.times) and self.times[0] == 0.0):
@@ -190,11 +188,9 @@ class Recorder:
         """The output times still to come, up to `bound`; of many the first."""
         if self.times is None or self.next_row == len(self.times):
             return np.zeros(0)
-        forward = -1.0 if self.times[-1] < 0.0 else 1.0
+        sign = -1.0 if self.times[-1] < 0.0 else 1.0
         last = min(len(self.times), self.next_row + self.rows_at_once)
-        end = bisect_right(
-            self.times, bound * forward, self.next_row, last, key=lambda time: time * forward
-        )
+        end = bisect_right(self.times, bound * sign, self.next_row, last, key=lambda t: t * sign)
         return self.times[self.next_row : end]
 
     def chunk(self, chunk: Chunk, t_end: float, within: Callable[[Array], Array]) -> None:
@@ -282,8 +278,7 @@ class Recorder:
     def flush_rows(self) -> None:
         """Hand the waiting rows on."""
         if self.rows:
-            t = np.concatenate([t for t, _ in self.rows])
-            y = np.concatenate([y for _, y in self.rows])
+            t, y = map(np.concatenate, zip(*self.rows, strict=True))
             self.rows, self.waiting = [], 0
             self.sink(t, y[:, : 2 * self.mechanism.n + self.actuation.states], self.mechanism)
 
@@ -292,8 +287,7 @@ class Recorder:
         if not self.steps:
             return
         report, mechanism, n = self.report, self.mechanism, self.mechanism.n
-        t = np.concatenate([t for t, _ in self.steps])
-        y = np.concatenate([y for _, y in self.steps])
+        t, y = map(np.concatenate, zip(*self.steps, strict=True))
         self.steps, self.held = [], 0
         finite = np.isfinite(y).all(axis=1)
         t, y = t[finite], y[finite]
@@ -339,8 +333,6 @@ class Recorder:
 
     def _least_singular(self, Psi: Array) -> Array:
         """The least singular values (k,) of Psi (k, r, n), of those that can be other than 0."""
-        from robodyn.loops.closing import loop_size
-
         size = loop_size(self.mechanism)
         if not self.rank:  # of closures that depend on one another not all count
             s = np.linalg.svd(Psi[:: max(1, len(Psi) // 8)], compute_uv=False)

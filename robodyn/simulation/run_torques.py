@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
 
+from robodyn.errors import RobodynError
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -58,3 +60,14 @@ def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Arr
     rows = [at(*row) for row in zip(t.tolist(), y.tolist(), strict=True)]
     count = mechanism.n + actuation.states
     return np.array(rows, float).reshape(len(t), count)[:, : mechanism.n]
+
+
+def check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) -> None:
+    """Raise RobodynError where the torques at t are not finite."""
+    try:
+        torques = actuation.function(mechanism.n)(t, y.tolist())
+    except (ArithmeticError, ValueError):
+        torques = [math.nan]
+    if not all(map(math.isfinite, torques)):
+        limit = "the torque is not finite there"
+        raise RobodynError("cannot start", where=mechanism.source, limit=limit)

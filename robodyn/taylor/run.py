@@ -24,6 +24,7 @@ from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
+from robodyn.simulation.run_torques import check_start
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Engine, NoCodeError, Status, default_order
 from robodyn.taylor.held_steps import held_by_stability
@@ -195,7 +196,7 @@ def taylor_run(
             raise InputError("engine", value=engine, limit=limit)
     waits = engine == "auto" and stepping is None and seen[0] < worth
     stepping = stepping or careful()
-    _check_start(mechanism, actuation, begin, y)
+    check_start(mechanism, actuation, begin, y)
     t, begun = begin, time.perf_counter()
     recent: list[Chunk] = []  # steps in a row that are not yet known to be held by stability
     crosses = False  # whether only the motion that leads across a change point leads on
@@ -314,16 +315,6 @@ def reach(actuation: Actuation, t: float, y: Array) -> None:
     """Tell a torque that depends on the run's steps that one of them ended on a kink."""
     if actuation.told is not None and (kink := kink_at(actuation.kinks, t)) is not None:
         actuation.told.reach(kink, y.tolist())
-
-
-def _check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) -> None:
-    try:
-        torques = actuation.function(mechanism.n)(t, y.tolist())
-    except (ArithmeticError, ValueError):
-        torques = [math.nan]
-    if not all(map(math.isfinite, torques)):
-        limit = "the torque is not finite there"
-        raise RobodynError("cannot start", where=mechanism.source, limit=limit)
 
 
 @np.errstate(all="ignore")  # as of a run by it alone

@@ -51,7 +51,7 @@ PEERS = {  # and their names on PyPI
     "sympy": "sympy",
     "scipy": "scipy",
 }
-BOUND = 3.0
+BOUND = 1.0
 WIDTH = 160
 BATCH, TURNS, REPEATS = 100_000, 5, 9
 TOLERANCES = (10.0 ** -np.arange(3.0, 15.01, 0.5)).tolist()
