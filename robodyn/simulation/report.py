@@ -60,7 +60,7 @@ class Outcome(Enum):
 
 
 @short_repr
-@dataclass(eq=False, repr=False)
+@dataclass(repr=False)
 class Report:
     """What a run did: SI units; drift is relative to the largest energy in motion."""
 

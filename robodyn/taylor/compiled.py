@@ -64,8 +64,7 @@ class Rows(Observer):
         return k.load(k.at(own, place), ADDRESS if place < TABLE.index("count") else WHOLE)
 
     def _keep(self, k: Kernel, block: Word, own: Word, taken: Word, end: Word) -> None:
-        scene = self.scene
-        count = len(scene.state)
+        scene, count = self.scene, len(self.scene.state)
         wide, to = k.whole(count), scene.at(k, block, "to_q0")
         begin, direction = scene.get(k, block, "t"), scene.get(k, block, "direction")
         there = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
@@ -80,6 +79,7 @@ class Rows(Observer):
                 k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
             box = k.at(self._told(k, own, "boxes"), k.multiply(taken, k.whole(2 * turns)))
             write_box(scene, k, block, end, there, box)
+            self._again(k, there, to)
         with k.when(k.compare("sge", self._told(k, own, "watches"), k.whole(1))):
             watch = self._told(k, own, "watch")
             k.line(f"call void @event_step({block}, {watch}, {there}, {end})")
