@@ -272,10 +272,15 @@ class Phases:
         if hits:
             self.y = self._impact(t, y, hits, touches)
             _, qd = self._split(self.y)
-            still = AT_REST * float(np.abs(qd).max(initial=0.0))
-            rests = {joint for joint in rests if abs(qd[joint]) <= still}
-            touches = {end for end in touches | set(hits) if abs(qd[end[0]]) <= still}
+        still = AT_REST * float(np.abs(qd).max(initial=0.0))
+        rest = {joint for joint, rate in enumerate(qd.tolist()) if abs(rate) <= still}
+        if hits:
+            rests, touches = rest & set(self.dry), {x for x in touches | set(hits) if x[0] in rest}
         was, stood, starting = self.mode, set(self.still), self._starting(guard, t, y)
+        begun = self.started if self.idle and not hits else set()  # and have not moved since
+        touches |= {x for x in touching(self.mechanism, q, qd) if x[0] in rest - begun}
+        starting |= {j: way for j, way in self.mode.slips if j in (begun & rest) - rests}
+        rests |= set(starting) & set(self.dry)
         if begins and self.doubts < DOUBTS:
             starting = {guard.joint: guard.side}
         self._enter(t, rests, touches, pushing, starting)
@@ -300,13 +305,14 @@ class Phases:
         q, qd = self._split(y)
         ends = sorted({*hits, *touches})
         e = [self.limits[joint].restitution or 0.0 for joint, _ in ends]
-        after = rates_after(self.mechanism, q, qd, ends, e)
+        after = self._thrown(q, qd, ends, e)
         leaving = [-side * float(after[joint]) for joint, side in ends]
         qdd, over = np.zeros_like(qd), False
         if any(leaves > 0.0 and part < 1.0 for leaves, part in zip(leaving, e, strict=True)):
-            slips = tuple((j, 1 if after[j] > 0.0 else -1) for j in self.dry if after[j])
-            free = in_mode(self.mechanism, Mode((), slips))
-            qdd = forward_dynamics(free, q, after, self._torque(t, y), t)
+            given = self.mechanism, q, after, self._torque(t, y)
+            on = [end for end in ends if not after[end[0]]]
+            mode = mode_at(*given, resting(self.mechanism, after), on, t=t).mode
+            qdd = forward_dynamics(in_mode(self.mechanism, mode), *given[1:], t)
         for k, (joint, side) in enumerate(ends):
             back = side * float(qdd[joint])
             if leaving[k] > 0.0 and e[k] < 1.0 and back > 0.0:
@@ -316,15 +322,19 @@ class Phases:
                     e[k], over = 0.0, True
             self.thrown[joint] = leaving[k]
         if over:
-            after = rates_after(self.mechanism, q, qd, ends, e)
+            after = self._thrown(q, qd, ends, e)
         self.struck = list(zip(ends, e, strict=True))  # all touched, and restitutions
         y = y.copy()
         y[self.mechanism.n : 2 * self.mechanism.n] = after
         for joint, side in hits:
             self._tell(t, y, joint, f"hits its {end_word(side)}")
-            if abs(after[joint]) <= AT_REST * float(np.abs(after).max(initial=0.0)):
-                y[self.mechanism.n + joint] = 0.0
         return y
+
+    def _thrown(self, q: Array, qd: Array, ends: Sequence[End], e: Sequence[float]) -> Array:
+        """The rates after an impact; what rounding leaves of them is none."""
+        after = rates_after(self.mechanism, q, qd, ends, e)
+        least = AT_REST * max(np.abs(qd).max(), np.abs(after).max())
+        return np.where(np.abs(after) <= least, 0.0, after)
 
     def _resolves(self, joint: int, v: float, back: float) -> bool:
         """Whether a joint that meets its end with v was thrown back so far that steps show it."""
