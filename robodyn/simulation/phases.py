@@ -246,23 +246,19 @@ class Phases:
             pushing.add((guard.joint, guard.side))
         if guard.kind == "slips":
             rests.add(guard.joint)
-        fastest = float(np.abs(qd).max(initial=0.0))
-        hits = [
-            (joint, side)
-            for joint, side in touching(self.mechanism, q, qd)
-            if side * qd[joint] > AT_REST * fastest and (joint, side) not in touches
-        ]
-        ends = guard.kind == "inside"
-        meets = ends and guard.side * qd[guard.joint] > 0.0
+        least = AT_REST * float(np.abs(qd).max(initial=0.0))
+        ends = set(touching(self.mechanism, q, qd)) - touches
+        hits = sorted((joint, side) for joint, side in ends if side * qd[joint] > least)
+        inside = guard.kind == "inside"
+        meets = inside and guard.side * qd[guard.joint] > 0.0
         # a joint that starts from rest slips at least until its rate is more than is missed
         begins = guard.kind == "slips" and bool(self.idle) and guard.joint in self.started
-        self.doubts = self.doubts + 1 if begins or (ends and not meets) else 0
+        self.doubts = self.doubts + 1 if begins or (inside and not meets) else 0
         if meets:
             hits = sorted({*hits, (guard.joint, guard.side)})
         if self.doubts == DOUBTS:  # the method cannot tell how far it is thrown back: it rests
             touches.add((guard.joint, guard.side))
-        y = y.copy()
-        q, qd = self._split(y)
+        q, qd = self._split(y := y.copy())
         for joint, side in hits:  # rounding must not grow from bounce to bounce
             q[joint] = dict(self.limits[joint].ends)[side]
         if standing := sorted(rests | {joint for joint, _ in touches}):
@@ -305,36 +301,30 @@ class Phases:
         q, qd = self._split(y)
         ends = sorted({*hits, *touches})
         e = [self.limits[joint].restitution or 0.0 for joint, _ in ends]
-        after = self._thrown(q, qd, ends, e)
+        after = rates_after(self.mechanism, q, qd, ends, e)
         leaving = [-side * float(after[joint]) for joint, side in ends]
-        qdd, over = np.zeros_like(qd), False
+        qdd, kept = np.zeros_like(qd), list[float | None](e)
         if any(leaves > 0.0 and part < 1.0 for leaves, part in zip(leaving, e, strict=True)):
             given = self.mechanism, q, after, self._torque(t, y)
             on = [end for end in ends if not after[end[0]]]
             mode = mode_at(*given, resting(self.mechanism, after), on, t=t).mode
             qdd = forward_dynamics(in_mode(self.mechanism, mode), *given[1:], t)
         for k, (joint, side) in enumerate(ends):
-            back = side * float(qdd[joint])
-            if leaving[k] > 0.0 and e[k] < 1.0 and back > 0.0:
-                lasts = 2.0 * leaving[k] / (back * (1.0 - e[k]))
-                shown = self._resolves(joint, side * qd[joint], back)
-                if not shown or lasts < ENDLESS * abs(self.t_end):
-                    e[k], over = 0.0, True
-            self.thrown[joint] = leaving[k]
-        if over:
-            after = self._thrown(q, qd, ends, e)
-        self.struck = list(zip(ends, e, strict=True))  # all touched, and restitutions
+            back, leaves = side * float(qdd[joint]), leaving[k]
+            if leaves > 0.0 and e[k] < 1.0 and back > 0.0:
+                brief = leaves < 0.5 * back * (1.0 - e[k]) * ENDLESS * abs(self.t_end)
+                low = leaves**2 < 2.0 * back * INSTANT * math.ulp(q[joint])
+                if brief or low or not self._resolves(joint, side * qd[joint], back):
+                    kept[k] = None if brief or low else 0.0
+            self.thrown[joint] = leaves
+        if kept != e:
+            after = rates_after(self.mechanism, q, qd, ends, kept)
+        self.struck = [(x, part or 0.0) for x, part in zip(ends, kept, strict=True)]  # all touched
         y = y.copy()
         y[self.mechanism.n : 2 * self.mechanism.n] = after
         for joint, side in hits:
             self._tell(t, y, joint, f"hits its {end_word(side)}")
         return y
-
-    def _thrown(self, q: Array, qd: Array, ends: Sequence[End], e: Sequence[float]) -> Array:
-        """The rates after an impact; what rounding leaves of them is none."""
-        after = rates_after(self.mechanism, q, qd, ends, e)
-        least = AT_REST * max(np.abs(qd).max(), np.abs(after).max())
-        return np.where(np.abs(after) <= least, 0.0, after)
 
     def _resolves(self, joint: int, v: float, back: float) -> bool:
         """Whether a joint that meets its end with v was thrown back so far that steps show it."""
