@@ -437,3 +437,16 @@ def test_phases_of_one_step_count_as_evaluations() -> None:
     motion = simulate(scene(f"gravity: 10\nlinks: [{block}]\n"), [1e-8], [0.0], 0.02, **given)
     assert motion.outcome is Outcome.TOO_MANY_EVALUATIONS
     assert motion.report.evaluations <= 300 + 13  # those of one step
+
+
+def test_a_loop_without_load_that_stops_stays() -> None:
+    """What rounding leaves of its rates starts no joint."""
+    keys = {"coupler": dry(0.171, 0.205), "rocker": dry(0.14, 0.14)}
+    text = FOUR_BAR.replace("9.81", "0").format(crank="", **keys)
+    mechanism = scene(text)
+    for start in (0.5, 0.8, 1.1):
+        q = robodyn.assemble(mechanism, [start])
+        qd = robodyn.loop_velocities(mechanism, q, [1.5])
+        motion = simulate(mechanism, q, qd, 2.0, rtol=1e-9, atol=1e-9, max_evals=5000)
+        assert motion.outcome is Outcome.FINISHED
+        assert not motion.qd[-1].any()
