@@ -376,3 +376,77 @@ def test_samples_where_joints_stop_or_are_thrown_back() -> None:
         )
         assert one.events
         assert np.abs(one.q - other.q).max() < 1e-9
+
+
+# -- bounces without end -----------------------------------------------------------------------
+
+ARMS = """gravity: 9.81
+links:
+  - {{name: arm, m: 1.5, l: 0.3, r: 0.2, I: 0.05, limits: {{min: -0.5, max: 2, restitution: {}}}{}}}
+  - {{name: rod, m: 0.9, l: 0.5, r: [0.2, 0.1], I: 0.03{}}}
+"""
+BOUNCING = {  # the scene, its start, gains and pose of a controller, how long, and what rests
+    "one that slips": (
+        ARMS.format(0.3, ", friction: {torque: 0.5, static: 0.6}", ""),
+        ([-0.3, 0.1], [-1.0, 0.2], ([40, 20], [4, 2], [-0.7, 0.3])),
+        0.2,
+        [0],
+    ),
+    "one on another": (
+        ARMS.format(0.7, "", ", limits: {min: -0.6, max: 0.9, restitution: 0.1}"),
+        ([-0.06, 0.1], [-1.85, 0.97], None),
+        0.5,
+        [0, 1],
+    ),
+    "two that throw one another": (
+        ARMS.format(
+            0.27,
+            "",
+            "}\n  - {name: tip, m: 0.6, l: 0.4, r: 0.2, I: 0.03, "
+            "limits: {min: -0.5, max: 0.7, restitution: 0.72}",
+        ).replace("r: [0.2, 0.1]", "r: 0.2"),
+        ([-0.02, 0.1, -0.15], [-1.29, 1.09, -0.7], ([40, 20, 10], [4, 2, 1], [-0.77, 0.88, -0.97])),
+        0.3,
+        [0],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BOUNCING)
+def test_bounces_end_in_rest_at_any_tolerance(name: str) -> None:
+    text, (q, qd, law), end, rests = BOUNCING[name]
+    mechanism, tau, ends = scene(text), None, []
+    if law is not None:
+        kp, kd, pose = law
+        reference = robodyn.ReferenceTable.set_point(pose, 1.0)
+        tau = robodyn.controller(mechanism, reference, "pd", kp=kp, kd=kd)
+    for tolerance in (1e-10, 1e-4, 1e-6, 1e-12, 1e-13):
+        given = {"rtol": tolerance, "atol": tolerance, "max_evals": 20_000}
+        motion = simulate(mechanism, q, qd, end, tau, **given)
+        assert motion.outcome is Outcome.FINISHED, tolerance
+        ends.append(np.r_[motion.q[-1], motion.qd[-1]])
+        assert np.abs(ends[-1] - ends[0]).max() < 1e-8 + 100.0 * tolerance, tolerance
+        assert not motion.qd[-1, rests].any()
+
+
+def test_phases_of_one_step_count_as_evaluations() -> None:
+    """However soon one phase follows another."""
+    ends = "limits: {min: 0, restitution: 1}"
+    block = f"{{name: block, joint: prismatic, axis: [0, 1], m: 1, l: 0, r: 0, I: 0, {ends}}}"
+    given = {"rtol": 1e-4, "atol": 1e-4, "max_evals": 300}
+    motion = simulate(scene(f"gravity: 10\nlinks: [{block}]\n"), [1e-8], [0.0], 0.02, **given)
+    assert motion.outcome is Outcome.TOO_MANY_EVALUATIONS
+    assert motion.report.evaluations <= 300 + 13  # those of one step
+
+
+def test_a_loop_without_load_that_stops_stays() -> None:
+    """What rounding leaves of its rates starts no joint."""
+    keys = {"coupler": dry(0.171, 0.205), "rocker": dry(0.14, 0.14)}
+    text = FOUR_BAR.replace("9.81", "0").format(crank="", **keys)
+    mechanism = scene(text)
+    for start in (0.5, 0.8, 1.1):
+        q = robodyn.assemble(mechanism, [start])
+        qd = robodyn.loop_velocities(mechanism, q, [1.5])
+        motion = simulate(mechanism, q, qd, 2.0, rtol=1e-9, atol=1e-9, max_evals=5000)
+        assert motion.outcome is Outcome.FINISHED
+        assert not motion.qd[-1].any()

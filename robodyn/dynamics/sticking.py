@@ -212,7 +212,9 @@ def stopped(
         kept = Vt[s > TOGETHER * s[0]]
         after -= units * (kept.T @ (kept @ (qd / units)))
     after[list(joints)] = 0.0
-    least = np.maximum(STOPPED * np.abs(qd), AT_REST * np.abs(qd).max(initial=0.0))
+    none = AT_REST * np.abs(qd).max(initial=0.0)
+    after[np.abs(after) <= none] = 0.0  # what rounding leaves
+    least = np.maximum(STOPPED * np.abs(qd), none)
     also = [j for j, _ in mechanism.dry if j not in joints and abs(after[j]) <= least[j]]
     after[also] = 0.0
     return after, also

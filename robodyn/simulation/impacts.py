@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from robodyn.dynamics.dense_dynamics import responses
-from robodyn.dynamics.sticking import forces_between
+from robodyn.dynamics.sticking import AT_REST, forces_between
 from robodyn.errors import SingularError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
@@ -28,14 +28,19 @@ def rates_after(
     q: Array,
     qd: Array,
     touches: Sequence[tuple[int, int]],
-    restitutions: Sequence[float],
+    restitutions: Sequence[float | None],
 ) -> Array:
     """qd (n) after an impact at q; `touches` are joints and the sides of their stops.
+
+    Those whose restitution is None are at rest from then on: what they have left to bounce, others
+    may have thrown them, is over at once, and the impulses of all that are one, p of any sign.
 
     Raises SingularError where no impulses throw all of them back.
     """
     p, jumps = impulses(mechanism, q, qd, touches, restitutions)
-    return np.asarray(qd + jumps @ p)
+    after = qd + jumps @ p
+    least = AT_REST * max(np.abs(qd).max(), np.abs(after).max())  # of which rounding leaves less
+    return np.where(np.abs(after) <= least, 0.0, after)
 
 
 def impulses(
@@ -43,15 +48,16 @@ def impulses(
     q: Array,
     qd: Array,
     touches: Sequence[tuple[int, int]],
-    restitutions: Sequence[float],
+    restitutions: Sequence[float | None],
 ) -> tuple[Array, Array]:
     """Those of `rates_after`, p (k), and how each makes qd jump, (n, k)."""
     joints = [joint for joint, _ in touches]
     ways = -np.array([side for _, side in touches], float)  # in which stops are left
     jumps = (ways[:, None] * responses(mechanism, q, joints)).T  # of qd (n, k) by each impulse
     W, v = ways[:, None] * jumps[joints], ways * qd[joints]
-    bounced = v + np.array(restitutions) * v
-    p = forces_between(bounced, W, np.zeros(len(v)), np.full(len(v), np.inf))
+    bounced = v + np.array([e or 0.0 for e in restitutions]) * v
+    least = np.array([-np.inf if e is None else 0.0 for e in restitutions])
+    p = forces_between(bounced, W, least, np.full(len(v), np.inf))
     if (W @ p + bounced >= -SLACK * np.abs(v).max(initial=0.0)).all():
         return p, jumps
     names = ", ".join(mechanism.link_names[joint] for joint in joints)

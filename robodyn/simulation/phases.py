@@ -246,23 +246,19 @@ class Phases:
             pushing.add((guard.joint, guard.side))
         if guard.kind == "slips":
             rests.add(guard.joint)
-        fastest = float(np.abs(qd).max(initial=0.0))
-        hits = [
-            (joint, side)
-            for joint, side in touching(self.mechanism, q, qd)
-            if side * qd[joint] > AT_REST * fastest and (joint, side) not in touches
-        ]
-        ends = guard.kind == "inside"
-        meets = ends and guard.side * qd[guard.joint] > 0.0
+        least = AT_REST * float(np.abs(qd).max(initial=0.0))
+        ends = set(touching(self.mechanism, q, qd)) - touches
+        hits = sorted((joint, side) for joint, side in ends if side * qd[joint] > least)
+        inside = guard.kind == "inside"
+        meets = inside and guard.side * qd[guard.joint] > 0.0
         # a joint that starts from rest slips at least until its rate is more than is missed
         begins = guard.kind == "slips" and bool(self.idle) and guard.joint in self.started
-        self.doubts = self.doubts + 1 if begins or (ends and not meets) else 0
+        self.doubts = self.doubts + 1 if begins or (inside and not meets) else 0
         if meets:
             hits = sorted({*hits, (guard.joint, guard.side)})
         if self.doubts == DOUBTS:  # the method cannot tell how far it is thrown back: it rests
             touches.add((guard.joint, guard.side))
-        y = y.copy()
-        q, qd = self._split(y)
+        q, qd = self._split(y := y.copy())
         for joint, side in hits:  # rounding must not grow from bounce to bounce
             q[joint] = dict(self.limits[joint].ends)[side]
         if standing := sorted(rests | {joint for joint, _ in touches}):
@@ -272,10 +268,15 @@ class Phases:
         if hits:
             self.y = self._impact(t, y, hits, touches)
             _, qd = self._split(self.y)
-            still = AT_REST * float(np.abs(qd).max(initial=0.0))
-            rests = {joint for joint in rests if abs(qd[joint]) <= still}
-            touches = {end for end in touches | set(hits) if abs(qd[end[0]]) <= still}
+        still = AT_REST * float(np.abs(qd).max(initial=0.0))
+        rest = {joint for joint, rate in enumerate(qd.tolist()) if abs(rate) <= still}
+        if hits:
+            rests, touches = rest & set(self.dry), {x for x in touches | set(hits) if x[0] in rest}
         was, stood, starting = self.mode, set(self.still), self._starting(guard, t, y)
+        begun = self.started if self.idle and not hits else set()  # and have not moved since
+        touches |= {x for x in touching(self.mechanism, q, qd) if x[0] in rest - begun}
+        starting |= {j: way for j, way in self.mode.slips if j in (begun & rest) - rests}
+        rests |= set(starting) & set(self.dry)
         if begins and self.doubts < DOUBTS:
             starting = {guard.joint: guard.side}
         self._enter(t, rests, touches, pushing, starting)
@@ -302,28 +303,27 @@ class Phases:
         e = [self.limits[joint].restitution or 0.0 for joint, _ in ends]
         after = rates_after(self.mechanism, q, qd, ends, e)
         leaving = [-side * float(after[joint]) for joint, side in ends]
-        qdd, over = np.zeros_like(qd), False
+        qdd, kept = np.zeros_like(qd), list[float | None](e)
         if any(leaves > 0.0 and part < 1.0 for leaves, part in zip(leaving, e, strict=True)):
-            slips = tuple((j, 1 if after[j] > 0.0 else -1) for j in self.dry if after[j])
-            free = in_mode(self.mechanism, Mode((), slips))
-            qdd = forward_dynamics(free, q, after, self._torque(t, y), t)
+            given = self.mechanism, q, after, self._torque(t, y)
+            on = [end for end in ends if not after[end[0]]]
+            mode = mode_at(*given, resting(self.mechanism, after), on, t=t).mode
+            qdd = forward_dynamics(in_mode(self.mechanism, mode), *given[1:], t)
         for k, (joint, side) in enumerate(ends):
-            back = side * float(qdd[joint])
-            if leaving[k] > 0.0 and e[k] < 1.0 and back > 0.0:
-                lasts = 2.0 * leaving[k] / (back * (1.0 - e[k]))
-                shown = self._resolves(joint, side * qd[joint], back)
-                if not shown or lasts < ENDLESS * abs(self.t_end):
-                    e[k], over = 0.0, True
-            self.thrown[joint] = leaving[k]
-        if over:
-            after = rates_after(self.mechanism, q, qd, ends, e)
-        self.struck = list(zip(ends, e, strict=True))  # all touched, and restitutions
+            back, leaves = side * float(qdd[joint]), leaving[k]
+            if leaves > 0.0 and e[k] < 1.0 and back > 0.0:
+                brief = leaves < 0.5 * back * (1.0 - e[k]) * ENDLESS * abs(self.t_end)
+                low = leaves**2 < 2.0 * back * INSTANT * math.ulp(q[joint])
+                if brief or low or not self._resolves(joint, side * qd[joint], back):
+                    kept[k] = None if brief or low else 0.0
+            self.thrown[joint] = leaves
+        if kept != e:
+            after = rates_after(self.mechanism, q, qd, ends, kept)
+        self.struck = [(x, part or 0.0) for x, part in zip(ends, kept, strict=True)]  # all touched
         y = y.copy()
         y[self.mechanism.n : 2 * self.mechanism.n] = after
         for joint, side in hits:
             self._tell(t, y, joint, f"hits its {end_word(side)}")
-            if abs(after[joint]) <= AT_REST * float(np.abs(after).max(initial=0.0)):
-                y[self.mechanism.n + joint] = 0.0
         return y
 
     def _resolves(self, joint: int, v: float, back: float) -> bool:

@@ -139,7 +139,8 @@ class Recorder:
         self.steps.append((np.array([t]), y[None]))
         self.last = t, y
         self.held += 1
-        self._stepped(t, stop is None and solver.status == "running")
+        self.stopped = stop
+        self._stepped(t, solver.status == "running" if stop is None else self.guard is not None)
         if stop is not None:
             self.stop(stop)
 
