@@ -34,13 +34,15 @@ class Steps(NamedTuple):
     `expand(t, y, tau, slope, most, direction, rtol, atol)` gives a step of at most `most`, the
     state at its end, and its series: rho (n), theta (n), the power where something `works` that is
     no steady torque, then those of what may bend.  Of a step that cannot be made there are none.
-    `watched(t, y, tau, slope)` has the values of what may bend; `arms` make torques of these.
+    `watched(t, y, tau, slope)` has the values of what may bend; `arms` make torques of these;
+    `gap(t, y, series, x, end)`, if any, is no less than what these miss within a step.
     """
 
     expand: Callable[..., Expanded]
     watched: Callable[..., tuple[float, ...]]
     arms: list[float]
     works: bool
+    gap: Callable[..., float] | None = None
 
 
 class _Asked(NamedTuple):
@@ -235,9 +237,14 @@ class SteppingEngine:
         relative = max(math.sqrt(rtol), KINK)
         miss = atol + rtol * max(map(abs, state[n : 2 * n]))  # of a rate
         miss *= (self.order + 1) * self.lightest
+        gap = self._now.gap
         while h >= 4.0 * math.ulp(t):
             x = h * direction
-            falls = falls_over(self.mechanism, state, new)
+            falls = self.mechanism.slips and falls_over(self.mechanism, state, new)
+            if gap is not None and not falls:
+                with suppress(ArithmeticError, ValueError):  # outside a torque's domain
+                    if gap(t, state, series, x, new) <= miss / h:
+                        break
             if not falls and self._agrees(series, x, t + x, new, relative, miss / h):
                 if not self.mechanism.bends_inside:
                     break
