@@ -195,7 +195,10 @@ class SteppingEngine:
             if (due and due == len(times)) or (self.halts is not None and self.halts(t)):
                 break
         made = np.array(states).reshape(len(states), len(y))
-        row_y = self._rows(asked) if asked else np.zeros((0, len(y)))
+        if len(asked) == 1 and due == 1 and asked[0].end is not None:  # the end of the last step
+            row_y = made[-1:]
+        else:
+            row_y = self._rows(asked) if asked else np.zeros((0, len(y)))
         found = Chunk(np.array(ends), made, times[:due], row_y, status)
         return found._replace(kept=self._kept(begin, y, found, kept)) if kept else found
 
