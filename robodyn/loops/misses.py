@@ -119,8 +119,10 @@ class Misses:
         And what its rates err by in any case, rad/s: no tolerance below that can be met.
         """
         n = self.mechanism.n
-        distance = self.distance(y[:n]) if self._known else math.inf
         fastest = max(*map(abs, y[n : 2 * n]), SLOWEST)
+        if not self._known:
+            return TURN / fastest, math.inf, 0.0
+        distance = self.distance(y[:n])
         longest = min(SHARE * distance, TURN) / fastest
         return longest, FINE * distance, ROUNDING * fastest / distance
 

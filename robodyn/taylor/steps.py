@@ -104,9 +104,10 @@ class SteppingEngine:
     @property
     def _now(self) -> Steps:
         """What expanded the motion last."""
-        if self._held not in self._made:
-            self._made[self._held] = self.make(self._held)
-        return self._made[self._held]
+        found = self._made.get(self._held)
+        if found is None:
+            found = self._made[self._held] = self.make(self._held)
+        return found
 
     def _table(self, t: float, y: list[float], direction: float) -> Pieces:
         """The torques at t, and their slopes, of a table; else nothing."""
@@ -116,9 +117,11 @@ class SteppingEngine:
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         """The series at y, a step h of at most `most`, and the state at its end."""
-        given = self._table(t, y, direction)
+        steady = self.actuation.constants is not None
+        given = ((), ()) if steady else self._table(t, y, direction)
         try:
-            return self._at(t).expand(t, y, *given, most, direction, *self.tolerances)
+            steps = self._now if self.actuation.pieces is None else self._at(t)
+            return steps.expand(t, y, *given, most, direction, *self.tolerances)
         except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
             return 0.0, y, ()
 
@@ -158,12 +161,15 @@ class SteppingEngine:
             if self.misses is not None:
                 longest, fine, _ = self.misses.holds(state)
                 most = min(most, longest)
-                self.tolerances = min(self._given[0], fine), min(self._given[1], fine)
+                self.tolerances = self._given
+                if fine < math.inf:
+                    self.tolerances = min(self._given[0], fine), min(self._given[1], fine)
             h, new, series = self.expand(t, state, most, direction)
             if not len(series):
                 status = Status.NOT_FINITE
                 break
-            if self._now.arms:
+            now = self._now
+            if now.arms:
                 h, new = self._shorten(t, state, h, new, series, direction)
             if h < 4.0 * math.ulp(t) and h != left:
                 status = Status.STUCK
@@ -178,7 +184,7 @@ class SteppingEngine:
             if due < len(times) and (times[due] - end) * direction <= 0.0:
                 last = due + int(np.searchsorted((times[due:] - end) * direction, 0.0, "right"))
                 ended = new if times[last - 1] == end else None
-                asked.append(_Asked(state, series, self._now.works, times[due:last] - t, ended))
+                asked.append(_Asked(state, series, now.works, times[due:last] - t, ended))
                 due = last
             self.last = t, state, series
             if self.keeps:
