@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 from bench_derivatives import derivatives, sensitivities
-from bench_frontier import frontier, taylor_process
+from bench_frontier import frontier, taylor_process, what_acts
 from bench_identify import identification
 from bench_motions import many_loops, motions, series_engines, sliding_joints, watched_runs
 from bench_sweep import sweeps
@@ -343,6 +343,7 @@ MEASURES = [
     right_hand_sides,
     evaluators,
     taylor_process,
+    what_acts,
     frontier,
     series_engines,
     sliding_joints,

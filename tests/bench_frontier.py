@@ -4,8 +4,7 @@ The yardstick is the fastest that scipy can do: its compiled dop853 and LSODA (`
 right-hand sides written by hand.  Ours is the Taylor integrator, projections included.  Both run
 at the same tolerances, in turn; the time that an error takes is read off a line through the runs
 whose errors, against references of 20 digits, are near it (log-log, least squares), for a single
-run may be lucky.  What a call of `robodyn.simulate` adds (checks, energies, the report) stands in
-a row of its own.
+run may be lucky.  Whole calls of `robodyn.simulate` stand in rows of their own.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from time import process_time
 from timeit import timeit
 from typing import Any
 
@@ -26,6 +26,8 @@ from scipy.integrate import ode, odeint
 import robodyn
 from robodyn.engines import machine
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import build
+from robodyn.scene.description import from_text
 from robodyn.taylor.run import compiled_engine, stepping_engine
 from yardsticks import four_bar_rates, two_link_rates
 
@@ -150,6 +152,10 @@ def curves(problem: Case, repeats: int) -> dict[str, Curve]:
     }
     if machine.available():
         found["compiled"] = Curve(problem, [taylor(problem, "compiled", x) for x in loose])
+    for engine in found.keys() & {"python", "compiled"}:
+        # fewer than engines in machine code that are kept for the next call
+        runs: list[Run] = [partial(call, problem, engine, x) for x in loose[::2]]
+        found[f"simulate(), {engine}"] = Curve(problem, runs)
     for curve in found.values():
         curve.measure()
     for _ in range(repeats):
@@ -160,7 +166,7 @@ def curves(problem: Case, repeats: int) -> dict[str, Curve]:
 
 def frontier(bench: Any) -> list[Any]:
     """Rows of `bench.py`."""
-    from bench import Row, compared, in_turn
+    from bench import Row
 
     rows = []
     repeats = 3 if bench.quick else 9
@@ -177,8 +183,9 @@ def frontier(bench: Any) -> list[Any]:
             for target in targets:
                 yardstick = min(other.time(target) for other in scipy)
                 seconds = curve.time(target)
-                bound = {"python": 1.2}.get(engine, 0.1 if target <= 1e-6 else None)
-                if engine == "python" and reference == "2r-chaotic":
+                python = engine.endswith("python")
+                bound = 1.2 if python else 0.1 if engine != "compiled" or target <= 1e-6 else None
+                if python and reference == "2r-chaotic":
                     bound = None
                 row = Row(
                     f"{problem.name}, to {target:g}, {engine}",
@@ -188,13 +195,11 @@ def frontier(bench: Any) -> list[Any]:
                     ours=f"{1e3 * seconds:.4g} ms",
                 )
                 rows.append(row)
+            if engine not in ("python", "compiled"):
+                continue
             reached = f"scipy reaches {their_error:.2g}"
             what, error = f"{problem.name}, error reached, {engine}", float(curve.errors.min())
             rows.append(Row(what, error, bound=reach, yardstick=reached))
-            whole = partial(call, problem, engine, 1e-6)
-            times = in_turn(whole, taylor(problem, engine, 1e-6), 5 if bench.quick else 25)
-            what = f"{problem.name}, simulate() at 1e-6, {engine}"
-            rows.append(compared(what, times, 1, "its integrator alone"))
         if problem.mechanism.rows:
             n = problem.mechanism.n
             start = problem.start[:n], problem.start[n:]
@@ -203,6 +208,37 @@ def frontier(bench: Any) -> list[Any]:
             )
             gap = motion.report.largest_gap
             rows.append(Row(f"{problem.name}, largest gap, m", gap, bound=1e-13))
+    return rows
+
+
+PLAIN = """gravity: 9.81
+links:
+- {name: a, m: 1.2, l: 0.5, r: 0.2, I: 0.02}
+- {name: b, m: 0.8, l: 0.4, r: 0.18, I: 0.011}
+"""
+SPRING = (
+    "springs: [{between: [{link: b, at: [0.2, 0.05]}, [0.3, 0.4]], stiffness: 40, length: 0.3}]"
+)
+RUBBING = ", friction: {torque: 0.3, speed: 0.5}}"
+SCENES = {"a spring": PLAIN + SPRING, "friction": PLAIN.replace("}", RUBBING)}
+
+
+def what_acts(bench: Any) -> list[Any]:
+    """Series of scenes in which something acts, beside the same scene without it."""
+    from bench import compared, in_turn
+
+    def run(text: str, engine: str) -> Run:
+        mechanism = build(from_text(text, "bench"))
+        start = np.array([0.4, 0.8]), np.zeros(2)
+        problem = Case("", mechanism, np.concatenate(start), 5.0, np.zeros(0), lambda t, y: [])
+        return partial(call, problem, engine, 1e-9)
+
+    rows = []
+    for engine in ("python", "compiled") if machine.available() else ("python",):
+        plain = run(PLAIN, engine)
+        for name, text in SCENES.items():
+            times = in_turn(run(text, engine), plain, 5 if bench.quick else 15, process_time)
+            rows.append(compared(f"{name} in series, {engine}", times, 1, "without it", bound=3.0))
     return rows
 
 

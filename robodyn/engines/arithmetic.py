@@ -93,12 +93,19 @@ def convolution(x: Any, y: Any, m: int, first: int, last: int) -> Value:
 
 
 def weighted(
-    x: Any, y: Any, m: int, first: int, last: int, slope: float, level: Value = 0.0
+    x: Any,
+    y: Any,
+    m: int,
+    first: int,
+    last: int,
+    slope: float,
+    level: Value = 0.0,
+    keep: Callable[[Value], Value] = lambda value: value,
 ) -> Value:
     """Sum of (slope j + level) x_j y_{m-j} for j from `first` to `last`."""
     total: Value = 0.0
     for j in range(first, last + 1):
-        total = plus(total, times(times(slope * j + level, x[j]), y[m - j]))
+        total = plus(total, times(keep(times(slope * j + level, x[j])), y[m - j]))
     return total
 
 

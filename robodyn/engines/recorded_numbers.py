@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from robodyn.engines import expression
-from robodyn.engines.arithmetic import Arithmetic
+from robodyn.engines.arithmetic import Arithmetic, weighted
 from robodyn.engines.expression import Expression, Value
 
 
@@ -35,6 +35,7 @@ RECORDED = Arithmetic(
     cos=expression.cos,
     sin=expression.sin,
     power=_power,
+    weigh=partial(weighted, keep=expression.keep),
     keep=expression.keep,
     chosen=_chosen,
     functions={name: partial(expression.call, name) for name in expression.FUNCTIONS},

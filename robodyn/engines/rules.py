@@ -73,7 +73,7 @@ class Rules(Frames):
             case Slide(joint=k):
                 return self._slide(k, m)
             case Rate(turn=E):
-                return self._rate(E, m)
+                return self._rate(slot, E, m)
             case Integral(start=start) | Anchored(start=start) if m == 0:
                 given = self.state.given[start]
                 return given(0) if callable(given) else given[0]
@@ -213,10 +213,11 @@ class Rules(Frames):
             total = plus(total, times(0.5, times(half, half)))
         return total
 
-    def _rate(self, E: Slot, m: int) -> Value:
-        """Of w = Im(conj(z) z'): the terms that are known; theta_0 = 0."""
+    def _rate(self, slot: Slot, E: Slot, m: int) -> Value:
+        """Of w in z' = i w z: the terms that are known."""
         rho, theta = self._moment[E]
-        return self.weigh(theta, rho, m + 1, 1, m + 1, 2.0, -1.0 * (m + 1))
+        known = self.convolve(self.real[slot], rho, m, 0, m - 1)
+        return difference(times(m + 1.0, theta[m + 1]), known)
 
     def _known_moment(self, slot: Slot, row: Moment, m: int) -> Value:
         """Im(conj(z) F) in the frame of the link, with its own part inertia P in F."""
@@ -239,8 +240,9 @@ class Rules(Frames):
             if m == 0:
                 return functions["tanh"](x[0])
             square = self.convolve(y, y, m - 1)
-            other[m - 1] = difference(1.0 if m == 1 else 0.0, square)
-            return self.slope(x, other, m)
+            keep = self.arithmetic.keep
+            other[m - 1] = keep(difference(1.0 if m == 1 else 0.0, square))
+            return keep(self.slope(x, other, m))
         partner = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}[name]
         if m == 0:
             other[0] = functions[partner](x[0])

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robodyn.engines import expression, formulas, source_text
 from robodyn.engines.expression import Expression, Value
 from robodyn.engines.formulas import Formula
-from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    from robodyn.mechanics.actuation import Actuation
 
 FloatFunction = Callable[..., tuple[float, ...]]
 ArrayFunction = Callable[..., None]

@@ -7,6 +7,7 @@ one that leapt is taken again: the orientation of a loop's rows in Psi turns ove
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import mul
@@ -118,8 +119,10 @@ class Misses:
         And what its rates err by in any case, rad/s: no tolerance below that can be met.
         """
         n = self.mechanism.n
-        distance = self.distance(y[:n])
         fastest = max(*map(abs, y[n : 2 * n]), SLOWEST)
+        if not self._known:
+            return TURN / fastest, math.inf, 0.0
+        distance = self.distance(y[:n])
         longest = min(SHARE * distance, TURN) / fastest
         return longest, FINE * distance, ROUNDING * fastest / distance
 
@@ -144,8 +147,14 @@ class Misses:
         q = y[:, : self.mechanism.n]
         if not self._guards or not np.isfinite(q).all():
             return []
-        ways = (placed(self.mechanism, x) for x in (q[1:], q[:-1]))
-        Psi = [sparse_rows(self.mechanism, at) for at in ways]
+        rows = sparse_rows(self.mechanism, placed(self.mechanism, q))
+        Psi = [
+            [
+                {k: x[part] if isinstance(x, np.ndarray) else x for k, x in row.items()}
+                for row in rows
+            ]
+            for part in (slice(1, None), slice(-1))
+        ]
         with np.errstate(all="ignore"):
             turned = np.any([~(x > 0.0) for x in orientation(self.mechanism, *Psi)], axis=0)
         return [

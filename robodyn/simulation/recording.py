@@ -44,6 +44,14 @@ NEVER = 1e4  # times the steps that a run may take: even if they grew as much it
 WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
 
 
+def joined(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Times and states one after another."""
+    if len(parts) == 1:
+        return parts[0]
+    t, y = zip(*parts, strict=True)
+    return np.concatenate(t), np.concatenate(y)
+
+
 @dataclass(eq=False, repr=False)
 class Recorder:
     """Sees every accepted step: makes the rows, keeps the statistics."""
@@ -279,7 +287,7 @@ class Recorder:
     def flush_rows(self) -> None:
         """Hand the waiting rows on."""
         if self.rows:
-            t, y = map(np.concatenate, zip(*self.rows, strict=True))
+            t, y = joined(self.rows)
             self.rows, self.waiting = [], 0
             self.sink(t, y[:, : 2 * self.mechanism.n + self.actuation.states], self.mechanism)
 
@@ -288,7 +296,7 @@ class Recorder:
         if not self.steps:
             return
         report, mechanism, n = self.report, self.mechanism, self.mechanism.n
-        t, y = map(np.concatenate, zip(*self.steps, strict=True))
+        t, y = joined(self.steps)
         self.steps, self.held = [], 0
         finite = np.isfinite(y).all(axis=1)
         t, y = t[finite], y[finite]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import lru_cache
 
 import numpy as np
 
@@ -21,7 +22,7 @@ def as_actuation(
 ) -> Actuation:
     """Torques as constants, an expression, a function tau(t, q, qd), or none."""
     if tau is None:
-        return Actuation((0.0,) * mechanism.n)
+        return _none(mechanism.n)
     if isinstance(tau, Actuation):
         return tau
     if isinstance(tau, str):
@@ -29,6 +30,11 @@ def as_actuation(
     if callable(tau):
         return torque_sources.callback(mechanism, tau)
     return torque_sources.constant(mechanism, [float(x) for x in np.asarray(tau, float)])
+
+
+@lru_cache
+def _none(n: int) -> Actuation:
+    return Actuation((0.0,) * n)
 
 
 def over_run(
@@ -46,7 +52,9 @@ def over_run(
 def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:
     """The joint torques (T, n) of an actuation at times (T,) and states (T, 2n or more)."""
     if actuation.constants is not None:
-        return np.full((len(t), mechanism.n), actuation.constants)
+        steady = np.empty((len(t), mechanism.n))
+        steady[:] = actuation.constants
+        return steady
     torques = at = actuation.function(mechanism.n)
     if actuation.given is not None:
         given = actuation.given.function(mechanism.n)
@@ -65,9 +73,10 @@ def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Arr
 def check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) -> None:
     """Raise RobodynError where the torques at t are not finite."""
     try:
-        torques = actuation.function(mechanism.n)(t, y.tolist())
+        function = actuation.function(mechanism.n)
+        torques = actuation.constants or function(t, y.tolist())
     except (ArithmeticError, ValueError):
-        torques = [math.nan]
+        torques = (math.nan,)
     if not all(map(math.isfinite, torques)):
         limit = "the torque is not finite there"
         raise RobodynError("cannot start", where=mechanism.source, limit=limit)

@@ -7,6 +7,7 @@ statistics leave the run in batches, so its memory does not grow with its length
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from robodyn.errors import InputError, SingularError, printable
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
-from robodyn.simulation.recording import Recorder, Sink
+from robodyn.simulation.recording import Recorder, Sink, joined
 from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.run_torques import applied_torques, as_actuation, over_run
 from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
@@ -197,7 +198,7 @@ def simulate(
         return sorted([*events, *recorder.contacts], key=lambda event: abs(event.t))
 
     rows = rows or [(np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity)))))]
-    t, y = rows[0] if len(rows) == 1 else map(np.concatenate, zip(*rows, strict=True))
+    t, y = joined(rows)
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
     by, further = None, Columns()
@@ -246,7 +247,7 @@ def run(
     The recorder has the report, and its statistics once it is settled.
     """
     settings.check()
-    if not np.isfinite(t_end):
+    if not math.isfinite(t_end):
         raise InputError("time", value=t_end, limit="must be finite")
     if abs(t_end) > settings.max_step * settings.max_evaluations:
         limit = f"{t_end:g} s would take more steps than max_evals, {settings.max_evaluations}"
@@ -261,7 +262,7 @@ def run(
     n = mechanism.n
     work = actuation.active or mechanism.changes_energy or mechanism.switches
     own = actuation.start or [0.0] * actuation.states
-    y = np.concatenate([state, own, [0.0] * work])
+    y = np.array([*state.tolist(), *own, *[0.0] * work])
     if t_end != 0.0 and mechanism.rows:
         from robodyn.loops import loop_rates
 
@@ -327,11 +328,14 @@ def check_span(actuation: Actuation, t_end: float) -> None:
 
 def _check_times(times: Array, t_end: float) -> None:
     direction = -1.0 if t_end < 0.0 else 1.0
-    if times.ndim != 1 or not np.isfinite(times).all():
+    if times.ndim != 1:
         raise InputError("t_eval", limit="must be a list of finite times")
+    if not len(times):
+        return
+    first, last = float(times[0]) * direction, float(times[-1]) * direction
     ordered = len(times) < 2 or (np.diff(times) * direction > 0.0).all()
-    within = len(times) == 0 or (
-        times[0] * direction >= 0.0 and times[-1] * direction <= t_end * direction
-    )
-    if not (ordered and within):
-        raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")
+    if ordered and first >= 0.0 and last <= t_end * direction:  # so all are finite
+        return
+    if not np.isfinite(times).all():
+        raise InputError("t_eval", limit="must be a list of finite times")
+    raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")

@@ -5,7 +5,6 @@ See `table.py` for the use of both.  Floats are written as `repr` writes them, s
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, BinaryIO
@@ -163,11 +162,11 @@ class JsonWriter(Writer):
         text = unquoted(field)
         value = finite(text)
         if value is None:
-            return json.dumps(text, ensure_ascii=False)
-        return text if _JSON_NUMBER.fullmatch(text) else repr(value)
+            return _quoted(text)
+        return text if re.fullmatch(_JSON_NUMBER, text) else repr(value)
 
     def _begin(self) -> None:
-        names = [json.dumps(name, ensure_ascii=False).replace("%", "%%") for name in self._header]
+        names = [_quoted(name).replace("%", "%%") for name in self._header]
         self._template = "{" + ", ".join(f"{name}: %s" for name in names) + "}"
         self._separator = ""
         self._write("[\n")
@@ -178,7 +177,13 @@ class JsonWriter(Writer):
             self._separator = ",\n"
 
 
+def _quoted(text: str) -> str:
+    import json  # as few tables are
+
+    return json.dumps(text, ensure_ascii=False)
+
+
 _NULL = dict.fromkeys(("nan", "inf", "-inf", ""), "null")
-_JSON_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
+_JSON_NUMBER = r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?"
 
 WRITERS = {"csv": Writer, "json": JsonWriter}

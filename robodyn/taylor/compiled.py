@@ -168,6 +168,7 @@ class CompiledEngine:
         self._options, self._tolerances = (work, project, family), (float(rtol), float(atol))
         self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
+        self._views: tuple[Any, ...] = ((),)
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps, self.most = False, STEPS
         self.forms: Forms | None = None
@@ -307,37 +308,36 @@ class CompiledEngine:
             code.close(address)
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
-        wanted = len(times)
-        turns = steps * 2 * self.mechanism.n * keeps
-        sizes = (
-            len(TABLE),
-            wanted,
-            wanted * N,
-            steps,
-            steps * N,
-            2 * turns,
-            turns * (self.order + 2),
-        )
-        a, b, c, d, e, f, end = accumulate(sizes)
-        if len(self._room) < end:
-            self._room = np.empty(end)
-        room = self._room
-        table, told = room[:a].view(np.int64), room.ctypes.data
-        places = (told + 8 * x for x in (a, b, c, d, e, f))
-        table[:] = *places, self._at_watch, wanted, 0, keeps, watches
-        room[a:b] = times
-        code.advance(address, steps, told)
+        layout = len(times), N, steps, keeps, watches
+        _, at, table, asked, rows, ends, states, boxes, series = self._laid(layout)
+        table[TABLE.index("given")] = 0
+        asked[:] = times
+        code.advance(address, steps, at)
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])
         status = block[place["status"]]
         found = Status.FULL if status == RUNNING else Status(int(status))
-        rows = room[b : b + given * N].reshape(given, N)
-        ends, states = room[c : c + taken].copy(), room[d : d + taken * N].reshape(taken, N)
-        kept = None
-        if keeps:
-            series = room[f:end].reshape(steps, self.order + 2, 2 * self.mechanism.n)
-            boxes = room[e:f].reshape(steps, 2, 2 * self.mechanism.n)[:taken]
-            kept = Kept(boxes, series.view(np.complex128).__getitem__)
-        return Chunk(ends, states.copy(), times[:given], rows.copy(), found, kept)
+        kept = Kept(boxes[:taken], series.__getitem__) if keeps else None
+        made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
+        return Chunk(*made, found, kept)
+
+    def _laid(self, layout: tuple[int, int, int, bool, bool]) -> tuple[Any, ...]:
+        """Where the observer's table is, it, and the times, rows, ends, states, and series."""
+        if layout == self._views[0]:
+            return self._views
+        wanted, N, steps, keeps, _ = layout
+        wide, orders = 2 * self.mechanism.n, self.order + 2
+        turns = steps * wide * keeps
+        sizes = len(TABLE), wanted, wanted * N, steps, steps * N, 2 * turns, turns * orders
+        a, b, c, d, e, f, end = accumulate(sizes)
+        if len(self._room) < end:
+            self._room = np.empty(end)
+        room, at = self._room, self._room.ctypes.data
+        table = room[:a].view(np.int64)
+        table[:] = *(at + 8 * x for x in (a, b, c, d, e, f)), self._at_watch, wanted, 0, *layout[3:]
+        boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end].reshape(-1, orders, wide)
+        parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(steps, N)
+        self._views = layout, at, table, *parts, boxes, series.view(np.complex128)
+        return self._views
 
 
 @lru_cache(maxsize=64)

@@ -6,6 +6,7 @@ As straight-line text; or the rows one by one, where text would be long or M is 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import accumulate, pairwise
@@ -17,10 +18,11 @@ from robodyn.engines.expansion import (
     Coefficients,
     MotionProgram,
     end_of_step,
+    horner,
     longest_formula,
     longest_step,
 )
-from robodyn.engines.expression import Expression
+from robodyn.engines.expression import Expression, Value
 from robodyn.engines.formulas import RECORDED
 from robodyn.engines.series import FLOATS, State
 from robodyn.mechanics.actuation import Actuation
@@ -80,7 +82,52 @@ def step_text(
         _defined("watched", "t, y, tau, dtau", watched),
         motion.arms,
         bool(found.power),
+        None if torques or not motion.arms else _gap(motion, order, names),
     )
+
+
+def _gap(motion: MotionProgram, order: int, names: Sequence[str]) -> Callable[..., float]:
+    """What the torques miss their series by at a step's end, and in its middle where they may bend.
+
+    In all, N m; a function of t, y and the series there, the step x, and the state at its end.
+    """
+    start, mechanism = motion.start(), motion.mechanism
+    variable = start.graph.variable
+    counts = ("r", mechanism.n, order + 2), ("s", mechanism.n, order + 2)
+    called = [
+        [[f"{name}{j}_{k}" for k in range(size)] for j in range(count)]
+        for name, count, size in (*counts, ("b", len(motion.bends), order))
+    ]
+    whole = [[list(map(variable, each)) for each in kind] for kind in called]
+    x, ends = variable("x"), [f"{name}_" for name in names]
+    places: list[tuple[Value, list[Value]]] = [(x, list(map(variable, ends)))]
+    if mechanism.bends_inside:
+        given = {name: variable(name) for name in names} | {"x": 0.5 * x}
+        found = Coefficients(whole[0], whole[1], [], [])
+        middle = end_of_step(mechanism, found, (), False, given.__getitem__)
+        places.append((given["x"], middle))
+    total: Value = 0.0
+    for after, y in places:
+        state = motion.state(RECORDED, variable("t") + after, y, ((), ()), start.steady)
+        values = motion.expand(RECORDED, start.numbers, 1, state).watched
+        for arm, each, value in zip(motion.arms, whole[2], values, strict=True):
+            total = total + arm * abs(horner(each, after)[0] - value[0])
+    lines, shown = source_text.float_source([total])
+    used = set(re.findall(r"\w+", " ".join([*lines, *shown])))
+
+    def taken(each: Sequence[str]) -> str:
+        return "".join(f"{name if name in used else '_'}, " for name in each)
+
+    rho, theta, bends = ([f"({taken(each)})" for each in kind] for kind in called)
+    between = ["*_"] if motion.power else []
+    body = [
+        f"{taken(names)}*_ = y",
+        f"{taken(ends)}*_ = end",
+        f"{', '.join([*rho, *theta, *between, *bends])}, = series",
+        *lines,
+        f"return {shown[0]}",
+    ]
+    return _defined("gap", "t, y, series, x, end", body)
 
 
 def _defined(name: str, arguments: str, body: Sequence[str]) -> Callable[..., Any]:

@@ -34,13 +34,15 @@ class Steps(NamedTuple):
     `expand(t, y, tau, slope, most, direction, rtol, atol)` gives a step of at most `most`, the
     state at its end, and its series: rho (n), theta (n), the power where something `works` that is
     no steady torque, then those of what may bend.  Of a step that cannot be made there are none.
-    `watched(t, y, tau, slope)` has the values of what may bend; `arms` make torques of these.
+    `watched(t, y, tau, slope)` has the values of what may bend; `arms` make torques of these;
+    `gap(t, y, series, x, end)`, if any, is no less than what these miss within a step.
     """
 
     expand: Callable[..., Expanded]
     watched: Callable[..., tuple[float, ...]]
     arms: list[float]
     works: bool
+    gap: Callable[..., float] | None = None
 
 
 class _Asked(NamedTuple):
@@ -102,9 +104,10 @@ class SteppingEngine:
     @property
     def _now(self) -> Steps:
         """What expanded the motion last."""
-        if self._held not in self._made:
-            self._made[self._held] = self.make(self._held)
-        return self._made[self._held]
+        found = self._made.get(self._held)
+        if found is None:
+            found = self._made[self._held] = self.make(self._held)
+        return found
 
     def _table(self, t: float, y: list[float], direction: float) -> Pieces:
         """The torques at t, and their slopes, of a table; else nothing."""
@@ -114,9 +117,11 @@ class SteppingEngine:
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         """The series at y, a step h of at most `most`, and the state at its end."""
-        given = self._table(t, y, direction)
+        steady = self.actuation.constants is not None
+        given = ((), ()) if steady else self._table(t, y, direction)
         try:
-            return self._at(t).expand(t, y, *given, most, direction, *self.tolerances)
+            steps = self._now if self.actuation.pieces is None else self._at(t)
+            return steps.expand(t, y, *given, most, direction, *self.tolerances)
         except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
             return 0.0, y, ()
 
@@ -156,12 +161,15 @@ class SteppingEngine:
             if self.misses is not None:
                 longest, fine, _ = self.misses.holds(state)
                 most = min(most, longest)
-                self.tolerances = min(self._given[0], fine), min(self._given[1], fine)
+                self.tolerances = self._given
+                if fine < math.inf:
+                    self.tolerances = min(self._given[0], fine), min(self._given[1], fine)
             h, new, series = self.expand(t, state, most, direction)
             if not len(series):
                 status = Status.NOT_FINITE
                 break
-            if self._now.arms:
+            now = self._now
+            if now.arms:
                 h, new = self._shorten(t, state, h, new, series, direction)
             if h < 4.0 * math.ulp(t) and h != left:
                 status = Status.STUCK
@@ -176,7 +184,7 @@ class SteppingEngine:
             if due < len(times) and (times[due] - end) * direction <= 0.0:
                 last = due + int(np.searchsorted((times[due:] - end) * direction, 0.0, "right"))
                 ended = new if times[last - 1] == end else None
-                asked.append(_Asked(state, series, self._now.works, times[due:last] - t, ended))
+                asked.append(_Asked(state, series, now.works, times[due:last] - t, ended))
                 due = last
             self.last = t, state, series
             if self.keeps:
@@ -193,7 +201,10 @@ class SteppingEngine:
             if (due and due == len(times)) or (self.halts is not None and self.halts(t)):
                 break
         made = np.array(states).reshape(len(states), len(y))
-        row_y = self._rows(asked) if asked else np.zeros((0, len(y)))
+        if len(asked) == 1 and due == 1 and asked[0].end is not None:  # the end of the last step
+            row_y = made[-1:]
+        else:
+            row_y = self._rows(asked) if asked else np.zeros((0, len(y)))
         found = Chunk(np.array(ends), made, times[:due], row_y, status)
         return found._replace(kept=self._kept(begin, y, found, kept)) if kept else found
 
@@ -235,9 +246,14 @@ class SteppingEngine:
         relative = max(math.sqrt(rtol), KINK)
         miss = atol + rtol * max(map(abs, state[n : 2 * n]))  # of a rate
         miss *= (self.order + 1) * self.lightest
+        gap = self._now.gap
         while h >= 4.0 * math.ulp(t):
             x = h * direction
-            falls = falls_over(self.mechanism, state, new)
+            falls = self.mechanism.slips and falls_over(self.mechanism, state, new)
+            if gap is not None and not falls:
+                with suppress(ArithmeticError, ValueError):  # outside a torque's domain
+                    if gap(t, state, series, x, new) <= miss / h:
+                        break
             if not falls and self._agrees(series, x, t + x, new, relative, miss / h):
                 if not self.mechanism.bends_inside:
                     break
