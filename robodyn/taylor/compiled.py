@@ -45,6 +45,7 @@ class Rows(Observer):
         self.scene = scene
 
     def declare(self, scene: Scene, module: Module) -> None:
+        write_box(scene, module)
         Watch(scene).declare(module)
 
     def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
@@ -79,11 +80,11 @@ class Rows(Observer):
                 target = k.at(self._told(k, own, "series"), place)
                 k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
             box = k.at(self._told(k, own, "boxes"), k.multiply(taken, k.whole(2 * turns)))
-            write_box(scene, k, block, end, there, box)
+            k.line(f"call void @step_box({block}, {end}, {there}, {box})")
         with k.when(k.compare("sge", self._told(k, own, "watches"), k.whole(1))):
             watch = self._told(k, own, "watch")
             k.line(f"call void @event_step({block}, {watch}, {there}, {end})")
-            self._again(k, there, to)
+        self._again(k, there, to)
         with k.forever() as done:
             given = self._told(k, own, "given")
             k.leave(k.compare("sge", given, self._told(k, own, "count")), done)
@@ -309,15 +310,8 @@ class CompiledEngine:
                 block[place["status"]] = Status.SINGULAR
         wanted = len(times)
         turns = steps * 2 * self.mechanism.n * keeps
-        sizes = (
-            len(TABLE),
-            wanted,
-            wanted * N,
-            steps,
-            steps * N,
-            2 * turns,
-            turns * (self.order + 2),
-        )
+        sizes = [len(TABLE), wanted, wanted * N, steps, steps * N]
+        sizes += [2 * turns, turns * (self.order + 2)]
         a, b, c, d, e, f, end = accumulate(sizes)
         if len(self._room) < end:
             self._room = np.empty(end)

@@ -21,11 +21,13 @@ that, and its slope what a polynomial of degree 16 of that size may have.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.machine_steps import Scene
 from robodyn.events.rounding import EPS, STATE
 from robodyn.events.signs import DEGREE, MISSED, ROUNDING, SLOPES
-from robodyn.taylor.step_boxes import write_box, write_shift, write_slope
+from robodyn.taylor.step_boxes import alike, over, shift, write_shift, write_slope
 
 PIECES = 1024  # of a step, those that it is looked at by at most
 ROUNDS = 8  # of secants on the states
@@ -80,19 +82,25 @@ class Watch:
         k = Kernel(module, "event_on", (ADDRESS, SCALAR, ADDRESS), "void")
         block, x, rows = k.arguments
         first, width = self.scene.row(k, block, 0), k.whole(len(self.scene.loop.columns))
-        k.line(f"call void @series_shift({first}, {width}, {x}, {rows})")
-        for j in range(self.n):
-            if j in self.scene.mechanism.slides:
-                continue
-            rho, theta = (k.load(k.at(rows, 2 * j + i)) for i in (0, 1))
+        shift(self.scene, k, first, width, x, rows)
+
+        def turn(j: Word, _: Sequence[Word]) -> Sequence[Word]:
+            begin = k.add(j, j)
+            place = k.at(rows, begin)
+            rho, theta = k.load(place), k.load(k.at(place, 1))
             square = k.add(k.multiply(rho, rho), k.multiply(theta, theta))
             c, s = k.divide(rho, square), k.divide(theta, square)
             with k.loop(k.whole(self.scene.order + 2)) as m:
-                place = k.at(k.at(rows, k.multiply(m, k.whole(self.count))), 2 * j)
+                place = k.at(k.at(rows, k.multiply(m, k.whole(self.count))), begin)
                 other = k.at(place, 1)
                 a, b = k.load(place), k.load(other)
                 k.store(k.add(k.multiply(c, a), k.multiply(s, b)), place)
                 k.store(k.subtract(k.multiply(c, b), k.multiply(s, a)), other)
+            return ()
+
+        for slide, joints in alike(self.scene):
+            if not slide:
+                over(k, joints, turn)
         k.done()
 
     def _write_state(self, module: Module) -> None:
@@ -303,7 +311,7 @@ class Watch:
         scene, zero = self.scene, k.number(0.0)
         begin = scene.get(k, block, "t")
         box = k.room(SCALAR, 2 * self.count)
-        write_box(scene, k, block, end, there, box)
+        k.line(f"call void @step_box({block}, {end}, {there}, {box})")
         half = k.multiply(k.number(0.5), k.subtract(end, begin))
         middle = k.add(begin, half)
         forms = self._told(k, watch, "forms")
