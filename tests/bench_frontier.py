@@ -150,6 +150,9 @@ def curves(problem: Case, repeats: int) -> dict[str, Curve]:
     }
     if machine.available():
         found["compiled"] = Curve(problem, [taylor(problem, "compiled", x) for x in loose])
+    for engine in ("python", "compiled")[: 1 + machine.available()]:
+        calls = [partial(call, problem, engine, x) for x in loose]
+        found[f"whole call, {engine}"] = Curve(problem, calls)
     for curve in found.values():
         curve.measure()
     for _ in range(repeats):
@@ -172,6 +175,13 @@ def frontier(bench: Any) -> list[Any]:
         problem = case(reference, time)
         found = curves(problem, repeats)
         scipy = [found.pop("dop853"), found.pop("lsoda")]
+        for what in [name for name in found if "call" in name]:
+            curve, bound = found.pop(what), 1.2 if "python" in what else 0.1
+            for target in targets:
+                theirs, ours = scipy[0].time(target), curve.time(target)
+                text = f"dop853, by hand: {1e3 * theirs:.4g} ms", f"{1e3 * ours:.4g} ms"
+                name = f"{problem.name}, to {target:g}, {what}"
+                rows.append(Row(name, ours / theirs, None, bound, None, *text))
         their_error = min(float(np.nanmin(curve.errors)) for curve in scipy)
         for engine, curve in found.items():
             for target in targets:
