@@ -12,7 +12,7 @@ import numpy as np
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
-from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
+from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
@@ -23,15 +23,16 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, default_order
-from robodyn.taylor.step_boxes import Kept, write_box
-from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, Watch
+from robodyn.taylor.step_boxes import Kept
+from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, looks
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 ROWS = 16384  # of one call: no step begins when there are more
 # what the observer is told: addresses of times, rows, ends, states, boxes and series, how many
-# times, rows so far, whether boxes and series are kept, whether functions are watched
+# times, rows so far, whether boxes and series are kept, whether functions are watched; `box` and
+# `look` are the functions that do so
 TABLE = (
-    "times", "rows", "ends", "states", "boxes", "series", "watch",
+    "times", "rows", "ends", "states", "boxes", "series", "watch", "box", "look",
     "count", "given", "keeps", "watches",
 )  # fmt: skip
 
@@ -43,10 +44,6 @@ class Rows(Observer):
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-
-    def declare(self, scene: Scene, module: Module) -> None:
-        write_box(scene, module)
-        Watch(scene).declare(module)
 
     def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
         watch = self._told(k, own, "watch")
@@ -80,10 +77,10 @@ class Rows(Observer):
                 target = k.at(self._told(k, own, "series"), place)
                 k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
             box = k.at(self._told(k, own, "boxes"), k.multiply(taken, k.whole(2 * turns)))
-            k.line(f"call void @step_box({block}, {end}, {there}, {box})")
+            k.line(f"call void {self._told(k, own, 'box').text}({block}, {end}, {there}, {box})")
         with k.when(k.compare("sge", self._told(k, own, "watches"), k.whole(1))):
             watch = self._told(k, own, "watch")
-            k.line(f"call void @event_step({block}, {watch}, {there}, {end})")
+            k.line(f"call void {self._told(k, own, 'look').text}({block}, {watch}, {there}, {end})")
         self._again(k, there, to)
         with k.forever() as done:
             given = self._told(k, own, "given")
@@ -170,6 +167,7 @@ class CompiledEngine:
         self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
+        self._looks: dict[int, tuple[int, int]] = {}  # by the address of a block
         self.keeps, self.most = False, STEPS
         self.forms: Forms | None = None
         self._linear: list[Array] = []  # forms that machine code has, and with their signs
@@ -318,7 +316,10 @@ class CompiledEngine:
         room = self._room
         table, told = room[:a].view(np.int64), room.ctypes.data
         places = (told + 8 * x for x in (a, b, c, d, e, f))
-        table[:] = *places, self._at_watch, wanted, 0, keeps, watches
+        if (keeps or watches) and address not in self._looks:
+            self._looks[address] = looks(scene, code.code)
+        look = self._looks.get(address, (0, 0))
+        table[:] = *places, self._at_watch, *look, wanted, 0, keeps, watches
         room[a:b] = times
         code.advance(address, steps, told)
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])

@@ -21,8 +21,7 @@ and for what a series leaves out, the sums have the sizes too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import groupby
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,6 +29,7 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import states_along
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
+from robodyn.engines.machine_sums import alike, over
 from robodyn.events.signs import MISSED
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array, Complex
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 SUMS = 4  # that grow side by side
 COLUMNS = 32  # of a series that one function serves: code of wider vectors takes long to make
-FEW = 8  # joints whose text is written one by one; that of more is a loop
 SLACK = 1e-12  # of the sizes of what is added: more than rounding adds
 
 
@@ -109,31 +108,6 @@ def as_complex(parts: Array) -> Complex:
     """rho + i theta (m, order + 2, n) of parts (m, 2, n, order + 2)."""
     series: Complex = (parts[:, 0] + 1j * parts[:, 1]).swapaxes(1, 2)
     return series
-
-
-def over(
-    k: Kernel,
-    joints: Sequence[int],
-    write: Callable[[Word, Sequence[Word]], Sequence[Word]],
-    totals: Sequence[Word] = (),
-) -> Sequence[Word]:
-    """Write something for joints j, one after the other; it takes j and totals, and gives those."""
-    if len(joints) <= FEW:
-        for j in joints:
-            totals = write(k.whole(j), totals)
-        return totals
-    with k.loop(k.whole(joints[-1] + 1), k.whole(joints[0])) as i:
-        sums = [k.carried(total) for total in totals]
-        for total, value in zip(sums, write(i, sums), strict=True):
-            k.becomes(total, value)
-    return sums
-
-
-def alike(scene: Scene) -> Iterator[tuple[bool, Sequence[int]]]:
-    """The joints one after the other, those together that slide, or do not."""
-    slides = scene.mechanism.slides
-    for slide, joints in groupby(range(scene.mechanism.n), lambda j: j in slides):
-        yield slide, list(joints)
 
 
 def _begins(count: int) -> list[int]:
@@ -250,6 +224,33 @@ def _size(k: Kernel, *parts: Word) -> Word:
     return k.add(*(k.intrinsic("fabs", part) for part in parts))
 
 
+def write_on(scene: Scene, module: Module) -> None:
+    """event_on(block, x, rows): the series as it is from x on, turned back to how it begins."""
+    k = Kernel(module, "event_on", (ADDRESS, SCALAR, ADDRESS), "void")
+    block, x, rows = k.arguments
+    count = 2 * scene.mechanism.n
+    first, width = scene.row(k, block, 0), k.whole(len(scene.loop.columns))
+    shift(scene, k, first, width, x, rows)
+
+    def turn(j: Word, _: Sequence[Word]) -> Sequence[Word]:
+        begin = k.add(j, j)
+        rho, theta = _pair(k, rows, j)
+        square = k.add(k.multiply(rho, rho), k.multiply(theta, theta))
+        c, s = k.divide(rho, square), k.divide(theta, square)
+        with k.loop(k.whole(scene.order + 2)) as m:
+            place = k.at(k.at(rows, k.multiply(m, k.whole(count))), begin)
+            other = k.at(place, 1)
+            a, b = k.load(place), k.load(other)
+            k.store(k.add(k.multiply(c, a), k.multiply(s, b)), place)
+            k.store(k.subtract(k.multiply(c, b), k.multiply(s, a)), other)
+        return ()
+
+    for slide, joints in alike(scene.mechanism.slides, scene.mechanism.n):
+        if not slide:
+            over(k, joints, turn)
+    k.done()
+
+
 def _bounds(k: Kernel, slide: bool, j: Word, first: Word, strays: Word, h: Word) -> Sequence[Word]:
     """Of coordinate j its rate, and of that at most |D|, of |z| at least, and |w - w0| at most.
 
@@ -278,7 +279,7 @@ def write_box(scene: Scene, module: Module) -> None:
     first, width = scene.row(k, block, 1), k.whole(len(scene.loop.columns))
     strays, aparts, owns = (k.room(SCALAR, i) for i in (count * (scene.order + 2), n, n))
     _strays(scene, k, first, width, h, strays)
-    for slide, joints in alike(scene):
+    for slide, joints in alike(scene.mechanism.slides, scene.mechanism.n):
 
         def keep(j: Word, _: Sequence[Word], slide: bool = slide) -> Sequence[Word]:
             apart = _bounds(k, slide, j, first, strays, h)[-1]
@@ -326,7 +327,7 @@ def write_slope(
     _strays(scene, k, first, width, h, room)
     _strays(scene, k, first, width, h, sums, strays)
     totals: Sequence[Word] = k.load(k.at(form, 1)), k.number(0.0)
-    for slide, joints in alike(scene):
+    for slide, joints in alike(scene.mechanism.slides, scene.mechanism.n):
 
         def add(j: Word, totals: Sequence[Word], slide: bool = slide) -> Sequence[Word]:
             rate, far, left, apart = _bounds(k, slide, j, first, room, h)

@@ -21,13 +21,13 @@ that, and its slope what a polynomial of degree 16 of that size may have.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
+from robodyn.engines.machine import Code, Processor, extend
 from robodyn.engines.machine_steps import Scene
 from robodyn.events.rounding import EPS, STATE
 from robodyn.events.signs import DEGREE, MISSED, ROUNDING, SLOPES
-from robodyn.taylor.step_boxes import alike, over, shift, write_shift, write_slope
+from robodyn.taylor import NoCodeError
+from robodyn.taylor.step_boxes import write_box, write_on, write_shift, write_slope
 
 PIECES = 1024  # of a step, those that it is looked at by at most
 ROUNDS = 8  # of secants on the states
@@ -35,6 +35,16 @@ ROOM = 4096  # zeros that a call may find
 # of the table of a watch: addresses, then how many functions, zeros found, whether it is unsure
 WATCH = ("forms", "zeros", "functions", "found", "unsure")
 ZERO = ("function", "t", "apart", "sign")  # what `Found` has of each, before the state
+
+
+def looks(scene: Scene, code: Code) -> tuple[int, int]:
+    """Where step_box and event_step begin; they join the code when they are first wanted.
+
+    Raises NoCodeError where they cannot.
+    """
+    if not extend(code, Watch(scene).text, f"watch {scene.key}"):
+        raise NoCodeError("no machine code can be made")
+    return code.address("step_box"), code.address("event_step")
 
 
 class Watch:
@@ -45,15 +55,20 @@ class Watch:
         self.count = 2 * self.n
         self.sign = 2 + 4 * self.n  # its place in a form
 
-    def declare(self, module: Module) -> None:
-        """All of them."""
+    def text(self, processor: Processor) -> str:
+        """All of them, which call those of the scene's own code."""
+        module = Module(processor.lanes)
+        for name in ("evaluate", "close")[: 1 + self.scene.closes]:
+            module.declare(name, "void", ADDRESS)
+        write_box(self.scene, module)
         write_shift(self.scene, module)
         self._write_value(module)
-        self._write_on(module)
+        write_on(self.scene, module)
         self._write_state(module)
         self._write_locate(module)
         self._write_look(module)
         self._write_step(module)
+        return module.text
 
     # -- one function ------------------------------------------------------------------------------
 
@@ -76,32 +91,6 @@ class Watch:
 
     def _tell(self, k: Kernel, watch: Word, name: str, value: Word) -> None:
         k.store(value, k.at(watch, WATCH.index(name)))
-
-    def _write_on(self, module: Module) -> None:
-        """event_on(block, x, rows): the series as it is from x on, turned back to how it begins."""
-        k = Kernel(module, "event_on", (ADDRESS, SCALAR, ADDRESS), "void")
-        block, x, rows = k.arguments
-        first, width = self.scene.row(k, block, 0), k.whole(len(self.scene.loop.columns))
-        shift(self.scene, k, first, width, x, rows)
-
-        def turn(j: Word, _: Sequence[Word]) -> Sequence[Word]:
-            begin = k.add(j, j)
-            place = k.at(rows, begin)
-            rho, theta = k.load(place), k.load(k.at(place, 1))
-            square = k.add(k.multiply(rho, rho), k.multiply(theta, theta))
-            c, s = k.divide(rho, square), k.divide(theta, square)
-            with k.loop(k.whole(self.scene.order + 2)) as m:
-                place = k.at(k.at(rows, k.multiply(m, k.whole(self.count))), begin)
-                other = k.at(place, 1)
-                a, b = k.load(place), k.load(other)
-                k.store(k.add(k.multiply(c, a), k.multiply(s, b)), place)
-                k.store(k.subtract(k.multiply(c, b), k.multiply(s, a)), other)
-            return ()
-
-        for slide, joints in alike(self.scene):
-            if not slide:
-                over(k, joints, turn)
-        k.done()
 
     def _write_state(self, module: Module) -> None:
         """event_at(block, form, x): a function's value at x after the step's start."""
