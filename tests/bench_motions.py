@@ -20,7 +20,7 @@ import robodyn
 from hard_cases.cases import n_four_bar
 from oracles import n_four_bar_exact
 from random_mechanisms import mechanism as read
-from robodyn.engines import machine, machine_motion
+from robodyn.engines import machine, machine_motion, object_cache
 from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
@@ -126,6 +126,37 @@ def many_loops(bench: Any) -> list[Any]:
         what = f"{counts[-1]}-four-bar, {TIME:g} s at 1e-9, compiled"
         rows.append(compared(what, times, 1, "scipy ode, generated", bound=0.1))
     return rows
+
+
+def code_of_many_loops(bench: Any) -> list[Any]:
+    """Machine code of N-four-bars: the cost of a step against N, and s of processor to make it."""
+    from bench import Row
+
+    counts, made, costs = (5, 10, 20) if bench.quick else (5, 10, 20, 40, 80), [], []
+    usual, object_cache.folder = object_cache.folder, lambda: None
+    try:
+        for n in (2, *counts) if machine.available() else ():  # the first loads LLVM
+            mechanism = n_four_bar(n)
+            begin = process_time()
+            engine = compiled_engine(mechanism, Actuation((0.0,) * mechanism.n), 1e-9, 1e-9, None)
+            made.append(process_time() - begin)
+            assert engine is not None
+            q = robodyn.assemble(mechanism, [1.0])
+            y = np.concatenate([q, robodyn.loop_velocities(mechanism, q, [1.0])])
+            run = partial(engine.advance, 0.0, y, 0.3, np.zeros(0), 10**5)
+            steps = len(run().t)
+            costs.append(min(timeit(run, timer=process_time, number=1) for _ in range(9)) / steps)
+    finally:
+        object_cache.folder = usual
+    if not made:
+        return []
+    exponent = float(np.polyfit(np.log(counts), np.log(costs[1:]), 1)[0])
+    steps = ", ".join(f"{n}: {1e6 * x:.3g} us" for n, x in zip(counts, costs[1:], strict=True))
+    code = ", ".join(f"{n}: {x:.3g} s" for n, x in zip(counts, made[1:], strict=True))
+    return [
+        Row("N-four-bar, exponent of N of a step, compiled", exponent, bound=1.1, ours=steps),
+        Row(f"{counts[-1]}-four-bar, code made, s", made[-1], bound=2.0, ours=code),
+    ]
 
 
 def series_engines(bench: Any) -> list[Any]:

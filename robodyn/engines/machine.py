@@ -45,12 +45,16 @@ class Code:
     """Loaded machine code.  It lives as long as this object, and so does what calls it."""
 
     def __init__(self, engine: Any, processor: Processor) -> None:
-        self._engine, self.processor = engine, processor
+        self.engine, self.processor = engine, processor
+        self.extended: dict[str, bool] = {}  # what was added, and whether it is there
+
+    def address(self, name: str) -> int:
+        """Where the kernel of this name begins."""
+        return int(self.engine.get_function_address(name))
 
     def function(self, name: str, *types: Any, result: Any = ctypes.c_int64) -> Callable[..., Any]:
         """The kernel of this name as a function; other threads run while it does."""
-        address = self._engine.get_function_address(name)
-        call = ctypes.CFUNCTYPE(result, *types)(address)
+        call = ctypes.CFUNCTYPE(result, *types)(self.address(name))
         call.code = self  # type: ignore[attr-defined]  # keeps the machine code
         return call
 
@@ -103,8 +107,27 @@ def make(
             return None
 
 
+def extend(code: Code, write: Callable[[Processor], str], key: str) -> bool:
+    """Add functions, which may call those of the code, to it, once; False where there can be none.
+
+    `write` and `key` are as in `make`.
+    """
+    with _lock, _uncollected():
+        if key not in code.extended:
+            try:
+                _made(write, key, None, code.processor, code)
+                code.extended[key] = True
+            except Exception:  # as in `make`
+                code.extended[key] = False
+        return code.extended[key]
+
+
 def _made(
-    write: Callable[[Processor], str], key: str, level: int | None, processor: Processor
+    write: Callable[[Processor], str],
+    key: str,
+    level: int | None,
+    processor: Processor,
+    beside: Code | None = None,
 ) -> Code:
     import llvmlite
     from llvmlite import binding as llvm
@@ -116,7 +139,7 @@ def _made(
     content = object_cache.load(folder, name.hexdigest())
     if content is not None:
         try:
-            return _loaded(content, processor)
+            return _loaded(content, processor, beside)
         except Exception:  # made anew below
             content = None
     objects = []
@@ -126,7 +149,7 @@ def _made(
         objects.append(_machine(processor, its_level).emit_object(module))
     content = b"".join(len(each).to_bytes(8, "little") + each for each in objects)
     object_cache.store(folder, name.hexdigest(), content)
-    return _loaded(content, processor)
+    return _loaded(content, processor, beside)
 
 
 def _parts(text: str, level: int | None) -> list[tuple[str, int]]:
@@ -158,10 +181,13 @@ def _machine(processor: Processor, level: int) -> Any:
     )
 
 
-def _loaded(content: bytes, processor: Processor) -> Code:
+def _loaded(content: bytes, processor: Processor, beside: Code | None) -> Code:
     from llvmlite import binding as llvm
 
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(processor, 0))
+    if beside is None:
+        made = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(processor, 0))
+        beside = Code(made, processor)
+    engine = beside.engine
     while content:
         end = 8 + int.from_bytes(content[:8], "little")
         if end > len(content):
@@ -169,7 +195,7 @@ def _loaded(content: bytes, processor: Processor) -> Code:
         engine.add_object_file(llvm.ObjectFileRef.from_data(content[8:end]))
         content = content[end:]
     engine.finalize_object()
-    return Code(engine, processor)
+    return beside
 
 
 @lru_cache(maxsize=1)

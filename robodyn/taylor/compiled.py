@@ -12,7 +12,7 @@ import numpy as np
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
-from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
+from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
@@ -23,15 +23,15 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, default_order
-from robodyn.taylor.step_boxes import Kept, write_box
-from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, Watch
+from robodyn.taylor.step_boxes import Kept
+from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, looks
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 ROWS = 16384  # of one call: no step begins when there are more
-# what the observer is told: addresses of times, rows, ends, states, boxes and series, how many
-# times, rows so far, whether boxes and series are kept, whether functions are watched
+# what the observer is told: addresses, of the functions `box` and `look` too, how many times, rows
+# so far, whether boxes and series are kept, whether functions are watched
 TABLE = (
-    "times", "rows", "ends", "states", "boxes", "series", "watch",
+    "times", "rows", "ends", "states", "boxes", "series", "watch", "box", "look",
     "count", "given", "keeps", "watches",
 )  # fmt: skip
 
@@ -43,9 +43,6 @@ class Rows(Observer):
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-
-    def declare(self, scene: Scene, module: Module) -> None:
-        Watch(scene).declare(module)
 
     def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
         watch = self._told(k, own, "watch")
@@ -78,11 +75,11 @@ class Rows(Observer):
                 target = k.at(self._told(k, own, "series"), place)
                 k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
             box = k.at(self._told(k, own, "boxes"), k.multiply(taken, k.whole(2 * turns)))
-            write_box(scene, k, block, end, there, box)
+            k.line(f"call void {self._told(k, own, 'box').text}({block}, {end}, {there}, {box})")
             self._again(k, there, to)
         with k.when(k.compare("sge", self._told(k, own, "watches"), k.whole(1))):
             watch = self._told(k, own, "watch")
-            k.line(f"call void @event_step({block}, {watch}, {there}, {end})")
+            k.line(f"call void {self._told(k, own, 'look').text}({block}, {watch}, {there}, {end})")
             self._again(k, there, to)
         with k.forever() as done:
             given = self._told(k, own, "given")
@@ -311,6 +308,8 @@ class CompiledEngine:
         layout = len(times), N, steps, keeps, watches
         _, at, table, asked, rows, ends, states, boxes, series = self._laid(layout)
         table[TABLE.index("given")] = 0
+        if keeps or watches:
+            table[TABLE.index("box") : TABLE.index("look") + 1] = looks(scene, code.code)
         asked[:] = times
         code.advance(address, steps, at)
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])
@@ -333,7 +332,8 @@ class CompiledEngine:
             self._room = np.empty(end)
         room, at = self._room, self._room.ctypes.data
         table = room[:a].view(np.int64)
-        table[:] = *(at + 8 * x for x in (a, b, c, d, e, f)), self._at_watch, wanted, 0, *layout[3:]
+        table[:6] = [at + 8 * x for x in (a, b, c, d, e, f)]
+        table[6:] = self._at_watch, 0, 0, wanted, 0, *layout[3:]
         boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end].reshape(-1, orders, wide)
         parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(steps, N)
         self._views = layout, at, table, *parts, boxes, series.view(np.complex128)

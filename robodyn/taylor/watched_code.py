@@ -21,11 +21,15 @@ that, and its slope what a polynomial of degree 16 of that size may have.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
+from robodyn.engines.machine import Code, Processor, extend
 from robodyn.engines.machine_steps import Scene
 from robodyn.events.rounding import EPS, STATE
 from robodyn.events.signs import DEGREE, MISSED, ROUNDING, SLOPES
-from robodyn.taylor.step_boxes import write_box, write_shift, write_slope
+from robodyn.taylor import NoCodeError
+from robodyn.taylor.step_boxes import write_box, write_on, write_shift, write_slope
 
 PIECES = 1024  # of a step, those that it is looked at by at most
 ROUNDS = 8  # of secants on the states
@@ -33,6 +37,17 @@ ROOM = 4096  # zeros that a call may find
 # of the table of a watch: addresses, then how many functions, zeros found, whether it is unsure
 WATCH = ("forms", "zeros", "functions", "found", "unsure")
 ZERO = ("function", "t", "apart", "sign")  # what `Found` has of each, before the state
+
+
+@lru_cache(maxsize=64)
+def looks(scene: Scene, code: Code) -> tuple[int, int]:
+    """Where step_box and event_step begin; they join the code when they are first wanted.
+
+    Raises NoCodeError where they cannot.
+    """
+    if not extend(code, Watch(scene).text, f"watch {scene.key}"):
+        raise NoCodeError("no machine code can be made")
+    return code.address("step_box"), code.address("event_step")
 
 
 class Watch:
@@ -43,15 +58,20 @@ class Watch:
         self.count = 2 * self.n
         self.sign = 2 + 4 * self.n  # its place in a form
 
-    def declare(self, module: Module) -> None:
-        """All of them."""
+    def text(self, processor: Processor) -> str:
+        """All of them, which call those of the scene's own code."""
+        module = Module(processor.lanes)
+        for name in ("evaluate", "close")[: 1 + self.scene.closes]:
+            module.declare(name, "void", ADDRESS)
+        write_box(self.scene, module)
         write_shift(self.scene, module)
         self._write_value(module)
-        self._write_on(module)
+        write_on(self.scene, module)
         self._write_state(module)
         self._write_locate(module)
         self._write_look(module)
         self._write_step(module)
+        return module.text
 
     # -- one function ------------------------------------------------------------------------------
 
@@ -74,26 +94,6 @@ class Watch:
 
     def _tell(self, k: Kernel, watch: Word, name: str, value: Word) -> None:
         k.store(value, k.at(watch, WATCH.index(name)))
-
-    def _write_on(self, module: Module) -> None:
-        """event_on(block, x, rows): the series as it is from x on, turned back to how it begins."""
-        k = Kernel(module, "event_on", (ADDRESS, SCALAR, ADDRESS), "void")
-        block, x, rows = k.arguments
-        first, width = self.scene.row(k, block, 0), k.whole(len(self.scene.loop.columns))
-        k.line(f"call void @series_shift({first}, {width}, {x}, {rows})")
-        for j in range(self.n):
-            if j in self.scene.mechanism.slides:
-                continue
-            rho, theta = (k.load(k.at(rows, 2 * j + i)) for i in (0, 1))
-            square = k.add(k.multiply(rho, rho), k.multiply(theta, theta))
-            c, s = k.divide(rho, square), k.divide(theta, square)
-            with k.loop(k.whole(self.scene.order + 2)) as m:
-                place = k.at(k.at(rows, k.multiply(m, k.whole(self.count))), 2 * j)
-                other = k.at(place, 1)
-                a, b = k.load(place), k.load(other)
-                k.store(k.add(k.multiply(c, a), k.multiply(s, b)), place)
-                k.store(k.subtract(k.multiply(c, b), k.multiply(s, a)), other)
-        k.done()
 
     def _write_state(self, module: Module) -> None:
         """event_at(block, form, x): a function's value at x after the step's start."""
@@ -303,7 +303,7 @@ class Watch:
         scene, zero = self.scene, k.number(0.0)
         begin = scene.get(k, block, "t")
         box = k.room(SCALAR, 2 * self.count)
-        write_box(scene, k, block, end, there, box)
+        k.line(f"call void @step_box({block}, {end}, {there}, {box})")
         half = k.multiply(k.number(0.5), k.subtract(end, begin))
         middle = k.add(begin, half)
         forms = self._told(k, watch, "forms")
