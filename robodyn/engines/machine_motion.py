@@ -39,6 +39,9 @@ class Observer:
 
     key = ""
 
+    def declare(self, scene: Scene, module: Module) -> None:
+        """Functions that it calls."""
+
     def finish(self, scene: Scene, module: Module) -> None:
         """Functions that call those of the motion."""
 
@@ -107,6 +110,7 @@ def text(scene: Scene, observer: Observer, processor: Processor) -> str:
     if scene.closing is not None:
         _write_close(scene, module, scene.closing)
         _write_leaps(scene, module, scene.closing)
+    observer.declare(scene, module)
     k = Kernel(module, "advance", (ADDRESS, WHOLE, ADDRESS))
     block, budget, own = k.arguments
     taken = k.slot(k.whole(0))
