@@ -180,7 +180,7 @@ def one_process(bench: Bench) -> list[Row]:
     command = (BIN / "robodyn", "torque", ARM, "--q", "0.1,0.2", "--qd", "1,2", "--qdd", "0,0")
     numpy = (sys.executable, "-c", "import numpy")
     times, _ = bench.processes(command, numpy, 3 if bench.quick else 31)
-    return [compared("torque, whole process", times, 1, "import numpy", bound=2.0, aim=1.5)]
+    return [compared("torque, whole process", times, 1, "import numpy", bound=1.1)]
 
 
 def batch(

@@ -196,9 +196,8 @@ def series_engines(bench: Any) -> list[Any]:
 def watched_runs(bench: Any) -> list[Any]:
     """A run that is watched for an event, against the same run without.
 
-    It does not happen, or comes with each swing; each is told.  Where a run of the smallest scene
-    by series takes 2 ms in Python, 10 s of motion, the calls of a look at its steps together cost
-    more than a fifth of it: that is an aim.  Seconds are those of the processor.
+    It does not happen, or comes with each swing; each is told.  Seconds are
+    those of the processor.
     """
     from bench import compared, in_turn
 
@@ -221,12 +220,10 @@ def watched_runs(bench: Any) -> list[Any]:
                 count = len(watched())
                 assert count == 0 if name == "high" else count > 5
                 repeats = 3 if bench.quick else 105 if engine == "compiled" else 35
-                short = (scene, engine, time) == ("pendulum", "python", 10.0)
-                bound, aim = (1.7, 1.2) if short else (1.2, None)
                 times = in_turn(watched, run, repeats, process_time)
                 how = f"{time:g} s, {method} {engine}".removesuffix(" auto")
                 what = f"{count} events {text}, {scene}, {how}"
-                rows.append(compared(what, times, 1, "without", bound=bound, aim=aim))
+                rows.append(compared(what, times, 1, "without", bound=1.2))
     return rows
 
 
