@@ -196,8 +196,8 @@ def series_engines(bench: Any) -> list[Any]:
 def watched_runs(bench: Any) -> list[Any]:
     """A run that is watched for an event, against the same run without.
 
-    It does not happen, or comes with each swing; each is told.  Seconds are
-    those of the processor.
+    It does not happen, or comes with each swing; each is told.  Seconds are those
+    of the processor.
     """
     from bench import compared, in_turn
 

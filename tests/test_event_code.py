@@ -43,6 +43,18 @@ def from_python(monkeypatch: pytest.MonkeyPatch, *given: Any, **named: Any) -> r
         return robodyn.simulate(*given, **named)
 
 
+def same_events(monkeypatch: pytest.MonkeyPatch, *given: Any, **named: Any) -> list[Any]:
+    """Pairs of the events that machine code and Python find, at the same times."""
+    motion = robodyn.simulate(*given, **named)
+    other = from_python(monkeypatch, *given, **named)
+    assert motion.report.events == other.report.events
+    pairs = list(zip(motion.events, other.events, strict=True))
+    for one, same in pairs:
+        assert one.name == same.name
+        assert abs(one.t - same.t) <= 1e-12 * abs(given[3]) + same.apart
+    return pairs
+
+
 def random_forms(rng: np.random.Generator, mechanism: Mechanism, motion: Any) -> dict[str, str]:
     """Linear functions with levels that the motion comes by."""
     given = {}
@@ -68,17 +80,13 @@ def test_the_same_events(scene: str, calls: Counter[bool], monkeypatch: pytest.M
         given = *start(scene, rate), end
         how = {"method": "taylor", "engine": "compiled", "rtol": rtol, "atol": rtol}
         events = random_forms(rng, given[0], robodyn.simulate(*given, **how))
-        motion = robodyn.simulate(*given, **how, events=events)
-        other = from_python(monkeypatch, *given, **how, events=events)
-        assert motion.report.events == other.report.events
-        for one, same in zip(motion.events, other.events, strict=True):
-            assert one.name == same.name
-            assert abs(one.t - same.t) <= 1e-12 * abs(end) + same.apart
+        pairs = same_events(monkeypatch, *given, **how, events=events)
+        for one, same in pairs:
             assert one.apart <= 4.0 * same.apart + 1e-15
             scale = 1.0 + np.abs(same.y).max()
             moved = np.abs(one.t - same.t) * 1e3 + 1e-11
             np.testing.assert_allclose(one.y, same.y, rtol=0.0, atol=moved * scale)
-        found += len(motion.events)
+        found += len(pairs)
     assert found >= 15
     assert calls[True] > calls[False]  # those where it was sure
 
@@ -114,12 +122,7 @@ def test_two_in_one_step(calls: Counter[bool], monkeypatch: pytest.MonkeyPatch) 
                 f"e{i}": f"q1 - {float(turn.y[0]) * (1.0 - level)!r}"
                 for i, turn in enumerate(turns[:6])
             }
-            motion = robodyn.simulate(*given, **how, events=events)
-            other = from_python(monkeypatch, *given, **how, events=events)
-            assert motion.report.events == other.report.events
-            for one, same in zip(motion.events, other.events, strict=True):
-                assert one.name == same.name
-                assert abs(one.t - same.t) <= 1e-12 * abs(end) + same.apart
+            same_events(monkeypatch, *given, **how, events=events)
     assert calls == {True: calls[True]}
 
 
