@@ -10,12 +10,13 @@ import os
 import stat
 from collections.abc import Sequence
 from contextvars import ContextVar
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import typer
 
 from robodyn.errors import InputError
 from robodyn.tables.delimited import DELIMITERS
+from robodyn.tables.records import Record
 
 KEPT = (".partial", ".partial.json", ".partial.sums")  # beside a file that is not whole
 _DECLARED = "robodyn.files"
@@ -98,7 +99,7 @@ def named(value: str | None) -> str | None:
     return value
 
 
-class _File(NamedTuple):
+class _File(Record):
     option: str  # --out, or MODEL
     name: str
     written: bool

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
 from robodyn.cli.options import (
     Extremes,
@@ -22,6 +22,7 @@ from robodyn.errors import printable, printable_lines
 from robodyn.pictures.column_units import TURNING, in_degrees, structure_in_degrees, with_unit
 from robodyn.tables.csv_fields import finite, unquoted
 from robodyn.tables.output_file import on_terminal, open_output
+from robodyn.tables.records import Record
 from robodyn.tables.table_writer import WRITERS, Writer
 
 if TYPE_CHECKING:
@@ -165,7 +166,7 @@ class TableView(Writer):
                 self.close()
 
 
-class Grid(NamedTuple):
+class Grid(Record):
     """A table for people: numbers to the right; every text stands as it is, brackets too."""
 
     columns: Sequence[str]

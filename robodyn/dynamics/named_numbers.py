@@ -101,7 +101,7 @@ def _turned(row: ClosureRow, by: Any) -> ClosureRow:
         return row
     turn = Planar(expression.cos(by), -expression.sin(by))
     ground, P = row.ground, tuple((d, turn * c) for d, c in row.P)
-    return row._replace(ground=turn * ground if ground else ground, P=P)  # type: ignore[arg-type]
+    return row._replace(ground=turn * ground if ground else ground, P=P)
 
 
 def size_of(mechanism: Mechanism, name: str) -> float:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import dot, entries, some
@@ -22,6 +21,7 @@ from robodyn.engines.series import Arithmetic, Planar, Series, conjugate_times
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Given, Program
+from robodyn.tables.records import Record
 
 MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
 
@@ -31,7 +31,7 @@ def anything(i: int) -> float:
     return 1.5 + 0.4 * math.sin(37.0 * (i + 1) ** 2)
 
 
-class Formula(NamedTuple):
+class Formula(Record):
     """Inputs by name, outputs (n joint values, r multipliers, ...), and the closures' pivots.
 
     A pivot is relative to its size in a good configuration.  Where one is near zero the

@@ -24,7 +24,6 @@ holds, or its power.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 from robodyn.mechanics.link_rows import LinkRows
 from robodyn.mechanics.planar_model import Force, PlanarPoint, PointSpring, conserves
@@ -44,6 +43,7 @@ from robodyn.mechanics.program import (
     Sum,
 )
 from robodyn.scene.scene import JointSpring, Law, Signal, Table
+from robodyn.tables.records import Record
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]
@@ -53,7 +53,7 @@ class NoDirection(ZeroDivisionError):
     """The ends of the spring between points of this place coincide at every state."""
 
 
-class PointForce(NamedTuple):
+class PointForce(Record):
     """A force at points, N: `unit` times the planar slot `force`, or `unit` itself."""
 
     unit: complex

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import NamedTuple
 
 from robodyn.mechanics.planar_model import PlanarPoint
 from robodyn.scene.scene import Closure, Link, Point
+from robodyn.tables.records import Record
 
 
 class Tree:
@@ -187,7 +187,7 @@ class Tree:
         return k
 
 
-class Bodies(NamedTuple):
+class Bodies(Record):
     """Of each link with its payload: mass, kg, first moment, kg m, and J about its joint, kg m^2.
 
     Both about the link's own origin, in its frame.

@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from robodyn.scene.scene import Signal
+from robodyn.tables.records import Record
 
 T = TypeVar("T")
 Terms = Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
@@ -34,14 +35,14 @@ class OnDemand(Sequence[T]):
         return {"_recipe": self._recipe}
 
 
-class PlanarPoint(NamedTuple):
+class PlanarPoint(Record):
     """A point `constant + sum_k coefficient_k X_k` of the mechanism, m."""
 
     constant: complex
     terms: Terms
 
 
-class ClosureRow(NamedTuple):
+class ClosureRow(Record):
     """One real equation of the gap, m: with E_line = 1 where no link carries the line,
 
         Re(conj(E_line) (ground + sum_k P_k X_k)) + sum_k angles_k x_k + offset = 0
@@ -73,7 +74,7 @@ class ClosureRow(NamedTuple):
         return terms + abs(self.ground)
 
 
-class PointSpring(NamedTuple):
+class PointSpring(Record):
     """A spring between points of two links (None: the ground): `between`, first less second."""
 
     first: int | None
@@ -91,7 +92,7 @@ class PointSpring(NamedTuple):
         return bool((self.stiffness and self.length) or self.damping or self.law)
 
 
-class Force(NamedTuple):
+class Force(Record):
     """A force at a point of a link, N; one that turns with the link, or varies, has no potential.
 
     Where it varies it is `turned` times the `signals` of its x and y (a number: that for ever).
@@ -110,7 +111,7 @@ class Force(NamedTuple):
         return not self.turns and self.signals is None
 
 
-class VaryingMoment(NamedTuple):
+class VaryingMoment(Record):
     """A torque on a link, N m, that varies."""
 
     link: int
@@ -122,7 +123,7 @@ def conserves(law: Signal | None) -> bool:
     return law is None or law.names <= {"x"}
 
 
-class Rotor(NamedTuple):
+class Rotor(Record):
     """The rotor of the motor at a joint; it sits on the link that carries the joint.
 
     It spins with w_carrier + ratio qd, w_carrier the rate of what turns that link, if anything

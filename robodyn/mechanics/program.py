@@ -18,12 +18,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, get_args
+from typing import get_args
+
+from robodyn.tables.records import Record
 
 Slot = int
 
 
-class Number(NamedTuple):
+class Number(Record):
     """A number of the scene, by its place in `Program.numbers`, or its opposite."""
 
     place: int
@@ -37,98 +39,98 @@ Coefficient = float | Number
 PlanarCoefficient = tuple[Coefficient, Coefficient]  # real and imaginary part; 0.0: none
 
 
-class Given(NamedTuple):
+class Given(Record):
     """Real: what comes from outside: the time, a torque, an angle where a motion starts."""
 
     name: str
 
 
-class Unknown(NamedTuple):
+class Unknown(Record):
     """Real: an unknown that enters linearly, such as a multiplier of a closure."""
 
     name: str
 
 
-class Turn(NamedTuple):
+class Turn(Record):
     """Planar: the direction E = exp(i alpha) of a link; its angular acceleration is unknown."""
 
     link: int
 
 
-class Slide(NamedTuple):
+class Slide(Record):
     """Real: the displacement s of a joint; its acceleration is unknown."""
 
     joint: int
 
 
-class Rate(NamedTuple):
+class Rate(Record):
     """Real: w = Im(conj(E) E') of the direction `turn`."""
 
     turn: Slot
 
 
-class Integral(NamedTuple):
+class Integral(Record):
     """Real: the integral of x over time, from the given value `start`."""
 
     x: Slot
     start: str
 
 
-class Anchored(NamedTuple):
+class Anchored(Record):
     """Real: x, but its first coefficient is the given value `start`, not rounded as x is."""
 
     x: Slot
     start: str
 
 
-class Derivative(NamedTuple):
+class Derivative(Record):
     """Real or planar: dx/dt."""
 
     x: Slot
 
 
-class Sum(NamedTuple):
+class Sum(Record):
     """Real: constant + sum c x."""
 
     constant: Coefficient
     terms: tuple[tuple[Coefficient, Slot], ...]
 
 
-class PlanarSum(NamedTuple):
+class PlanarSum(Record):
     """Planar: constant + sum c z, the coefficients complex, the slots planar or real."""
 
     constant: PlanarCoefficient
     terms: tuple[tuple[PlanarCoefficient, Slot], ...]
 
 
-class RealPart(NamedTuple):
+class RealPart(Record):
     """Real: Re z."""
 
     z: Slot
 
 
-class Product(NamedTuple):
+class Product(Record):
     """Real: x y."""
 
     x: Slot
     y: Slot
 
 
-class Scaled(NamedTuple):
+class Scaled(Record):
     """Planar: x z, x real and z planar."""
 
     x: Slot
     z: Slot
 
 
-class Inner(NamedTuple):
+class Inner(Record):
     """Real: Re(conj(z) w)."""
 
     z: Slot
     w: Slot
 
 
-class Moment(NamedTuple):
+class Moment(Record):
     """Real: inertia a + Im(conj(E) F), what turns the link of `turn`; F is without P.
 
     `bend` is the slot of P = E''.  The link's own part is exact so: Im(conj(E) inertia P).
@@ -140,28 +142,28 @@ class Moment(NamedTuple):
     F: Slot
 
 
-class Quotient(NamedTuple):
+class Quotient(Record):
     """Real: x / y."""
 
     x: Slot
     y: Slot
 
 
-class Power(NamedTuple):
+class Power(Record):
     """Real: x to a constant exponent."""
 
     x: Slot
     exponent: float
 
 
-class Function(NamedTuple):
+class Function(Record):
     """Real: exp, tanh, sin, cos, sinh or cosh of x."""
 
     name: str
     x: Slot
 
 
-class Primitive(NamedTuple):
+class Primitive(Record):
     """Real: the function of x whose slope is 1/density: log, atan, asin or acos."""
 
     name: str
@@ -169,7 +171,7 @@ class Primitive(NamedTuple):
     density: Slot
 
 
-class Step(NamedTuple):
+class Step(Record):
     """Real: one of the values, by the interval between increasing knots in which x is.
 
     With a period x is brought into the one from `first` on, and the value gains `rise` for each.
@@ -190,7 +192,7 @@ Row = (
 )  # fmt: skip
 
 SLOTS: dict[type, list[str]] = {
-    row: [name for name, x in row.__annotations__.items() if x.__forward_arg__ == "Slot"]
+    row: [name for name, kind in row.__annotations__.items() if kind == "Slot"]
     for row in get_args(Row)
 }
 PLANAR = (Turn, PlanarSum, Scaled)
@@ -198,7 +200,7 @@ COORDINATES = (Turn, Slide)  # unknown in their second derivatives
 SHIFT: dict[type, int] = {Derivative: 1, Rate: 1, Integral: -1}  # orders that a row looks ahead
 
 
-class Schedule(NamedTuple):
+class Schedule(Record):
     """Slots in order; how many orders each is ahead of the unknowns; what the unknowns change.
 
     `live` maps a slot whose coefficient depends on the unknowns of its order to the slots through

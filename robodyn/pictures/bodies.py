@@ -69,8 +69,9 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
     sliders = [(c, c.along, tree.point(c.first)) for c in closures if c.along is not None]
     for closure, along, sliding in sliders:
         if closure.second.link is None:
-            travel = ((at(sliding, poses.X) - closure.second.at) * along.conjugate()).real
-            way = Way(*closure.second, along, float(travel.min()), float(travel.max()))
+            place = closure.second.at
+            travel = ((at(sliding, poses.X) - place) * along.conjugate()).real
+            way = Way(None, place, along, float(travel.min()), float(travel.max()))
             shapes = on_ground(way, w)
             if closure.first in _spring_ends(mechanism):  # the spring lies where the line would
                 shapes = tuple(shape for shape in shapes if shape.kind != "axis")

@@ -125,7 +125,8 @@ def rails(mechanism: Mechanism, travelled: Placed) -> Iterator[Way]:
         link, s = mechanism.description.links[k], travelled.x[..., k]
         low, high = float(s.min(initial=0.0)), float(s.max(initial=0.0))
         assert link.axis is not None
-        yield Way(*link.hangs_from, link.axis, low, high, joint=k)
+        hung = link.hangs_from
+        yield Way(hung.link, hung.at, link.axis, low, high, joint=k)
 
 
 def slots(mechanism: Mechanism, tree: Tree, travelled: Placed) -> Iterator[Way]:

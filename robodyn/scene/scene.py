@@ -6,21 +6,23 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
+
+from robodyn.tables.records import Record
 
 BRANCHES = ("open", "crossed")
 FRAMES = ("ground", "link")  # in which a load's force stays
 JOINTS = ("revolute", "prismatic")
 
 
-class Point(NamedTuple):
+class Point(Record):
     """A point of a link (its index; `at` in the link's frame) or of the ground (link None), m."""
 
     link: int | None
     at: complex
 
 
-class Friction(NamedTuple):
+class Friction(Record):
     """Coulomb friction of a joint, -torque tanh(qd/speed): N m, and rad/s that smooth it.
 
     Of a prismatic joint N and m/s.
@@ -30,7 +32,7 @@ class Friction(NamedTuple):
     speed: float
 
 
-class DryFriction(NamedTuple):
+class DryFriction(Record):
     """Coulomb friction with true sticking: N m, and rad/s; of a prismatic joint N and m/s.
 
     A joint at rest holds up to `static`; one that moves at the rate v is held back by
@@ -42,7 +44,7 @@ class DryFriction(NamedTuple):
     stribeck: float | None = None
 
 
-class Limits(NamedTuple):
+class Limits(Record):
     """Where a joint ends, rad or m: at compliant stops, at hard ones, or at no more than a limit.
 
     A compliant stop, of a stiffness (N m/rad) and a damping (N m s/rad), pushes and never pulls;
@@ -62,7 +64,7 @@ class Limits(NamedTuple):
         return [(side, end) for side, end in sides if end is not None]
 
 
-class Motor(NamedTuple):
+class Motor(Record):
     """A motor and its gear at a joint: the rotor turns `ratio` times as far as the joint.
 
     It sits on the link that carries the joint, and turns relative to it.  Of the rotor: inertia
@@ -78,7 +80,7 @@ class Motor(NamedTuple):
     resistance: float | None = None
 
 
-class Link(NamedTuple):
+class Link(Record):
     """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs.
 
     A link on a prismatic joint has an `axis`: the unit vector along which it slides, and along
@@ -104,7 +106,7 @@ class Link(NamedTuple):
         return self.axis is not None
 
 
-class Law(NamedTuple):
+class Law(Record):
     """A smooth expression: as its file has it, as code over `names`, and these."""
 
     text: str
@@ -112,7 +114,7 @@ class Law(NamedTuple):
     names: frozenset[str]  # t, q0.., qd0..; of a spring x, its extension, and v, its rate
 
 
-class Table(NamedTuple):
+class Table(Record):
     """A function of one variable that is linear between its rows, x increasing."""
 
     file: str
@@ -131,7 +133,7 @@ class Table(NamedTuple):
 Signal = Law | Table
 
 
-class Spring(NamedTuple):
+class Spring(Record):
     """A spring (N/m, free length m) and damper (N s/m) between two points.
 
     A `law` in place of the stiffness gives its pull, N, by the extension, m, and its rate.
@@ -145,7 +147,7 @@ class Spring(NamedTuple):
     law: Signal | None = None
 
 
-class JointSpring(NamedTuple):
+class JointSpring(Record):
     """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint.
 
     At a prismatic one N/m, its free displacement m, and N s/m.  For a `law` see `Spring`.
@@ -158,7 +160,7 @@ class JointSpring(NamedTuple):
     law: Signal | None = None
 
 
-class Load(NamedTuple):
+class Load(Record):
     """A force, N, at a point of a link, in the ground's frame or turning with the link.
 
     Where x or y is a signal it is in `varying`, and zero in `force`.
@@ -175,7 +177,7 @@ class Load(NamedTuple):
         return self.varying != (None, None)
 
 
-class Moment(NamedTuple):
+class Moment(Record):
     """A torque on a link, N m; where it varies zero, and `varying`."""
 
     link: int
@@ -183,7 +185,7 @@ class Moment(NamedTuple):
     varying: Signal | None = None
 
 
-class Closure(NamedTuple):
+class Closure(Record):
     """Two points that coincide, or, with `along`, a point held on the line through `second`.
 
     `along` is a unit vector in the frame of the link of `second`, which carries the line.  With
@@ -196,7 +198,7 @@ class Closure(NamedTuple):
     aligned: float | None = None
 
 
-class Coupling(NamedTuple):
+class Coupling(Record):
     """A gear, rack or belt between joints: q_joint = sum of ratio q_k over `terms`, plus `angle`.
 
     All in rad, or in m where a joint slides.
@@ -219,7 +221,7 @@ class Written:
     text: str = field(default="", compare=False, repr=False)  # that the tree was parsed from
 
 
-class Description(NamedTuple):
+class Description(Record):
     """What a scene file says; `source` is the file's name for messages.
 
     `branches` has a word for each closure, or none where the `start` picks them.

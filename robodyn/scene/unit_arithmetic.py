@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from typing import NamedTuple
 
 from robodyn.scene.units import ALIASES, PLAIN, UNITS, Dimension, shown_dimension, times
+from robodyn.tables.records import Record
 
 # Digits can be told in one way only: a pattern with two takes time by the square of their number.
 NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
@@ -30,14 +30,14 @@ ANGULAR = ("sin", "cos", "tan")  # of an angle
 SCALING = ("sqrt", "hypot", "atan2")  # of any unit
 
 
-class _Token(NamedTuple):
+class _Token(Record):
     kind: str  # number, name, sign
     text: str
     at: int  # place of its first character
     apart: bool  # whether a blank is before it
 
 
-class Value(NamedTuple):
+class Value(Record):
     """number 10^ten of a dimension, and the multiples of q1.. that an equation adds to it."""
 
     number: float
