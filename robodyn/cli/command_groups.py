@@ -100,7 +100,7 @@ _OPTIONS = {
 _OTHERS = {"State": "--q --qd --qdd --tau --force", "Output": _OUTPUT}
 OWN = "Options"  # of a command, which stand first; typer's word, too
 IMPLIED = {"--harmonics": "10"}  # whole numbers that may be left out behind their option
-_NUMBER = re.compile("[+-]?([0-9][0-9.]*(e[+-]?[0-9]+)?|nan|inf)", re.IGNORECASE)  # right or not
+_NUMBER = "(?i)[+-]?([0-9][0-9.]*(e[+-]?[0-9]+)?|nan|inf)"  # right or not
 
 
 def group_options(command: str, parameters: Iterable[Any]) -> None:
@@ -131,7 +131,7 @@ class Command(TyperCommand):
         meant = False  # whether a word stands behind that may be no file, but a wrong number
         for word, following in zip_longest(args, args[1:], fillvalue=""):
             given.append(word)
-            if word in IMPLIED and not _NUMBER.fullmatch(following):
+            if word in IMPLIED and not re.fullmatch(_NUMBER, following):
                 given.append(IMPLIED[word])
                 meant = bool(following) and not following.startswith("-")
         try:

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 
 from robodyn.errors import InputError
-from robodyn.tables.delimited import DELIMITERS
+from robodyn.tables.csv_fields import DELIMITERS
 from robodyn.tables.records import Record
 
 KEPT = (".partial", ".partial.json", ".partial.sums")  # beside a file that is not whole

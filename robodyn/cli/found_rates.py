@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
 
@@ -70,7 +69,7 @@ class Lack(NamedTuple):
             if lacks:
                 order = len(source.quantity.name) - len(self.base.quantity.name)  # by the d's
                 x = rates(column["t"], x, order)
-                source = replace(source, columns=names, whole=self.whole)
+                source = source._replace(columns=names, whole=self.whole)
             found.append(source)
             values.append(x)
         return found, values

@@ -14,21 +14,19 @@ from typing import TYPE_CHECKING
 
 from robodyn.cli.options import Differentiate, Q, Qd, States
 from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_silence
-from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.loop_rows import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.quantities import parse_vector
 from robodyn.tables.csv_fields import shown
-from robodyn.tables.delimited import columns_told
+from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
     from robodyn.tables.table import Array
 
 
-@dataclass(eq=False, repr=False)
-class Quantity:
+class Quantity(Record):
     """One vector of a state: its name, its option's value, and whether it may be left out."""
 
     name: str  # q, qd, qdd or tau
@@ -62,8 +60,7 @@ class TableOptions(StateOptions, RowOptions):
     differentiate: Differentiate = False
 
 
-@dataclass(eq=False, repr=False)
-class Source:
+class Source(Record):
     """Where a quantity comes from: an option's values, or columns; for all joints or actuated."""
 
     quantity: Quantity
@@ -139,6 +136,8 @@ def table_source(
     if driven and set(driven) == set(present):
         return Source(quantity, [], driven, False)
     missing = [name for name in everything if name not in present]
+    from robodyn.tables.delimited import columns_told  # only an error pays for the import
+
     there = columns_told(header, missing[0])
     either = "" if everything == driven else f", or only the actuated joints' {', '.join(driven)}"
     raise InputError(
@@ -255,6 +254,7 @@ def evaluate(
         return
 
     from robodyn.cli.found_rates import found_rates, taken_at_rest
+    from robodyn.cli.row_files import open_input
     from robodyn.tables.table import Reader
 
     with open_input(options.states) as (stream, name):

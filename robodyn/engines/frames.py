@@ -28,10 +28,10 @@ from robodyn.engines.arithmetic import (
 )
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Program, Row, Slot
+from robodyn.tables.records import Record
 
 
-@dataclass(eq=False, repr=False)
-class State:
+class State(Record):
     """Where a series starts: directions E (n), rates w of x = J q, and the values of `Given`s.
 
     A joint that slides has no E; its displacement is given like other values.
@@ -89,7 +89,7 @@ def start(
 Framed = tuple[tuple[int | None, PlanarCoefficient | None, Planar], ...]
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class Frames:
     """The coefficients of a program's slots, in an arithmetic."""
 

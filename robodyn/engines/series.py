@@ -45,7 +45,7 @@ from robodyn.mechanics.program import (
 )
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class Series(Rules):
     """The coefficients of a program's slots along one motion.
 

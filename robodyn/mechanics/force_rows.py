@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from robodyn.mechanics.link_rows import LinkRows
-from robodyn.mechanics.planar_model import Force, PlanarPoint, PointSpring, conserves
+from robodyn.mechanics.planar_model import Force, Mechanism, PlanarPoint, PointSpring, conserves
 from robodyn.mechanics.program import (
     Coefficient,
     Derivative,
@@ -71,14 +71,14 @@ class ForceRows(LinkRows):
     what acts on each link, `power` what changes the energy.
     """
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.torques: list[Slot | None] = [None] * self.mechanism.n
+    def __init__(self, mechanism: Mechanism) -> None:
+        super().__init__(mechanism)
+        self.torques: list[Slot | None] = [None] * mechanism.n
         self.forces: list[PointForce] = []
         self.varying_moments: list[Slot] = []
         self.tables: list[tuple[Table, Slot]] = []  # and what they are over
         self.F: list[list[PlanarTerm]] = [[] for _ in self.x]
-        self.constants = [-weight.conjugate() for weight in self.mechanism.weights]
+        self.constants = [-weight.conjugate() for weight in mechanism.weights]
         self.moments: list[list[Term]] = [[] for _ in self.x]
         self.power: list[Term] = []
 

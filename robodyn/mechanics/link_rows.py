@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 from robodyn.mechanics.planar_model import Mechanism, PlanarPoint
 from robodyn.mechanics.program import (
     Anchored,
@@ -20,18 +18,15 @@ from robodyn.mechanics.program import (
 )
 
 
-@dataclass(eq=False, repr=False)
 class LinkRows:
     """X, and P = X'', of the coordinates of a mechanism, and what follows from them.
 
     `x` are the coordinates' own slots: E of a link that turns, s of one that slides.
     """
 
-    mechanism: Mechanism
-    program: Program = field(default_factory=Program)
-
-    def __post_init__(self) -> None:
-        program, mechanism = self.program, self.mechanism
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, self.program = mechanism, Program()
+        program = self.program
         slides = set(mechanism.slides)
         self.x = [program.add(Slide(k) if k in slides else Turn(k)) for k in range(mechanism.n)]
         self.X = list(self.x)

@@ -33,7 +33,6 @@ from robodyn.scene.scene import (
     Table,
 )
 from robodyn.tables.records import Record
-from robodyn.tables.short_repr import named
 
 if TYPE_CHECKING:
     import numpy as np
@@ -209,6 +208,8 @@ class Mechanism:
         return _arrays(self)
 
     def __repr__(self) -> str:
+        from robodyn.tables.short_repr import named
+
         parts = [f"{self.n} link{'s' * (self.n > 1)} ({named(self.link_names)})"]
         if closures := len(self.description.closures):
             parts.append(f"{closures} closure{'s' * (closures > 1)}")

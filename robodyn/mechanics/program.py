@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from typing import get_args
 
 from robodyn.tables.records import Record
@@ -212,19 +211,19 @@ class Schedule(Record):
     live: dict[Slot, tuple[Slot, ...]]
 
 
-@dataclass(eq=False, repr=False)
 class Program:
     """Rows in the order of their slots, residuals, and what is read out, by name."""
 
-    rows: list[Row] = field(default_factory=list)
-    numbers: list[float] = field(default_factory=list)
-    residuals: list[Slot] = field(default_factory=list)
-    unknowns: list[Slot] = field(default_factory=list)  # Turns, Slides and Unknowns
-    named: dict[str, list[Slot]] = field(default_factory=dict)
-    planar: list[bool] = field(default_factory=list)
-    arms: dict[Slot, float] = field(default_factory=dict)  # of slots that bend: torque per unit
-    _known: dict[tuple[type, Row], Slot] = field(default_factory=dict)
-    _schedules: dict[tuple[int, ...], Schedule] = field(default_factory=dict)
+    def __init__(self) -> None:
+        self.rows: list[Row] = []
+        self.numbers: list[float] = []
+        self.residuals: list[Slot] = []
+        self.unknowns: list[Slot] = []  # Turns, Slides and Unknowns
+        self.named: dict[str, list[Slot]] = {}
+        self.planar: list[bool] = []
+        self.arms: dict[Slot, float] = {}  # of slots that bend: torque per unit
+        self._known: dict[tuple[type, Row], Slot] = {}
+        self._schedules: dict[tuple[int, ...], Schedule] = {}
 
     # -- building ----------------------------------------------------------------------------------
 

@@ -31,7 +31,7 @@ _COLUMNS = {
     "m/s": "joint_vx joint_vy tip_vx tip_vy centre_vx centre_vy",
 }
 UNITS = {name: unit for unit, names in _COLUMNS.items() for name in names.split()}
-_OF_POINT = re.compile("_([va]?[xy]|J[xy][0-9]+)$")
+_OF_POINT = "_([va]?[xy]|J[xy][0-9]+)$"
 # by the letter after the name of a point
 POINTS = {"x": "m", "y": "m", "v": "m/s", "a": "m/s²", "J": "m/rad"}
 ANGULAR = ("q", "e", "qd", "qdd", "tau")  # of joints
@@ -58,11 +58,14 @@ def unit_of(name: str, units: Mapping[str, str] = TURNING) -> str:
 
     `units` are those of the scene, where it is known.
     """
+    known = "" if name.endswith(IN_DEGREES) else units.get(name) or UNITS.get(quantity_of(name))
+    if known:
+        return known
     name = re.sub(r"^[a-z]+\((.*)\)$", r"\1", name)  # max(q1)
     if name.endswith(IN_DEGREES):
         return DEGREES.get(unit_of(name.removesuffix(IN_DEGREES), units), "")
     column = re.sub("^(min|max)_(?=t$|q1$)|_(end|min|max|residual)$", "", name)
-    of_point = _OF_POINT.search(column)
+    of_point = re.search(_OF_POINT, column)
     unit = units.get(column) or UNITS.get(quantity_of(column), "")
     return unit or (POINTS[of_point[1][0]] if of_point else "")
 

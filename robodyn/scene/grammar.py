@@ -230,15 +230,16 @@ load_table: A force or torque by a table, linear between its rows.
   over | name | | needed | t, or a joint q1, ..: its column tells where the rows are
   column | name | | needed | the column of the force or torque
 """
-_EITHER = re.compile(r"<([^,<>]*), ([^<>]*)>")
+_EITHER = r"<([^,<>]*), ([^<>]*)>"
 
 
 def _forms() -> dict[str, Form]:
     """The forms of the table."""
     found: dict[str, Form] = {}
-    for part in re.sub(r"\n {4}", " ", _TABLE).strip().split("\n\n"):
-        for side in (r"\1", r"\2") if "<" in part else (r"\1",):
-            head, *rows = _EITHER.sub(side, part).split("\n")
+    for part in _TABLE.replace("\n    ", " ").strip().split("\n\n"):
+        sides = [re.sub(_EITHER, side, part) for side in (r"\1", r"\2")] if "<" in part else [part]
+        for side in sides:
+            head, *rows = side.split("\n")
             name, _, told = head.partition(": ")
             keys: dict[str, Key] = {}
             for row in rows:

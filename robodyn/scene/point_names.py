@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 
 from robodyn.errors import InputError
 from robodyn.scene.quantities import parse_vector
@@ -16,18 +15,21 @@ from robodyn.scene.scene import Description, Point
 from robodyn.tables.csv_fields import shown
 
 PARTS = ("joint", "tip", "centre")
-_PART = re.compile(rf"({'|'.join(PARTS)})([0-9]{{1,6}})", re.ASCII)
-_NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)
+_PART = rf"({'|'.join(PARTS)})([0-9]{{1,6}})"
+_NAME = r"[A-Za-z][\w-]{0,63}"
 
 
-@dataclass(eq=False, repr=False)
 class Places:
     """The links by their names, where their tips and centres are in their frames, m, and points."""
 
-    links: Mapping[str, int]
-    tip: Callable[[int], complex]
-    centre: Callable[[int], complex]
-    points: dict[str, Point] = field(default_factory=dict)
+    def __init__(
+        self,
+        links: Mapping[str, int],
+        tip: Callable[[int], complex],
+        centre: Callable[[int], complex],
+        points: dict[str, Point] | None = None,
+    ) -> None:
+        self.links, self.tip, self.centre, self.points = links, tip, centre, points or {}
 
     def point(self, text: str) -> Point | None:
         """The point that is written, None for a name that is not known.
@@ -41,7 +43,7 @@ class Places:
         link, at, offset = text.rpartition("@")
         if at and link in self.links:
             return Point(self.links[link], _vector(offset, link))
-        part = _PART.fullmatch(text)
+        part = re.fullmatch(_PART, text)
         if part is None or not 1 <= int(part[2]) <= len(self.links):
             return None
         k = int(part[2]) - 1
@@ -49,11 +51,11 @@ class Places:
 
     def not_free(self, name: str) -> str:
         """Why a point must not have this name; empty where it may."""
-        if not _NAME.fullmatch(name):
+        if not re.fullmatch(_NAME, name, re.ASCII):
             return "must be a letter, then letters, digits, _ or -"
         if name in self.links:
             return "is the name of a link"
-        return "is the name of a part of a link" if _PART.fullmatch(name) else ""
+        return "is the name of a part of a link" if re.fullmatch(_PART, name) else ""
 
 
 def places_of(description: Description) -> Places:

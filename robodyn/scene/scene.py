@@ -5,7 +5,6 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 from robodyn.tables.records import Record
@@ -209,16 +208,24 @@ class Coupling(Record):
     angle: float
 
 
-@dataclass(frozen=True, slots=True)
 class Written:
     """The tree that a description was read from, and what was put in place of its numbers since.
 
     It is no part of what a scene says: all are equal.  `SceneValues` reads it.
     """
 
-    tree: Any = field(default=None, compare=False, repr=False)  # a node of `yaml_tree.py`
-    put: tuple[Mapping[str, Any], ...] = field(default=(), compare=False, repr=False)  # in turn
-    text: str = field(default="", compare=False, repr=False)  # that the tree was parsed from
+    def __init__(
+        self, tree: Any = None, put: tuple[Mapping[str, Any], ...] = (), text: str = ""
+    ) -> None:
+        self.tree = tree  # a node of `yaml_tree.py`
+        self.put = put  # in turn
+        self.text = text  # that the tree was parsed from
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Written)
+
+    def __hash__(self) -> int:
+        return 0
 
 
 class Description(Record):

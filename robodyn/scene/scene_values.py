@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -171,8 +171,8 @@ class SceneValues:
         finally:
             for held, own in undo:
                 held[:] = own
-        written = self.base.written
-        return found._replace(written=replace(written, put=(*written.put, dict(values))))
+        now = self.base.written
+        return found._replace(written=Written(now.tree, (*now.put, dict(values)), now.text))
 
     def _put(self, values: Mapping[str, float | Node]) -> None:
         self.check(values)

@@ -14,8 +14,8 @@ from typing import Any, BinaryIO, cast
 
 from robodyn.errors import InputError
 from robodyn.scene.scene import Table
-from robodyn.tables.csv_fields import unquoted
-from robodyn.tables.delimited import DELIMITERS, Delimited
+from robodyn.tables.csv_fields import DELIMITERS, unquoted
+from robodyn.tables.delimited import Delimited
 from robodyn.tables.table import Reader
 
 MOST_ROWS = 2000  # every engine writes the rows into its code

@@ -16,9 +16,7 @@ from robodyn.tables.records import Record
 # Digits can be told in one way only: a pattern with two takes time by the square of their number.
 NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 PLAIN_NUMBER = re.compile(rf"[+-]?{NUMBER}", re.ASCII)
-_TOKEN = re.compile(
-    rf"(?P<number>{NUMBER})|(?P<name>[^\W\d_][^\W\d_]*\d*|°)|(?P<sign>\*\*|[-+*/^(),])", re.ASCII
-)
+_TOKEN = rf"(?P<number>{NUMBER})|(?P<name>[^\W\d_][^\W\d_]*\d*|°)|(?P<sign>\*\*|[-+*/^(),])"
 _LETTERS = str.maketrans({"π": "pi", "²": "^2", "³": "^3", "·": "*", "−": "-", "×": "*"})
 LONGEST, DEEPEST = 300, 30  # characters of one value, parentheses within one another
 CONSTANTS = {"pi": math.pi}
@@ -73,11 +71,11 @@ def tokens_of(text: str) -> list[_Token]:
     if not text.strip():
         raise ValueError("is not a number")
     found: list[_Token] = []
-    at = 0
+    token, at = re.compile(_TOKEN, re.ASCII), 0  # `re` keeps it; plain numbers need none
     for piece in re.finditer(r"\S+", text):
         begin = piece.start()
         while begin < piece.end():
-            match = _TOKEN.match(text, begin, piece.end())
+            match = token.match(text, begin, piece.end())
             if match is None:
                 raise ValueError(f"is not a number: {text[begin]!r} at character {begin + 1}")
             found.append(_Token(str(match.lastgroup), match[0], begin, begin > at or not found))

@@ -7,45 +7,38 @@ text that it is, a mapping keeps every pair, a tag is a fault, and aliases canno
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
 
 from robodyn.errors import DescriptionError, Fault
-from robodyn.scene.example_scenes import like
 
 MAX_BYTES = 16 * 2**20
 MAX_DEPTH = 40
 MAX_NODES = 300_000  # with aliases counted as often as they are used
 
 
-@dataclass(eq=False, repr=False)
 class Scalar:
     """One scalar: its text, whether it is quoted, its line."""
 
-    text: str
-    quoted: bool
-    line: int
-    size: int = 1
+    size = 1
+
+    def __init__(self, text: str, quoted: bool, line: int) -> None:
+        self.text, self.quoted, self.line = text, quoted, line
 
 
-@dataclass(eq=False, repr=False)
 class Sequence:
     """A list of nodes."""
 
-    items: list[Node]
-    line: int
-    size: int = 1
+    def __init__(self, items: list[Node], line: int, size: int = 1) -> None:
+        self.items, self.line, self.size = items, line, size
 
 
-@dataclass(eq=False, repr=False)
 class Mapping:
     """Pairs of a key and a node, in the order of the file, equal keys kept."""
 
-    pairs: list[tuple[Scalar, Node]]
-    line: int
-    size: int = 1
+    def __init__(self, pairs: list[tuple[Scalar, Node]], line: int, size: int = 1) -> None:
+        self.pairs, self.line, self.size = pairs, line, size
 
 
 Node = Scalar | Sequence | Mapping
@@ -71,6 +64,8 @@ def read_text(path: Path) -> str:
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
+        from robodyn.scene.example_scenes import like  # only a faulty name pays for the import
+
         raise refuse(f"no such file{like(path)}") from None
     except IsADirectoryError:
         raise refuse("is a directory, not a scene file") from None

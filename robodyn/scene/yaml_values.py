@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from robodyn.errors import MOST_FAULTS, Fault, nearest_first
-from robodyn.scene import other_conventions
 from robodyn.scene.grammar import NUMBERS, OR_VECTOR, WITH_UNIT, WORDS, Key, excluded, form_of
 from robodyn.scene.quantities import is_plain, parse_quantity
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
@@ -53,7 +52,9 @@ class ValueReader:
         if not isinstance(node, Mapping):
             limit = f"must be a mapping with {', '.join(needed + optional)}"
             if isinstance(node, Sequence):
-                limit += other_conventions.LISTS.get(form, "")
+                from robodyn.scene.other_conventions import LISTS  # only a fault pays for it
+
+                limit += LISTS.get(form, "")
             self.fault(place, node, limit, self.shown(node))
             return {}
         known = dict.fromkeys(needed + optional)
@@ -61,7 +62,9 @@ class ValueReader:
         prefix = f"{place}." if place else ""
         for key, value in node.pairs:
             if key.text not in known:
-                here = other_conventions.way_here(form, key.text, known)
+                from robodyn.scene.other_conventions import way_here
+
+                here = way_here(form, key.text, known)
                 near = f"; {here}" if here else self.nearest(key.text, list(known))
                 limit = f"is an unknown {kind}{near}"
                 if beside and key.text in beside:

@@ -8,24 +8,26 @@ import re
 from robodyn.errors import printable
 
 IN_DEGREES = "_deg"  # ends the names of columns of angles in degrees
+DELIMITERS = {";": ";", "tab": "\t", ",": ","}
 LONGEST_SHOWN = 200  # characters of the input that an error repeats
 
+# Patterns are compiled where they are first used: `re` keeps them, and most commands need none.
 # A quoted field takes all that it can (*+): giving back half of a doubled quote would close it.
 _TO_ITS_END = r'[^"]*+(?:""[^"]*+)*+"'
-_FIELD = re.compile(rf'(?:^|,)("{_TO_ITS_END}|[^,]*)')
+_FIELD = rf'(?:^|,)("{_TO_ITS_END}|[^,]*)'
 _START = rf'(?:"{_TO_ITS_END}|(?!"))'
 _REST = rf"[^,]*+(?:,{_START}[^,]*+)*+\Z"
-_WHOLE = re.compile(_START + _REST), re.compile(_TO_ITS_END + _REST)
+_WHOLE = _START + _REST, _TO_ITS_END + _REST
 
 
 def split_fields(line: str) -> list[str]:
     """The fields of a row as they are written, quotes included."""
-    return _FIELD.findall(line) if '"' in line else line.split(",")
+    return re.findall(_FIELD, line) if '"' in line else line.split(",")
 
 
 def ends_open(line: str, inside: bool) -> bool:
     """Whether a quoted field is open where a line ends that began `inside` of one, or not."""
-    return _WHOLE[inside].match(line) is None
+    return re.match(_WHOLE[inside], line) is None
 
 
 def unquoted(field: str) -> str:
@@ -33,7 +35,8 @@ def unquoted(field: str) -> str:
 
 
 def quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"' if re.search('[,"\r\n]', name) else name
+    plain = set(',"\r\n').isdisjoint(name)
+    return name if plain else '"' + name.replace('"', '""') + '"'
 
 
 def shown(text: str) -> str:

@@ -11,9 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import BinaryIO
 
 from robodyn.errors import nearest_first
-from robodyn.tables.csv_fields import LONGEST_SHOWN, shown
+from robodyn.tables.csv_fields import DELIMITERS, LONGEST_SHOWN, shown
 
-DELIMITERS = {";": ";", "tab": "\t", ",": ","}
 READ_BYTES = 1 << 17  # asked of the stream at once
 LONGEST_ROW = 1 << 20  # bytes of a row: a longer one is handed on as it is, which is then refused
 _NUMBERS = b"0123456789+-.,;eE \r\n"

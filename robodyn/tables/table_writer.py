@@ -33,7 +33,7 @@ class Writer:
         self, stream: BinaryIO, columns: Sequence[str], input_header: Sequence[str] = ()
     ) -> None:
         self._stream = stream
-        bytearray(HELD)  # once so much was freed, glibc keeps what is freed for the rows to come
+        bytes(HELD)  # once so much was freed, glibc keeps what is freed for the rows to come
         new = [name for name in columns if name not in input_header]
         self._header = [*input_header, *new]
         self._places = [self._header.index(name) for name in columns]
