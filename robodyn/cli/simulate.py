@@ -34,7 +34,6 @@ from robodyn.cli.states import (
 )
 from robodyn.cli.times import Points, output_times
 from robodyn.errors import AssemblyError, RobodynError, at_place
-from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
@@ -177,6 +176,8 @@ def _start(mechanism: Mechanism, start: Sequence[Quantity], assemble: bool) -> n
     if not (assemble and sources[0].whole and mechanism.rows):
         q, qd = given, rates = single_state(mechanism, start)
     else:
+        from robodyn.loops import assembly, loop_rates
+
         given, rates = (np.array(source.values) for source in sources)
         q = assembly.close_positions(mechanism, given)
         fault = loop_rates.check_closed(mechanism, q)

@@ -14,7 +14,6 @@ import numpy as np
 from robodyn.cli.files import input_file, model_file, rows_file
 from robodyn.cli.options import EACH, Number, Text, named_options, option, switch
 from robodyn.cli.output import note
-from robodyn.cli.row_files import open_file, read_columns
 from robodyn.cli.states import (
     Quantity,
     Source,
@@ -161,6 +160,8 @@ def torque_source(
         return voltages(mechanism, options.volt, "--volt"), end
     if options.tau_from is None:
         return Actuation((0.0,) * mechanism.n), end
+    from robodyn.cli.row_files import read_columns
+
     names = ["t", *(f"tau{k + 1}" for k in mechanism.actuated)]
     values, _, name = read_columns(options.tau_from, lambda *_: names)
     times, torques = values[:, 0].tolist(), values[:, 1:].tolist()
@@ -234,6 +235,7 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
 
     The pose must close.
     """
+    from robodyn.cli.row_files import open_file
     from robodyn.control.state_feedback import read_feedback
 
     with open_file(file) as (stream, name):
@@ -241,7 +243,7 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
     source = Source(Quantity("q", None), found.q, [], True)
     if at is not None:
         given, name = option_source(mechanism, Quantity("at", at)), "--at"
-        source = replace(given, quantity=source.quantity)
+        source = given._replace(quantity=source.quantity)
     with at_place(name):
         (pose,) = complete(mechanism, [source], [np.array(source.values)])
         if at is None:
@@ -259,6 +261,7 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
 
 def reference_from(mechanism: Mechanism, file: str) -> ReferenceTable:
     """The reference of the actuated joints in a file."""
+    from robodyn.cli.row_files import read_columns
     from robodyn.control.tracking import ReferenceTable
 
     joints = len(mechanism.actuated)

@@ -24,7 +24,7 @@ States are arrays (..., n); radians, SI units.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +35,7 @@ from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.mechanics.modes import Mode, in_mode, pressed
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.tables.arrays import Array, Complex
+from robodyn.tables.records import Record
 
 
 def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = None) -> Array:
@@ -248,7 +249,7 @@ def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
     return Psi
 
 
-class Points(NamedTuple):
+class Points(Record):
     """Points const + c X of a mechanism, p of them; they move as X does."""
 
     constant: Complex  # (p,) m

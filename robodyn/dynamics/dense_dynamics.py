@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,6 +40,7 @@ from robodyn.errors import RobodynError, SingularError
 from robodyn.loops.closing import loop_size, singular_at
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
+from robodyn.tables.records import Record
 from robodyn.tables.short_repr import short_repr
 
 RANK_CUT = 1e-10  # singular values of Psi below this part of the loop's size count as zero
@@ -53,7 +53,7 @@ BALANCE = 1e-7  # part of the load that torques may miss by before the motion is
 
 
 @short_repr
-class Torques(NamedTuple):
+class Torques(Record):
     """tau (..., n) N m, zero at passive joints, and the multipliers lambda (..., r) N.
 
     `remark` says where they are right but not the only ones.
@@ -65,7 +65,7 @@ class Torques(NamedTuple):
 
 
 @short_repr
-class Accelerations(NamedTuple):
+class Accelerations(Record):
     """qdd (..., n) rad/s^2 and the multipliers lambda (..., r) N; `remark` as for Torques."""
 
     qdd: Array
@@ -248,7 +248,7 @@ def check_actuators(mechanism: Mechanism, q: Array) -> None:
         )
 
 
-class _Decomposition(NamedTuple):
+class _Decomposition(Record):
     """Psi = U diag(s) V^T: V (..., n, n), how many s count (...), and Psi's pseudo-inverse."""
 
     V: Array

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.csv_fields import shown
+from robodyn.tables.records import Record
 
 FEW = 32  # numbers
 
@@ -60,7 +61,7 @@ def matvec(matrix: NDArray[Any], vector: NDArray[Any]) -> Array:
     return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
-class Placed(NamedTuple):
+class Placed(Record):
     """Where a mechanism is: x = J q, X, and the direction E of the frame of each, (..., n)."""
 
     x: Array

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 from robodyn.engines import expression
 from robodyn.engines.expression import Graph
@@ -18,13 +17,14 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.torque_rows import torque_slots
+from robodyn.tables.records import Record
 
 KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
 TINY = 1e-290  # in place of a coefficient that vanishes
 TURN = 2.0  # rad: a link that turns farther in a step may not have its turns counted
 
 
-class Coefficients(NamedTuple):
+class Coefficients(Record):
     """The series of one motion: `rho`, `theta` (n, order + 2) are the links' turns from its start.
 
     `power` (order + 1) is that of what changes the energy, but for constant torques, whose work is
@@ -38,7 +38,7 @@ class Coefficients(NamedTuple):
     watched: list[list[Value]]
 
 
-class Start(NamedTuple):
+class Start(Record):
     """The state of a motion as formulas, and the numbers that its rows take."""
 
     graph: Graph

@@ -11,11 +11,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from robodyn.mechanics.loop_rows import coupling_rows
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Coupling, JointSpring, Limits
+from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,7 +26,7 @@ NEAR = 1e-12  # rad or m, or part of where it is: so near to an end a joint touc
 BELL = 6.0  # widths of a bell, beyond which it is zero to rounding
 
 
-class Mode(NamedTuple):
+class Mode(Record):
     """Which joints are held, which slip and which way, which press the stop of which side."""
 
     held: tuple[int, ...] = ()
