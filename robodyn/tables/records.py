@@ -22,7 +22,7 @@ class Record(tuple[Any, ...]):
 
     def __init_subclass__(cls) -> None:
         cls._fields = tuple(cls.__annotations__)
-        cls.__match_args__ = cls._fields  # type: ignore[attr-defined]
+        cls.__match_args__ = cls._fields  # type: ignore[attr-defined, misc]
         cls._field_defaults = {x: vars(cls)[x] for x in cls._fields if x in vars(cls)}
         cls._rest = tuple(cls._field_defaults.values())
         cls._needed = len(cls._fields) - len(cls._rest)
