@@ -1,1 +1,1 @@
-"""Tables of numbers: CSV in and out, and files that a failed run leaves as they were."""
+"""Records, CSV in and out, and files that a failed run leaves as they were."""
