@@ -23,7 +23,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, default_order
-from robodyn.taylor.step_boxes import Kept
+from robodyn.taylor.step_boxes import Kept, terms_of
 from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, looks
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
@@ -315,8 +315,11 @@ class CompiledEngine:
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])
         status = block[place["status"]]
         found = Status.FULL if status == RUNNING else Status(int(status))
-        kept = Kept(boxes[:taken], series.__getitem__) if keeps else None
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
+        kept = None
+        if keeps:
+            h = np.diff(made[0], prepend=t)
+            kept = Kept(boxes[:taken], lambda at: terms_of(series[at].T, h[at]))
         return Chunk(*made, found, kept)
 
     def _laid(self, layout: tuple[int, int, int, bool, bool]) -> tuple[Any, ...]:
@@ -334,9 +337,10 @@ class CompiledEngine:
         table = room[:a].view(np.int64)
         table[:6] = [at + 8 * x for x in (a, b, c, d, e, f)]
         table[6:] = self._at_watch, 0, 0, wanted, 0, *layout[3:]
-        boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end].reshape(-1, orders, wide)
+        shape = -1, orders, wide // 2, 2
+        boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end].reshape(shape)
         parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(steps, N)
-        self._views = layout, at, table, *parts, boxes, series.view(np.complex128)
+        self._views = layout, at, table, *parts, boxes, series
         return self._views
 
 

@@ -210,13 +210,14 @@ class SteppingEngine:
 
     def _kept(self, t: float, y: Array, steps: Chunk, kept: list[bytes]) -> Kept:
         """Of steps from (t, y), by their series."""
-        from robodyn.taylor.step_boxes import Kept, as_complex, boxes_along
+        from robodyn.taylor.step_boxes import Kept, boxes_along, terms_of
 
         parts = np.frombuffer(b"".join(kept)).reshape(len(steps.t), 2, self.mechanism.n, -1)
         states, times = np.concatenate([y[None], steps.y]), np.concatenate([[t], steps.t])
         h = times[1:] - times[:-1]
-        boxes = boxes_along(self.mechanism, states[:-1], states[1:], parts, h)
-        return Kept(boxes, lambda places: as_complex(parts[places]))
+        terms = terms_of(parts.transpose(1, 2, 3, 0), h)
+        boxes = boxes_along(self.mechanism, states[:-1], states[1:], terms, h)
+        return Kept(boxes, lambda places: terms[..., places])
 
     def within(self, times: Array) -> Array:
         """See `Engine`."""
