@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.placed import joint_ways
+from robodyn.dynamics.placed import relative_matrix
 from robodyn.events.signs import MISSED
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
@@ -52,9 +52,13 @@ class Kept(NamedTuple):
 
 def terms_of(parts: Array, h: Array) -> Array:
     """z_k h^k, k > 0, (2, n, p, m) of rho and theta in `parts` (2, n, p + 1, m) of steps h (m)."""
-    powers = np.empty((parts.shape[2] - 1, len(h)))
-    powers[:] = h
-    np.multiply.accumulate(powers, out=powers)
+    most, k = parts.shape[2] - 1, 1
+    powers = np.empty((most, len(h)))
+    powers[0] = h
+    while k < most:
+        upto = min(2 * k, most)
+        np.multiply(powers[: upto - k], powers[k - 1], out=powers[k:upto])
+        k = upto
     terms = np.empty((*parts.shape[:2], *powers.shape))  # steps side by side: that is fast
     return np.multiply(parts[:, :, 1:], powers, out=terms)
 
@@ -107,7 +111,7 @@ def states_along(mechanism: Mechanism, y: Array, terms: Array, h: Array, parts: 
     """
     n, p, m = terms.shape[1:]
     sums = _weights(p, parts.tobytes()) @ terms
-    return _states(mechanism, y[:, None], sums.reshape(2, n, 2, len(parts), m), h[:, None, None])
+    return _states(mechanism, y[:, None], sums.reshape(2, n, 2, len(parts), m), h)
 
 
 def states_at(mechanism: Mechanism, y: Array, terms: Array, h: Array, part: Array) -> Array:
@@ -119,19 +123,31 @@ def states_at(mechanism: Mechanism, y: Array, terms: Array, h: Array, part: Arra
     slopes[0], slopes[1:] = 1.0, powers[:-1]
     slopes *= _orders(len(slopes))
     sums = np.add.reduce(terms[:, :, None] * weights, axis=3)
-    return _states(mechanism, y, sums, h[:, None])
+    return _states(mechanism, y, sums, h)
 
 
 def _states(mechanism: Mechanism, y: Array, sums: Array, h: Array) -> Array:
-    """The states where z - z_0 and z' h have these `sums` (2, n, 2, ..., m) of rho and theta."""
-    n, z = mechanism.n, np.empty(sums.shape[1:], complex)
-    z.real, z.imag = sums
-    z[:, 0] += 1.0  # as if displacements began at 0
-    way, rates = joint_ways(mechanism, np.zeros(n), z[:, 0].T, z[:, 1].T)
-    states = np.empty((*way.shape[:-1], 2 * n))
-    np.add(y[..., :n], way, out=states[..., :n])
-    np.divide(rates, h, out=states[..., n:])
-    return states
+    """The states (m, ..., 2n) where z - z_0 and z' h have the `sums` (2, n, 2, ..., m).
+
+    Of y (m, 1.., 2n or more) and steps h (m).  See `placed.joint_ways`; parts are faster in turn.
+    """
+    n, slides = mechanism.n, list(mechanism.slides)
+    (rho, along), (theta, across) = sums[0].swapaxes(0, 1), sums[1].swapaxes(0, 1)
+    turn = rho + 1.0
+    states = np.empty((2 * n, *rho.shape[1:]))
+    way, rates = states[:n], states[n:]
+    np.arctan2(theta, turn, out=way)
+    np.multiply(turn, across, out=rates)
+    rates -= theta * along
+    rates /= np.square(turn, out=turn) + theta * theta
+    if slides:
+        way[slides], rates[slides] = theta[slides], across[slides]
+    rates /= h
+    if n > 1:
+        both = states.reshape(2, n, -1)
+        np.matmul(relative_matrix(mechanism), both.copy(), out=both)
+    way += y.T[:n]
+    return states.T
 
 
 @lru_cache(maxsize=64)
