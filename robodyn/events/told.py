@@ -98,7 +98,7 @@ class EventRecord:
                 if way := self.functions[0].way:
                     zeros = zeros[zeros[:, 3] == way]
                 self.happened[0] += len(zeros)
-            t, apart = zeros[:, 1:3].T.tolist()
+            t, apart = zeros[:, 1].tolist(), zeros[:, 2].tolist()
             self.kept.extend(map(_event, zip(names, t, zeros[:, 4:], apart, strict=False)))
         del self.kept[MOST:]
 

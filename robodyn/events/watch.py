@@ -75,6 +75,12 @@ class EventWatch(EventRecord):
             return None
         return (linear, self.signs) if len(linear) == len(self.functions) else None
 
+    def took(self, kept: object) -> bool:
+        """Take what is kept of some steps, where it is what was found along them."""
+        if isinstance(kept, Found):
+            self.take(kept)
+        return isinstance(kept, Found)
+
     def take(self, found: Found) -> None:
         """Take what was found along some steps."""
         if len(found.zeros):

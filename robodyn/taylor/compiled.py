@@ -24,7 +24,7 @@ from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, default_order
 from robodyn.taylor.step_boxes import Kept, terms_of
-from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, looks
+from robodyn.taylor.watched_code import FOUND, ROOM, WATCH, ZERO, looks
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 ROWS = 16384  # of one call: no step begins when there are more
@@ -239,13 +239,13 @@ class CompiledEngine:
             watch[WATCH.index("forms")] = self._forms.ctypes.data
             watch[WATCH.index("functions")] = len(linear)
         self._forms[:, -1] = signs
-        watch[WATCH.index("found")] = 0
+        watch[FOUND] = 0
         made = self._advance(t, y, bound, times, steps, watches=True)
-        found, unsure = watch[WATCH.index("found") :].tolist()
+        found, unsure = watch[FOUND:].tolist()
         watch[-1] = 0  # or no later call takes a step
         if unsure:
             return None
-        after = self._forms[:, -1].astype(np.int64).tolist()
+        after = list(map(int, self._forms[:, -1].tolist()))
         return Chunk(*made[:-1], Found(zeros[:found].copy(), after))
 
     def within(self, times: Array) -> Array:
@@ -315,11 +315,8 @@ class CompiledEngine:
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])
         status = block[place["status"]]
         found = Status.FULL if status == RUNNING else Status(int(status))
+        kept = Kept(boxes[:taken], lambda at, h: terms_of(series[at].T, h)) if keeps else None
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
-        kept = None
-        if keeps:
-            h = np.diff(made[0], prepend=t)
-            kept = Kept(boxes[:taken], lambda at: terms_of(series[at].T, h[at]))
         return Chunk(*made, found, kept)
 
     def _laid(self, layout: tuple[int, int, int, bool, bool]) -> tuple[Any, ...]:
@@ -337,10 +334,9 @@ class CompiledEngine:
         table = room[:a].view(np.int64)
         table[:6] = [at + 8 * x for x in (a, b, c, d, e, f)]
         table[6:] = self._at_watch, 0, 0, wanted, 0, *layout[3:]
-        shape = -1, orders, wide // 2, 2
-        boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end].reshape(shape)
+        boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end]
         parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(steps, N)
-        self._views = layout, at, table, *parts, boxes, series
+        self._views = layout, at, table, *parts, boxes, series.reshape(-1, orders, wide // 2, 2)
         return self._views
 
 

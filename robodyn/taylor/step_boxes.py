@@ -42,12 +42,12 @@ TURNS: Array = np.array([1.0, -1.0])  # less i times it: what turns rho and thet
 class Kept(NamedTuple):
     """What an engine keeps of m steps, until it advances again.
 
-    `boxes` (m, 2, 2n) are the middles of q and qd, and how far they go from there; `terms(places)`
-    (2, n, p, k) are rho and theta of z_k h^k, k > 0, of steps.
+    `boxes` (m, 2, 2n) are the middles of q and qd, and how far they go from there;
+    `terms(places, h)` (2, n, p, k) are rho and theta of z_k h^k, k > 0, of some steps h (k).
     """
 
     boxes: Array
-    terms: Callable[[Places], Array]
+    terms: Callable[[Places, Array], Array]
 
 
 def terms_of(parts: Array, h: Array) -> Array:

@@ -217,7 +217,7 @@ class SteppingEngine:
         h = times[1:] - times[:-1]
         terms = terms_of(parts.transpose(1, 2, 3, 0), h)
         boxes = boxes_along(self.mechanism, states[:-1], states[1:], terms, h)
-        return Kept(boxes, lambda places: terms[..., places])
+        return Kept(boxes, lambda places, _: terms[..., places])
 
     def within(self, times: Array) -> Array:
         """See `Engine`."""

@@ -36,6 +36,7 @@ ROUNDS = 8  # of secants on the states
 ROOM = 4096  # zeros that a call may find
 # of the table of a watch: addresses, then how many functions, zeros found, whether it is unsure
 WATCH = ("forms", "zeros", "functions", "found", "unsure")
+FOUND = WATCH.index("found")
 ZERO = ("function", "t", "apart", "sign")  # what `Found` has of each, before the state
 
 

@@ -8,22 +8,19 @@ import numpy as np
 
 from robodyn.events.pieces import Step
 from robodyn.events.signs import NODES
-from robodyn.events.told import Found, Stop
+from robodyn.events.told import Stop
 from robodyn.events.watch import EventWatch
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk, Engine, Status
-from robodyn.taylor.step_boxes import Places, states_along, states_at
+from robodyn.taylor.step_boxes import Kept, Places, states_along, states_at
 
 
 def with_events(
     events: EventWatch, mechanism: Mechanism, chunk: Chunk, t: float, y: Array, engine: Engine
 ) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
     """A chunk from (t, y) up to the event that ends it, and the states in its last step."""
-    if isinstance(chunk.kept, Found):
-        events.take(chunk.kept)
-        return chunk, engine.within, None
-    assert chunk.kept is not None
+    assert isinstance(chunk.kept, Kept)
     events.doubts += engine.forms is not None
     terms = chunk.kept.terms
     times, before = np.concatenate([[t], chunk.t]), np.concatenate([y[None], chunk.y[:-1]])
@@ -35,11 +32,12 @@ def with_events(
         return Step(begin, end, chunk.y[j], engine.dense(begin, before[j], end))
 
     def sampled(places: Places) -> Array:
-        return states_along(mechanism, before[places], terms(places), h[places], NODES)
+        some = h[places]
+        return states_along(mechanism, before[places], terms(places, some), some, NODES)
 
     def within(places: Places, t: Array) -> Array:
-        part = (t - times[places]) / h[places]
-        found = states_at(mechanism, before[places], terms(places), h[places], part)
+        some, x = h[places], t - times[places]
+        found = states_at(mechanism, before[places], terms(places, some), some, x / some)
         return engine.closed(found) if mechanism.rows else found
 
     ends, exact = chunk.y[:, : 2 * mechanism.n], not mechanism.rows
