@@ -100,7 +100,8 @@ class EventRecord:
                 self.happened[0] += len(zeros)
             t, apart = zeros[:, 1].tolist(), zeros[:, 2].tolist()
             self.kept.extend(map(_event, zip(names, t, zeros[:, 4:], apart, strict=False)))
-        del self.kept[MOST:]
+        if len(self.kept) > MOST:
+            del self.kept[MOST:]
 
     def tell(self, one: Single) -> None:
         """A function passes zero: an event, where this way counts and it is not known."""

@@ -203,9 +203,7 @@ class CompiledEngine:
     @cached_property
     def _zeros(self) -> Array:
         """Where machine code leaves zeros."""
-        zeros = np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
-        self._watch[WATCH.index("zeros")] = zeros.ctypes.data
-        return zeros
+        return np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
 
     @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
@@ -232,21 +230,21 @@ class CompiledEngine:
         self, forms: Forms, t: float, y: Array, bound: float, times: Array, steps: int
     ) -> Chunk | None:
         """The same, in which the code finds events itself; None where it is unsure of one."""
-        watch, zeros, (linear, signs) = self._watch, self._zeros, forms
+        watch, (linear, signs) = self._watch, forms
         if len(linear) != len(self._linear) or any(map(is_not, linear, self._linear)):
             self._linear = linear
             self._forms = np.pad(linear, ((0, 0), (0, 1)))
-            watch[WATCH.index("forms")] = self._forms.ctypes.data
-            watch[WATCH.index("functions")] = len(linear)
+            watch[:FOUND] = self._forms.ctypes.data, self._zeros.ctypes.data, len(linear)
         self._forms[:, -1] = signs
         watch[FOUND] = 0
         made = self._advance(t, y, bound, times, steps, watches=True)
-        found, unsure = watch[FOUND:].tolist()
-        watch[-1] = 0  # or no later call takes a step
-        if unsure:
-            return None
+        return made if made.kept is not None else None
+
+    def _found(self) -> Found | None:
+        count, unsure = self._watch[FOUND:].tolist()
+        self._watch[-1] = 0  # or no later call takes a step
         after = list(map(int, self._forms[:, -1].tolist()))
-        return Chunk(*made[:-1], Found(zeros[:found].copy(), after))
+        return None if unsure else Found(self._zeros[:count].copy(), after)
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""
@@ -315,7 +313,9 @@ class CompiledEngine:
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])
         status = block[place["status"]]
         found = Status.FULL if status == RUNNING else Status(int(status))
-        kept = Kept(boxes[:taken], lambda at, h: terms_of(series[at].T, h)) if keeps else None
+        kept: Kept | Found | None = self._found() if watches else None
+        if keeps:
+            kept = Kept(boxes[:taken], lambda at, h: terms_of(series[at].T, h))
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
         return Chunk(*made, found, kept)
 
