@@ -165,9 +165,7 @@ def test_boxes_change_no_event(seed: int, kind: str, monkeypatch: pytest.MonkeyP
     assert same == known
     for one, other in zip(with_boxes, without, strict=True):
         assert one.name == other.name
-        assert (
-            abs(one.t - other.t) <= 1e-14 + other.apart
-        )
+        assert abs(one.t - other.t) <= 1e-14 + other.apart
 
 
 def test_boxes_tell_most_steps(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,7 @@ from robodyn.tables.arrays import Array
 Places = NDArray[np.int64]
 Located = tuple[Places, Array, Array, Array]  # see Zeros
 
-ITERATIONS = 3  # of Newton's method between two nodes, from the secant on
+ITERATIONS = 2  # of Newton's method between two nodes, from the secant on
 NEAR = 1e-4  # of a step: a zero of the polynomial is as near to that of the states
 ROUNDS = 4  # of Newton's method on these
 UNITS = 4.0 * float(np.finfo(float).eps)  # of a time: no times nearer are told apart
@@ -119,23 +119,24 @@ def single_zeros(function: EventFunction, steps: Steps, locates: bool = True) ->
         kept, once, steady = kept & smooth, once & smooth, steady & smooth
     limits = noise, off = noise + margins[:, 3], off + margins[:, 4]
     ends = values[:, ::DEGREE].T
-    signs = np.sign(ends)
+    signs = np.subtract(ends > 0.0, ends < 0.0, dtype=np.int64)
     seen = signs * (np.abs(ends) > limits)
     passes = seen[0] * seen[1]
-    kept = kept | (steady & (passes > 0.0))
+    kept = kept | (steady & (passes > 0))
     if function.way and not margins[:, 3].all():  # a comparison that stays at zero
         still = margins[:, 3] == 0.0
         kept |= still & (off == 2.0 * noise)
         signs[1, still] = -function.way if function.strict else function.way
-    known = once & (passes < 0.0)
+    known = once & (passes < 0)
     at = known.nonzero()[0] if locates else NONE[0]
     found = _located(function, steps, at, c[at], values[at], noise[at]) if len(at) else NONE
     known[:] = False
     known[found[0]] = True
     if locates:
-        known |= steady & (seen[0] == 0.0)  # and 0 it stays there, to rounding
-    both = np.where(kept, signs[1], np.where(known, seen, 0.0)).astype(np.int64)
-    return Zeros(both[0], both[1], *found)
+        known |= steady & (seen[0] == 0)  # and 0 it stays there, to rounding
+    seen *= known
+    np.copyto(seen, signs[1], where=kept)
+    return Zeros(seen[0], seen[1], *found)
 
 
 def _located(
@@ -241,13 +242,14 @@ def followed(
         kept = last * (first == last)
     slow = last == 0
     slow[1:] |= first[1:] * last[:-1] != 1
-    slow[0] |= before not in (0, first[0])  # what holds at the start is no event
+    if before not in (0, first[0]):  # what holds at the start is no event
+        slow[0] = True
     if len(at) and len(zeros.at):
         places = at[zeros.at]
         rows = np.empty((len(places), 4 + zeros.y.shape[1]))
         rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = i, zeros.t, zeros.apart, last[places]
         rows[:, 4:] = zeros.y
-        if slow.any():
+        if np.count_nonzero(slow):
             told = ~slow[places]
             places, rows = places[told], rows[told]
     return Followed(kept, last, slow, places, rows)

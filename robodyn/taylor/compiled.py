@@ -34,6 +34,7 @@ TABLE = (
     "times", "rows", "ends", "states", "boxes", "series", "watch", "box", "look",
     "count", "given", "keeps", "watches",
 )  # fmt: skip
+LOOKS = slice(TABLE.index("box"), TABLE.index("count"))
 
 
 class Rows(Observer):
@@ -169,8 +170,7 @@ class CompiledEngine:
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps, self.most = False, STEPS
         self.forms: Forms | None = None
-        self._linear: list[Array] = []  # forms that machine code has, and with their signs
-        self._forms = np.empty((0, 0))
+        self._linear, self._forms = list[Array](), np.empty((0, 0))  # forms, and with signs
         self._watch = np.zeros(len(WATCH), np.int64)
         self._at_watch = self._watch.ctypes.data
         if not serves(mechanism):
@@ -307,7 +307,7 @@ class CompiledEngine:
         _, at, table, asked, rows, ends, states, boxes, series = self._laid(layout)
         table[TABLE.index("given")] = 0
         if keeps or watches:
-            table[TABLE.index("box") : TABLE.index("look") + 1] = looks(scene, code.code)
+            table[LOOKS] = looks(scene, code.code)
         asked[:] = times
         code.advance(address, steps, at)
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import starmap
 from struct import Struct
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -188,7 +187,8 @@ class SteppingEngine:
                 due = last
             self.last = t, state, series
             if self.keeps:
-                kept.extend(starmap(packed, series[: 2 * n]))
+                for row in series[: 2 * n]:  # faster than a starmap's extension of the list
+                    kept.append(packed(*row))
             t, state = end, new
             ends.append(t)
             states.append(state)
