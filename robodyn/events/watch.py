@@ -6,7 +6,6 @@ Steps of a series are looked at together, by boxes; those where a sign may chang
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ LESS = 7  # times at most that the work on a function is halved which cannot be 
 LEAST = 1e-17  # of a step: no times within it are told apart further
 
 
-@dataclass
 class EventWatch(EventRecord):
     """Watches functions; those of the places `stops` end the run.
 
@@ -33,11 +31,9 @@ class EventWatch(EventRecord):
     start is no event.
     """
 
-    signs: list[int] = field(default_factory=list)
-
     def __post_init__(self) -> None:
-        self.signs = self.signs or [0] * len(self.functions)
         super().__post_init__()
+        self.signs = [0] * len(self.functions)
         self.doubts = 0  # calls of machine code that were unsure
         self.watched = self.functions
         self._single: list[Single] = []  # those in the step looked at
