@@ -122,15 +122,16 @@ def two_guesses(steps: Sequence[Any]) -> Array:
 
 def by_stages(functions: Sequence[EventFunction], steps: Sequence[Any]) -> list[Places]:
     """The signs (m,) of each function along m steps of an explicit method."""
-    both = two_guesses(steps)
+    both, m = two_guesses(steps), len(steps)
     begin = np.array([step.t_old for step in steps])
-    at = node_times(begin, begin + np.array([step.h_previous for step in steps]))
+    at = node_times(begin, begin + np.array([step.h_previous for step in steps])).ravel()
+    at, y = np.concatenate([at, at]), both.reshape(-1, both.shape[-1])
     found = []
     for function in functions:
-        known = np.ones(len(steps), np.int64)
+        known = np.ones(m, np.int64)
         with np.errstate(all="ignore"):
             for part in (*function.switches, function):
-                better, worse = part.values(at, both)
+                better, worse = part.values(at, y).reshape(2, m, -1)
                 noise = np.abs(better - worse).max(axis=1)
                 noise += MARGIN * np.abs(better).max(axis=1)
                 known = np.where(known, certain(better, noise), 0)

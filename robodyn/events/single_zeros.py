@@ -90,14 +90,15 @@ class Zeros(NamedTuple):
 
 def _sampled(part: Part, steps: Steps, sharp: bool) -> tuple[Array, Array, Array]:
     """Values (m, k) at the nodes, how far they may be off (m,), and what rounding is of that."""
-    at = node_times(steps.begin, steps.end)
-    values = part.values(at, steps.nodes)
+    m, k, width = steps.nodes.shape
+    at, p = node_times(steps.begin, steps.end), steps.other.shape[1]
+    values = part.values(at.ravel(), steps.nodes.reshape(-1, width)).reshape(m, k)
     if sharp:
         noise = np.maximum.reduce(np.atleast_1d(part.noise(at, steps.nodes)), axis=-1)
     else:
         noise = MARGIN * np.abs(values).max(axis=1)
-    p = steps.other.shape[1]
-    missed = np.abs(values[:, -p:] - part.values(at[:, -p:], steps.other))
+    last = part.values(at[:, -p:].ravel(), steps.other.reshape(-1, steps.other.shape[2]))
+    missed = np.abs(values[:, -p:] - last.reshape(m, p))
     return values, noise + MISSED * (missed[:, 0] if p == 1 else missed.max(axis=1)), noise
 
 
