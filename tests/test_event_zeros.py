@@ -97,6 +97,5 @@ def test_against_a_search_on_the_motion(how: str, monkeypatch: pytest.MonkeyPatc
 
 def unknown(function: Any, steps: single_zeros.Steps, *_: Any) -> single_zeros.Zeros:
     """Nothing is known of any step: each is looked at by itself."""
-    m, k = len(steps.begin), steps.nodes.shape[2]
-    none = np.zeros(m, np.int64)
-    return single_zeros.Zeros(none, none, np.zeros(m), np.zeros((m, k)), np.zeros(m))
+    none = np.zeros(len(steps.begin), np.int64)
+    return single_zeros.Zeros(none, none, *single_zeros.NONE)

@@ -131,6 +131,7 @@ def test_grazes(pendulum: Mechanism, look: Callable, ends: list[float], depth: f
 @pytest.mark.parametrize(
     ("text", "roots"),
     [
+        ("(q1 - 1)*(q1 - 1.5)*(q1 - 2.01)", [1.0, 1.5, 2.01]),  # at ends of steps, and within
         ("(t - 1.1)**2", []),
         ("(t - 1.1)**3", [1.1]),
         ("(t - 1.1)**4", []),

@@ -153,29 +153,6 @@ def joint_ways(
     return way @ relative, rates @ relative
 
 
-def states_along(mechanism: Mechanism, y: Array, series: Complex, h: Array, parts: Array) -> Array:
-    """q and qd (m, k, 2n) at `parts` (k) of steps h (m) from y (m, 2n or more), by their series.
-
-    Those (m, p, n) are rho + i theta of the coordinates; closures are kept as far as these do.
-    """
-    m, orders, n = series.shape
-    scaled = series * (h[:, None] ** np.arange(orders))[..., None]
-    columns = scaled.transpose(0, 2, 1).reshape(m * n, orders)
-    both = (columns @ _powers_of(orders, parts.tobytes())).reshape(m, n, 2, len(parts))
-    z, slope = both[:, :, 0].swapaxes(1, 2), both[:, :, 1].swapaxes(1, 2)
-    way, rates = joint_ways(mechanism, y[:, None, :n], z, slope)
-    return np.concatenate([y[:, None, :n] + way, rates / h[:, None, None]], axis=-1)
-
-
-@lru_cache(maxsize=64)
-def _powers_of(orders: int, parts: bytes) -> Complex:
-    """What makes values and slopes (columns) at `parts` of a series (rows)."""
-    powers = np.frombuffer(parts)[:, None] ** np.arange(orders)
-    slopes = np.zeros_like(powers)
-    slopes[:, 1:] = powers[:, :-1] * np.arange(1, orders)
-    return np.concatenate([powers, slopes]).T.astype(complex)
-
-
 @lru_cache(maxsize=64)
 def relative_matrix(mechanism: Mechanism) -> Array:
     """J^-1 (n, n): joint rates from absolute ones."""

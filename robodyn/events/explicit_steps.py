@@ -124,7 +124,7 @@ def by_stages(functions: Sequence[EventFunction], steps: Sequence[Any]) -> list[
     """The signs (m,) of each function along m steps of an explicit method."""
     both, m = two_guesses(steps), len(steps)
     begin = np.array([step.t_old for step in steps])
-    at = node_times(begin, begin + np.array([step.h_previous for step in steps]))
+    at = node_times(begin, begin + np.array([step.h_previous for step in steps])).ravel()
     at, y = np.concatenate([at, at]), both.reshape(-1, both.shape[-1])
     found = []
     for function in functions:

@@ -107,11 +107,18 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
 
 def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> list[EventFunction]:
     """Events by their names; InputError for a name or an expression that is none."""
-    for name in given:
+    return list(_functions(mechanism, tuple(given.items())))
+
+
+@lru_cache(maxsize=64)
+def _functions(
+    mechanism: Mechanism, given: tuple[tuple[str, str], ...]
+) -> tuple[EventFunction, ...]:
+    for name, _ in given:
         if not _NAME.fullmatch(name):
             limit = "must be a letter, then letters, digits, _ or -"
             raise InputError("name of an event", value=name, limit=limit)
-    return [event_function(mechanism, name, text, f"event {name}") for name, text in given.items()]
+    return tuple(event_function(mechanism, name, text, f"event {name}") for name, text in given)
 
 
 class _Chosen(ast.NodeTransformer):

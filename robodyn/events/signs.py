@@ -90,9 +90,9 @@ class Budget:
 
 
 def node_times(begin: Array, end: Array) -> Array:
-    """The times (m * nodes) of Chebyshev's points of m steps."""
+    """The times (m, nodes) of Chebyshev's points of m steps."""
     at: Array = begin[:, None] + (end - begin)[:, None] * NODES
-    return at.ravel()
+    return at
 
 
 def certain(values: Array, noise: Array) -> NDArray[np.int64]:

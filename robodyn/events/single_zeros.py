@@ -28,18 +28,34 @@ from robodyn.events.signs import (
 from robodyn.tables.arrays import Array
 
 Places = NDArray[np.int64]
+Located = tuple[Places, Array, Array, Array]  # see Zeros
 
-ITERATIONS = 3  # of Newton's method between two nodes, from the secant on
+ITERATIONS = 2  # of Newton's method between two nodes, from the secant on
 NEAR = 1e-4  # of a step: a zero of the polynomial is as near to that of the states
 ROUNDS = 4  # of Newton's method on these
 UNITS = 4.0 * float(np.finfo(float).eps)  # of a time: no times nearer are told apart
 MARGIN = 1e-9  # of a function's size along a step: asked of it in place of its rounding's bound
 _K = np.arange(DEGREE + 1.0)
-# of sizes of coefficients: of all, of the last three, and what bounds the slope's and the bend's
-SUMS: Array = np.stack([_K >= 0, _K > DEGREE - 3, SLOPES * (_K > 1), BENDS * (_K > 2)], axis=1)
-DERIVATIVE: Array = 2.0 * _K[:, None] * ((_K[:, None] > _K) & ((_K[:, None] - _K) % 2.0 == 1.0))
-DERIVATIVE[:, 0] *= 0.5
+_DERIVATIVE: Array = 2.0 * _K[:, None] * ((_K[:, None] > _K) & ((_K[:, None] - _K) % 2.0 == 1.0))
+_DERIVATIVE[:, 0] *= 0.5
+BOTH: Array = np.concatenate([np.eye(DEGREE + 1), _DERIVATIVE], axis=1)  # and the slope's
 _X = 2.0 * NODES - 1.0
+
+
+def _margins() -> Array:
+    """Of sizes of coefficients, what is left of a sign's, a slope's, and a bend's certainty.
+
+    An error as large takes it away.  Then rounding's part, and with it what the last three tell.
+    """
+    tail = ROUNDING + 2.0 * (_K > DEGREE - 3)
+    sign, slope, bend = -1.0 * (_K > 0), -SLOPES * (_K > 1), -BENDS * (_K > 2)
+    sign[0], slope[1], bend[2] = 1.0, 1.0, 4.0
+    sure = sign - tail, slope / SLOPES[-1] - tail, bend / BENDS[-1] - tail
+    return np.stack([*sure, np.full(DEGREE + 1, ROUNDING), tail], axis=1)
+
+
+MARGINS: Array = _margins()
+NONE: Located = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0)
 
 
 class Steps(NamedTuple):
@@ -60,11 +76,13 @@ class Steps(NamedTuple):
 class Zeros(NamedTuple):
     """Of m steps: the signs (m,) at their begin and end, and when a function passes zero.
 
-    Equal signs are kept all along; they are 0 where it is not known to pass once at most.
+    Equal signs are kept all along; they are 0 where it is not known to pass once at most.  It
+    passes at times t (k,) in the steps `at`, in the states y, `apart` being how far t may be off.
     """
 
     first: Places
     last: Places
+    at: Places
     t: Array
     y: Array
     apart: Array
@@ -72,20 +90,16 @@ class Zeros(NamedTuple):
 
 def _sampled(part: Part, steps: Steps, sharp: bool) -> tuple[Array, Array, Array]:
     """Values (m, k) at the nodes, how far they may be off (m,), and what rounding is of that."""
-    m, k, _ = steps.nodes.shape
-    at = node_times(steps.begin, steps.end).reshape(m, k)
-    p = steps.other.shape[1]
-    flat = (x.reshape(-1, x.shape[-1]) for x in (steps.nodes, steps.other))
-    values, other = (
-        part.values(t.ravel(), y).reshape(m, -1)
-        for t, y in zip((at, at[:, -p:]), flat, strict=True)
-    )
+    m, k, width = steps.nodes.shape
+    at, p = node_times(steps.begin, steps.end), steps.other.shape[1]
+    values = part.values(at.ravel(), steps.nodes.reshape(-1, width)).reshape(m, k)
     if sharp:
         noise = np.maximum.reduce(np.atleast_1d(part.noise(at, steps.nodes)), axis=-1)
     else:
         noise = MARGIN * np.abs(values).max(axis=1)
-    missed = MISSED * np.abs(values[:, -p:] - other).max(axis=1)
-    return values, noise + missed, noise
+    last = part.values(at[:, -p:].ravel(), steps.other.reshape(-1, steps.other.shape[2]))
+    missed = np.abs(values[:, -p:] - last.reshape(m, p))
+    return values, noise + MISSED * (missed[:, 0] if p == 1 else missed.max(axis=1)), noise
 
 
 @np.errstate(all="ignore")  # values may be huge, or none
@@ -95,62 +109,61 @@ def single_zeros(function: EventFunction, steps: Steps, locates: bool = True) ->
     Only the first, and less sharply, where it `locates` no zeros.
     """
     values, off, noise = _sampled(function, steps, locates)
+    off = off + noise
     c = values @ TO_COEFFICIENTS
-    size = np.abs(c)
-    total, tail, slopes, bends = (size @ SUMS).T
-    noise += ROUNDING * total
-    error = off + noise + 2.0 * tail
-    kept = 2.0 * size[:, 0] > total + error
-    steady = size[:, 1] > slopes + SLOPES[-1] * error
-    once = steady | (4.0 * size[:, 2] > bends + BENDS[-1] * error)
+    margins = np.abs(c) @ MARGINS
+    kept, steady, bent = (margins[:, :3] > off[:, None]).T
+    once = steady | bent
     for switch in function.switches:
         inner, *missed = _sampled(switch, steps, locates)
         smooth = certain(inner, missed[0] + missed[1]) != 0
         kept, once, steady = kept & smooth, once & smooth, steady & smooth
-    begins, ends = values[:, 0], values[:, -1]
-    first = np.sign(begins) * (np.abs(begins) > noise)
-    last = np.sign(ends) * (np.abs(ends) > error)
-    known = once & (first * last < 0.0)
-    m, y = len(c), steps.nodes[:, 0].copy()
-    t, apart = np.zeros((2, m))
-    if locates and known.any():
-        at = known.nonzero()[0]
-        t[at], y[at], apart[at], known[at] = _located(
-            function, steps, at, c[at], values[at], noise[at]
-        )
-        known |= steady & (first == 0.0)  # and 0 it stays there, to rounding
-    else:
-        known[:] = False
-    kept |= steady & (first * last > 0.0)
-    if function.way and not total.all():  # a comparison that stays at zero
-        kept |= (total == 0.0) & (off == noise)
-        ends = np.where(total, ends, -function.way if function.strict else function.way)
-    both = np.where(kept, np.sign(ends), np.where(known, (first, last), 0.0)).astype(np.int64)
-    return Zeros(both[0], both[1], t, y, apart)
+    limits = noise, off = noise + margins[:, 3], off + margins[:, 4]
+    ends = values[:, ::DEGREE].T
+    signs = np.subtract(ends > 0.0, ends < 0.0, dtype=np.int64)
+    seen = signs * (np.abs(ends) > limits)
+    passes = seen[0] * seen[1]
+    kept = kept | (steady & (passes > 0))
+    if function.way and not margins[:, 3].all():  # a comparison that stays at zero
+        still = margins[:, 3] == 0.0
+        kept |= still & (off == 2.0 * noise)
+        signs[1, still] = -function.way if function.strict else function.way
+    known = once & (passes < 0)
+    at = known.nonzero()[0] if locates else NONE[0]
+    found = _located(function, steps, at, c[at], values[at], noise[at]) if len(at) else NONE
+    known[:] = False
+    known[found[0]] = True
+    if locates:
+        known |= steady & (seen[0] == 0)  # and 0 it stays there, to rounding
+    seen *= known
+    np.copyto(seen, signs[1], where=kept)
+    return Zeros(seen[0], seen[1], *found)
 
 
 def _located(
     function: EventFunction, steps: Steps, at: Places, c: Array, values: Array, noise: Array
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Zeros of steps: their times, the states there, how far they may be off, and whether so.
+) -> Located:
+    """Zeros of steps `at` places: those it is so of, times, states, how far times may be off.
 
     Of `values` (k, DEGREE + 1) at the nodes, and of coefficients c, which change sign once.
     """
     rows = np.arange(len(at))
-    after = np.argmax(values * np.sign(values[:, -1:]) > 0.0, axis=1)
+    after = ((values > 0.0) == (values[:, -1:] > 0.0)).argmax(axis=1)
     low, high = _X[after - 1], _X[after]
     below, above = values[rows, after - 1], values[rows, after]
     x = low + (high - low) * below / (below - above)
-    both = np.stack([c, c @ DERIVATIVE])
+    both = (c @ BOTH).reshape(-1, 2, DEGREE + 1)
     for _ in range(ITERATIONS):
-        value, slope = (both * np.cos(np.arccos(x)[:, None] * _K)).sum(axis=-1)
+        waves = np.cos(np.arccos(x)[:, None] * _K)
+        value, slope = (both @ waves[:, :, None])[:, :, 0].T
         x = np.minimum(np.maximum(x - value / slope, low), high)
-    h = steps.end[at] - steps.begin[at]
-    t, speed = steps.begin[at] + 0.5 * h * (1.0 + x), 2.0 * slope / h
+    begin = steps.begin[at]
+    half = 0.5 * (steps.end[at] - begin)
+    t, speed = begin + half * (1.0 + x), slope / half
     y = steps.states(at, t)
-    value = function.values(t, y)
-    hidden = 2.0 * noise + UNITS * np.abs(t * speed)
-    near, sharp = (np.abs(value) <= limit for limit in (NEAR * np.abs(2.0 * slope), hidden))
+    value, blur = function.values(t, y), 2.0 * noise
+    size, hidden = np.abs(value), blur + UNITS * np.abs(t * speed)
+    near, sharp = size <= NEAR * np.abs(2.0 * slope), size <= hidden
     for _ in range(ROUNDS):
         if sharp.all():
             break
@@ -161,8 +174,9 @@ def _located(
         t, y = np.where(better, nearer, t), np.where(better[:, None], states, y)
         value = np.where(better, found, value)
         sharp = np.abs(value) <= hidden
-    apart = np.minimum(np.abs(2.0 * noise / slope), 1.0) * 0.5 * np.abs(h)
-    return t, y[:, : steps.nodes.shape[2]], apart, near & sharp
+    apart = np.minimum(np.abs(blur / speed), np.abs(half))
+    y, good = y[:, : steps.nodes.shape[2]], near & sharp
+    return (at, t, y, apart) if good.all() else (at[good], t[good], y[good], apart[good])
 
 
 def by_boxes(function: EventFunction, *box: Array) -> Places:
@@ -220,19 +234,23 @@ def followed(
     `steps` has some of them by their places; where it `locates` zeros, those passed once are told.
     """
     kept, first, last = known, known, known
-    at = places = np.flatnonzero(known == 0)
-    rows = np.zeros((0, 0))
+    places, rows = NONE[0], np.zeros((0, 0))
+    at = (known == 0).nonzero()[0]
     if len(at):
         zeros = single_zeros(function, steps(at), locates)
-        kept, first, last = known.copy(), known.copy(), known.copy()
+        first, last = known.copy(), known.copy()
         first[at], last[at] = zeros.first, zeros.last
-        kept[at] = np.where(zeros.first == zeros.last, zeros.last, 0)
+        kept = last * (first == last)
     slow = last == 0
-    slow[1:] |= first[1:] != last[:-1]
-    slow[0] |= before not in (0, first[0])  # what holds at the start is no event
-    if len(at):
-        passes = (zeros.first * zeros.last == -1) & ~slow[at]
-        places = at[passes]
-        told = (zeros.t, zeros.apart, zeros.last, *zeros.y.T)
-        rows = np.array([np.full(len(at), float(i)), *told]).T[passes]
+    slow[1:] |= first[1:] * last[:-1] != 1
+    if before not in (0, first[0]):  # what holds at the start is no event
+        slow[0] = True
+    if len(at) and len(zeros.at):
+        places = at[zeros.at]
+        rows = np.empty((len(places), 4 + zeros.y.shape[1]))
+        rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = i, zeros.t, zeros.apart, last[places]
+        rows[:, 4:] = zeros.y
+        if np.count_nonzero(slow):
+            told = ~slow[places]
+            places, rows = places[told], rows[told]
     return Followed(kept, last, slow, places, rows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from itertools import repeat
 from typing import NamedTuple
@@ -60,13 +60,13 @@ class EventRecord:
     functions: Sequence[EventFunction]
     t_end: float
     stops: frozenset[int] = frozenset()
-    kept: list[Event] = field(default_factory=list)
-    grazes: dict[str, list[float]] = field(default_factory=dict)
-    hidden: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    lost: dict[str, list[float]] = field(default_factory=dict)
     width: int | None = None
 
     def __post_init__(self) -> None:
+        self.kept: list[Event] = []
+        self.grazes: dict[str, list[float]] = {}
+        self.hidden: dict[str, list[tuple[float, float]]] = {}
+        self.lost: dict[str, list[float]] = {}
         self.happened = [0] * len(self.functions)
         self.packed: list[Found] = []  # not yet among those kept
         self.cut: dict[int, float] = {}  # when a function's event came with the end of a phase
@@ -98,9 +98,10 @@ class EventRecord:
                 if way := self.functions[0].way:
                     zeros = zeros[zeros[:, 3] == way]
                 self.happened[0] += len(zeros)
-            t, apart = zeros[:, 1:3].T.tolist()
+            t, apart = zeros[:, 1].tolist(), zeros[:, 2].tolist()
             self.kept.extend(map(_event, zip(names, t, zeros[:, 4:], apart, strict=False)))
-        del self.kept[MOST:]
+        if len(self.kept) > MOST:
+            del self.kept[MOST:]
 
     def tell(self, one: Single) -> None:
         """A function passes zero: an event, where this way counts and it is not known."""

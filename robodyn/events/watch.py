@@ -6,7 +6,6 @@ Steps of a series are looked at together, by boxes; those where a sign may chang
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ LESS = 7  # times at most that the work on a function is halved which cannot be 
 LEAST = 1e-17  # of a step: no times within it are told apart further
 
 
-@dataclass
 class EventWatch(EventRecord):
     """Watches functions; those of the places `stops` end the run.
 
@@ -33,20 +31,14 @@ class EventWatch(EventRecord):
     start is no event.
     """
 
-    signs: list[int] = field(default_factory=list)
-
     def __post_init__(self) -> None:
-        self.signs = self.signs or [0] * len(self.functions)
         super().__post_init__()
+        self.signs = [0] * len(self.functions)
         self.doubts = 0  # calls of machine code that were unsure
-        self.watched = list(self.functions)
-        self._known: list[Places] = []  # of the steps looked at together
-        self._after: list[Places] = []  # those at their ends
-        self._found_in: dict[int, list[Single]] = {}  # by step, what needs no look at it by itself
+        self.watched = self.functions
         self._single: list[Single] = []  # those in the step looked at
         self._along: list[int] = []  # of that one of them which is looked at by itself
         self._touched: list[tuple[float, float] | None] = [None] * len(self.functions)
-        self._signs_from: dict[int, list[tuple[float, int]]] = {}  # along the step looked at
 
     def guard(self, guards: Sequence[EventFunction]) -> None:
         """Watch these besides, which are positive now: what changes their signs ends the run."""
@@ -75,6 +67,12 @@ class EventWatch(EventRecord):
             return None
         return (linear, self.signs) if len(linear) == len(self.functions) else None
 
+    def took(self, kept: object) -> bool:
+        """Take what is kept of some steps, where it is what was found along them."""
+        if isinstance(kept, Found):
+            self.take(kept)
+        return isinstance(kept, Found)
+
     def take(self, found: Found) -> None:
         """Take what was found along some steps."""
         if len(found.zeros):
@@ -101,7 +99,10 @@ class EventWatch(EventRecord):
         """
         box = times[:-1], times[1:], boxes[:, 0], boxes[:, 1]
         known = [by_boxes(function, *box) for function in self.watched]
-        left = np.flatnonzero(~np.logical_and.reduce(known))
+        unknown = np.zeros(len(boxes), bool)
+        for signs in known:
+            unknown |= signs == 0
+        left = unknown.nonzero()[0]
         nodes = sampled(left) if len(left) else np.zeros(0)
 
         def steps(at: Places) -> Steps:
@@ -131,12 +132,14 @@ class EventWatch(EventRecord):
         `known` are their signs (m,) along steps, 0 where they may change.  What passes zero once is
         found here, but for what ends the run.
         """
-        self._known, self._after, self._found_in = known, list(known), {}
+        self._known, self._after = known, list(known)  # along steps, and at their ends
+        self._found_in: dict[int, list[Single]] = {}  # by step, what needs no look at it by itself
         doubtful: dict[int, list[int]] = {}
         found: list[tuple[Places, Array]] = []
         for i, signs in enumerate(known):
             before, touched = self.signs[i], self._touched[i] is not None
-            if not touched and (signs == (before or signs[0])).all() and signs[0]:
+            one = before or int(signs[0])  # sign all along
+            if not touched and one and np.count_nonzero(signs == one) == len(signs):
                 continue
             tells = i < len(self.functions) and i not in self.stops
             way = followed(i, self.watched[i], signs, before, steps, tells)
@@ -203,7 +206,7 @@ class EventWatch(EventRecord):
         """Look at one step, for the functions at `places`."""
         passed: list[Single] = []
         states = Remembered(step)
-        self._signs_from.clear()
+        self._signs_from: dict[int, list[tuple[float, int]]] = {}  # along the step
         for one in self._single:
             self._signs_from[one.place] = [(step.begin, -one.sign), (one.t, one.sign)]
             passed.append(one)

@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -219,14 +219,22 @@ def watched_events(
     """
     if not events and until is None:
         return None
-    from robodyn.events.functions import event_function, event_functions
-    from robodyn.events.watch import EventWatch
-
+    event_function, event_functions, watching = _events()
     functions = event_functions(mechanism, events)
     stops = frozenset([len(functions)] if until is not None else [])
     if until is not None:
         functions.append(event_function(mechanism, UNTIL, until, "until"))
-    return EventWatch(functions, t_end, stops, width=2 * mechanism.n)
+    watch: EventWatch = watching(functions, t_end, stops, width=2 * mechanism.n)
+    return watch
+
+
+@cache
+def _events() -> tuple[Any, ...]:
+    """What finds events: runs without any do not import it."""
+    from robodyn.events.functions import event_function, event_functions
+    from robodyn.events.watch import EventWatch
+
+    return event_function, event_functions, EventWatch
 
 
 def run(

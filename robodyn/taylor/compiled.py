@@ -23,8 +23,8 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, default_order
-from robodyn.taylor.step_boxes import Kept
-from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, looks
+from robodyn.taylor.step_boxes import Kept, terms_of
+from robodyn.taylor.watched_code import FOUND, ROOM, WATCH, ZERO, looks
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 ROWS = 16384  # of one call: no step begins when there are more
@@ -34,6 +34,7 @@ TABLE = (
     "times", "rows", "ends", "states", "boxes", "series", "watch", "box", "look",
     "count", "given", "keeps", "watches",
 )  # fmt: skip
+LOOKS = slice(TABLE.index("box"), TABLE.index("count"))
 
 
 class Rows(Observer):
@@ -169,8 +170,7 @@ class CompiledEngine:
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps, self.most = False, STEPS
         self.forms: Forms | None = None
-        self._linear: list[Array] = []  # forms that machine code has, and with their signs
-        self._forms = np.empty((0, 0))
+        self._linear, self._forms = list[Array](), np.empty((0, 0))  # forms, and with signs
         self._watch = np.zeros(len(WATCH), np.int64)
         self._at_watch = self._watch.ctypes.data
         if not serves(mechanism):
@@ -203,9 +203,7 @@ class CompiledEngine:
     @cached_property
     def _zeros(self) -> Array:
         """Where machine code leaves zeros."""
-        zeros = np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
-        self._watch[WATCH.index("zeros")] = zeros.ctypes.data
-        return zeros
+        return np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
 
     @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
@@ -232,21 +230,21 @@ class CompiledEngine:
         self, forms: Forms, t: float, y: Array, bound: float, times: Array, steps: int
     ) -> Chunk | None:
         """The same, in which the code finds events itself; None where it is unsure of one."""
-        watch, zeros, (linear, signs) = self._watch, self._zeros, forms
+        watch, (linear, signs) = self._watch, forms
         if len(linear) != len(self._linear) or any(map(is_not, linear, self._linear)):
             self._linear = linear
             self._forms = np.pad(linear, ((0, 0), (0, 1)))
-            watch[WATCH.index("forms")] = self._forms.ctypes.data
-            watch[WATCH.index("functions")] = len(linear)
+            watch[:FOUND] = self._forms.ctypes.data, self._zeros.ctypes.data, len(linear)
         self._forms[:, -1] = signs
-        watch[WATCH.index("found")] = 0
+        watch[FOUND] = 0
         made = self._advance(t, y, bound, times, steps, watches=True)
-        found, unsure = watch[WATCH.index("found") :].tolist()
-        watch[-1] = 0  # or no later call takes a step
-        if unsure:
-            return None
-        after = self._forms[:, -1].astype(np.int64).tolist()
-        return Chunk(*made[:-1], Found(zeros[:found].copy(), after))
+        return made if made.kept is not None else None
+
+    def _found(self) -> Found | None:
+        count, unsure = self._watch[FOUND:].tolist()
+        self._watch[-1] = 0  # or no later call takes a step
+        after = list(map(int, self._forms[:, -1].tolist()))
+        return None if unsure else Found(self._zeros[:count].copy(), after)
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""
@@ -309,13 +307,15 @@ class CompiledEngine:
         _, at, table, asked, rows, ends, states, boxes, series = self._laid(layout)
         table[TABLE.index("given")] = 0
         if keeps or watches:
-            table[TABLE.index("box") : TABLE.index("look") + 1] = looks(scene, code.code)
+            table[LOOKS] = looks(scene, code.code)
         asked[:] = times
         code.advance(address, steps, at)
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])
         status = block[place["status"]]
         found = Status.FULL if status == RUNNING else Status(int(status))
-        kept = Kept(boxes[:taken], series.__getitem__) if keeps else None
+        kept: Kept | Found | None = self._found() if watches else None
+        if keeps:
+            kept = Kept(boxes[:taken], lambda at, h: terms_of(series[at].T, h))
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
         return Chunk(*made, found, kept)
 
@@ -334,9 +334,9 @@ class CompiledEngine:
         table = room[:a].view(np.int64)
         table[:6] = [at + 8 * x for x in (a, b, c, d, e, f)]
         table[6:] = self._at_watch, 0, 0, wanted, 0, *layout[3:]
-        boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end].reshape(-1, orders, wide)
+        boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end]
         parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(steps, N)
-        self._views = layout, at, table, *parts, boxes, series.view(np.complex128)
+        self._views = layout, at, table, *parts, boxes, series.reshape(-1, orders, wide // 2, 2)
         return self._views
 
 

@@ -262,7 +262,8 @@ def taylor_run(
             held = bool(leaps)
             within: Callable[[Array], Array] = runner.within
             stop: Stop | None = None
-            if recorder.events is not None and len(chunk.t):
+            looked = recorder.events is None or recorder.events.took(chunk.kept)
+            if recorder.events is not None and not looked and len(chunk.t):
                 from robodyn.taylor.watched_steps import with_events
 
                 chunk, within, stop = with_events(recorder.events, mechanism, chunk, t, y, runner)

@@ -21,329 +21,142 @@ and for what a series leaves out, the sums have the sizes too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.placed import states_along
-from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
-from robodyn.engines.machine_sums import alike, over
+from robodyn.dynamics.placed import relative_matrix
 from robodyn.events.signs import MISSED
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.tables.arrays import Array, Complex
+from robodyn.tables.arrays import Array
 
-if TYPE_CHECKING:
-    from robodyn.engines.machine_steps import Scene
+Places = NDArray[np.int64]
 
-
-SUMS = 4  # that grow side by side
-COLUMNS = 32  # of a series that one function serves: code of wider vectors takes long to make
 SLACK = 1e-12  # of the sizes of what is added: more than rounding adds
+TURNS: Array = np.array([1.0, -1.0])  # less i times it: what turns rho and theta
 
 
 class Kept(NamedTuple):
     """What an engine keeps of m steps, until it advances again.
 
-    `boxes` (m, 2, 2n) are the middles of q and qd, and how far they go from there; `series(places)`
-    (k, order + 2, n) is rho + i theta of steps.
+    `boxes` (m, 2, 2n) are the middles of q and qd, and how far they go from there;
+    `terms(places, h)` (2, n, p, k) are rho and theta of z_k h^k, k > 0, of some steps h (k).
     """
 
     boxes: Array
-    series: Callable[[NDArray[np.int64]], Complex]
+    terms: Callable[[Places, Array], Array]
 
 
-def boxes_along(mechanism: Mechanism, y: Array, ends: Array, parts: Array, h: Array) -> Array:
-    """The boxes (m, 2, 2n) of steps h (m) from y (m, 2n or more) to `ends`, by their series.
-
-    Those are rho and theta, in `parts` (m, 2, n, order + 2).
-    """
-    n, last, length = mechanism.n, parts.shape[-1] - 1, np.abs(h)
-    terms = np.empty((2, n, last, len(h)))  # z_k h^k, k > 0: all steps side by side, that is fast
-    np.multiply(parts[..., 1:].transpose(1, 2, 3, 0), _powers(length, last), out=terms)
-    turned = terms[1, :, 0].copy()  # w0 h
-    slides = list(mechanism.slides) or slice(0)
-    turned[slides] = 0.0
-    stray = np.empty_like(terms)
-    np.multiply(terms[1], turned[:, None], out=stray[0])
-    np.multiply(terms[0], -turned[:, None], out=stray[1])
-    terms *= np.arange(1.0, last + 1)[:, None]
-    stray[:, :, :-1] += terms[:, :, 1:]
-    far = np.abs(stray, out=stray).sum(axis=(0, 2)) * (1.0 + SLACK)
-    left = np.maximum(1.0 - far, 0.0)
-    left[slides] = 1.0
-    with np.errstate(all="ignore"):
-        apart = far / left + SLACK * np.abs(turned)
-    own = apart.copy()
-    for k, above in enumerate(mechanism.above):
-        if above is not None:
-            own[k] += apart[above]
-    start = y[:, : 2 * n].T
-    box = np.empty((2, 2 * n, len(h)))
-    (middle, reach), half = box, 0.5 * h * start[n:]
-    middle[:] = start
-    middle[:n] += half
-    np.multiply(np.abs(start), SLACK, out=reach)
-    reach[:n] += np.abs(half) + own
-    reach[n:] += own / length
-    if mechanism.rows:
-        there = states_along(mechanism, y, as_complex(parts), h, np.ones(1))[:, 0]
-        reach += MISSED * np.abs(there - ends[:, : 2 * n]).T
-    return box.transpose(2, 0, 1)
-
-
-def _powers(h: Array, most: int) -> Array:
-    """h^k (most, m) of h (m,), k > 0."""
-    powers, k = np.empty((most, len(h))), 1
+def terms_of(parts: Array, h: Array) -> Array:
+    """z_k h^k, k > 0, (2, n, p, m) of rho and theta in `parts` (2, n, p + 1, m) of steps h (m)."""
+    most, k = parts.shape[2] - 1, 1
+    powers = np.empty((most, len(h)))
     powers[0] = h
     while k < most:
         upto = min(2 * k, most)
         np.multiply(powers[: upto - k], powers[k - 1], out=powers[k:upto])
         k = upto
-    return powers
+    terms = np.empty((*parts.shape[:2], *powers.shape))  # steps side by side: that is fast
+    return np.multiply(parts[:, :, 1:], powers, out=terms)
 
 
-def as_complex(parts: Array) -> Complex:
-    """rho + i theta (m, order + 2, n) of parts (m, 2, n, order + 2)."""
-    series: Complex = (parts[:, 0] + 1j * parts[:, 1]).swapaxes(1, 2)
-    return series
+@np.errstate(all="ignore")
+def boxes_along(mechanism: Mechanism, y: Array, ends: Array, terms: Array, h: Array) -> Array:
+    """The boxes (m, 2, 2n) of steps h (m) from y (m, 2n or more) to `ends`, by their `terms`."""
+    n, slides = mechanism.n, list(mechanism.slides)
+    turned = terms[1, :, 0]  # w0 h
+    if slides:
+        turned = turned.copy()
+        turned[slides] = 0.0
+    stray = np.empty_like(terms)
+    np.multiply(terms[::-1], np.multiply.outer(TURNS, turned)[:, :, None], out=stray)
+    stray[:, :, :-1] += terms[:, :, 1:] * _orders(terms.shape[2])[1:]
+    far = np.add.reduce(np.abs(stray, out=stray), axis=(0, 2))
+    far *= 1.0 + SLACK
+    left = np.maximum(1.0 - far, 0.0)
+    if slides:
+        left[slides] = 1.0
+    own = far / left
+    own += SLACK * np.abs(turned)
+    if n > 1:
+        apart = own.copy()
+        for k, above in enumerate(mechanism.above):
+            if above is not None:
+                own[k] += apart[above]
+    start, half = y[:, : 2 * n].T, 0.5 * h
+    box = np.empty((2, 2 * n, len(h)))
+    middle, reach = box
+    way = start[n:] * half
+    middle[:] = start
+    middle[:n] += way
+    np.abs(start, out=reach)
+    reach *= SLACK
+    reach[:n] += np.abs(way, out=way)
+    reach[:n] += own
+    own /= np.abs(h)
+    reach[n:] += own
+    if mechanism.rows:
+        there = states_along(mechanism, y, terms, h, np.ones(1))[:, 0]
+        reach += MISSED * np.abs(there - ends[:, : 2 * n]).T
+    return box.transpose(2, 0, 1)
 
 
-def _begins(count: int) -> list[int]:
-    """Where pieces of so many columns begin; the last may have some of the one before it."""
-    return [*range(0, count - COLUMNS, COLUMNS), max(count - COLUMNS, 0)]
+def states_along(mechanism: Mechanism, y: Array, terms: Array, h: Array, parts: Array) -> Array:
+    """q and qd (m, k, 2n) at `parts` (k) of steps h (m) from y (m, 2n or more), by their terms.
 
-
-def _strays(
-    scene: Scene, k: Kernel, first: Word, width: Word, h: Word, out: Word, *strays: Word
-) -> None:
-    """Of a series' rows from the order 1 on, side by side: see `_write_strays`."""
-    for begin in _begins(2 * scene.mechanism.n):
-        name = _write_strays(scene, k.module, begin, bool(strays))
-        row, *rest = (k.at(base, begin) for base in (first, out, *strays))
-        k.line(f"call void @{name}({', '.join(map(str, (row, width, h, *rest)))})")
-
-
-def _write_strays(scene: Scene, module: Module, begin: int, twice: bool) -> str:
-    """strays(first, width, h, out): of a piece of a series' rows.
-
-    D_m = (m + 1) z_{m+1} - i w0 z_m of each order m > 0 into rows of `out`, and before them the
-    sums of |D_m| h^m.  `twice`, of the D_m, which are given besides: the sums of
-    |(m + 1) D_{m+1} - i w0 D_m - i a0 z_m| h^m alone.
+    Closures are kept as far as these do.
     """
-    all_columns = 2 * scene.mechanism.n
-    count = min(COLUMNS, all_columns)
-    ways = [j in scene.mechanism.slides for j in range(begin // 2, (begin + count) // 2)]
-    name = f"strays{1 + twice}_{''.join('ts'[slides] for slides in ways)}"
-    if name in module.functions:
-        return name
-    wide = Module(count)
-    wide.functions = module.functions
-    types = ADDRESS, WHOLE, SCALAR, *(ADDRESS,) * (2 if twice else 1)
-    k = Kernel(wide, name, types, "void")
-    first, width, h, out, *strays = k.arguments
-    step = k.spread(h)
-    # less i times what turns: theta and -rho
-    turns = (0.0 if ways[i // 2] else 1.0 - 2.0 * (i % 2) for i in range(count))
-    factors = Word(f"<{', '.join(str(k.scalar(turn)) for turn in turns)}>", k.numbers)
-
-    def moved(row: Word, places: Iterable[int]) -> Word:
-        other = ", ".join(f"i32 {i}" for i in places)
-        text = f"shufflevector {row}, {k.numbers} poison, <{count} x i32> <{other}>"
-        return k.op(k.numbers, text)
-
-    def turned(row: Word) -> Word:
-        return moved(row, (i ^ 1 for i in range(count)))
-
-    def rates(row: Word) -> Word:
-        return k.multiply(factors, moved(row, (i | 1 for i in range(count))))
-
-    last = scene.order + 1
-    powers, sums = [k.number(1.0), step], [k.number(0.0)] * SUMS
-    row, z = first, k.load(first)
-    own = k.load(strays[0]) if twice else z
-    w, v = rates(z), rates(own)
-    for m in range(1, last + 1):  # one after the other in text: a loop would wait for its sums
-        if m > 1:
-            powers.append(k.multiply(powers[m // 2], powers[m - m // 2]))
-        found = k.multiply(w, turned(own))
-        if twice:
-            found = k.add(found, k.multiply(v, turned(z)))
-        if m < last:
-            row = k.at(row, width)
-            z = k.load(row)
-            own = k.load(k.at(strays[0], m * all_columns)) if twice else z
-            found = k.add(found, k.multiply(k.number(m + 1.0), own))
-        if not twice:
-            k.store(found, k.at(out, m * all_columns))
-        size = k.multiply(k.intrinsic("fabs", found), powers[m])
-        sums[m % SUMS] = k.add(sums[m % SUMS], size)
-    while len(sums) > 1:
-        sums = [k.add(*pair) for pair in zip(sums[::2], sums[1::2], strict=True)]
-    k.store(sums[0], out)
-    k.done()
-    return name
+    n, p, m = terms.shape[1:]
+    sums = _weights(p, parts.tobytes()) @ terms
+    return _states(mechanism, y[:, None], sums.reshape(2, n, 2, len(parts), m), h)
 
 
-def shift(scene: Scene, k: Kernel, first: Word, width: Word, x: Word, rows: Word) -> None:
-    """Into rows what a series of all coordinates is from x on."""
-    for begin in _begins(2 * scene.mechanism.n):
-        row, to = k.at(first, begin), k.at(rows, begin)
-        k.line(f"call void @series_shift({row}, {width}, {x}, {to})")
+def states_at(mechanism: Mechanism, y: Array, terms: Array, h: Array, part: Array) -> Array:
+    """The same (m, 2n) at one `part` (m) of each step."""
+    weights = np.empty((2, *terms.shape[2:]))
+    powers, slopes = weights
+    powers[:] = part
+    np.multiply.accumulate(powers, out=powers)
+    slopes[0], slopes[1:] = 1.0, powers[:-1]
+    slopes *= _orders(len(slopes))
+    sums = np.add.reduce(terms[:, :, None] * weights, axis=3)
+    return _states(mechanism, y, sums, h)
 
 
-def write_shift(scene: Scene, module: Module) -> None:
-    """series_shift(first, width, x, rows): the same of a piece of the columns."""
-    count = 2 * scene.mechanism.n
-    wide = Module(min(COLUMNS, count))
-    wide.functions = module.functions
-    k = Kernel(wide, "series_shift", (ADDRESS, WHOLE, SCALAR, ADDRESS), "void")
-    first, width, x, rows = k.arguments
-    step, last = k.spread(x), k.whole(scene.order + 1)
-    with k.loop(k.whole(scene.order + 2)) as m:
-        row = k.load(k.at(first, k.multiply(m, width)))
-        k.store(row, k.at(rows, k.multiply(m, k.whole(count))))
-    top = k.load(k.at(rows, k.multiply(last, k.whole(count))))
-    with k.loop(last) as i, k.loop(k.subtract(last, i)) as m:
-        later = k.carried(top)
-        place = k.subtract(k.subtract(last, m), k.whole(1))
-        place = k.at(rows, k.multiply(place, k.whole(count)))
-        new = k.add(k.load(place), k.multiply(step, later))
-        k.store(new, place)
-        k.becomes(later, new)
-    k.done()
+def _states(mechanism: Mechanism, y: Array, sums: Array, h: Array) -> Array:
+    """The states (m, ..., 2n) where z - z_0 and z' h have the `sums` (2, n, 2, ..., m).
 
-
-def _pair(k: Kernel, row: Word, j: Word) -> tuple[Word, Word]:
-    place = k.at(row, k.add(j, j))
-    return k.load(place), k.load(k.at(place, 1))
-
-
-def _size(k: Kernel, *parts: Word) -> Word:
-    return k.add(*(k.intrinsic("fabs", part) for part in parts))
-
-
-def write_on(scene: Scene, module: Module) -> None:
-    """event_on(block, x, rows): the series as it is from x on, turned back to how it begins."""
-    k = Kernel(module, "event_on", (ADDRESS, SCALAR, ADDRESS), "void")
-    block, x, rows = k.arguments
-    count = 2 * scene.mechanism.n
-    first, width = scene.row(k, block, 0), k.whole(len(scene.loop.columns))
-    shift(scene, k, first, width, x, rows)
-
-    def turn(j: Word, _: Sequence[Word]) -> Sequence[Word]:
-        begin = k.add(j, j)
-        rho, theta = _pair(k, rows, j)
-        square = k.add(k.multiply(rho, rho), k.multiply(theta, theta))
-        c, s = k.divide(rho, square), k.divide(theta, square)
-        with k.loop(k.whole(scene.order + 2)) as m:
-            place = k.at(k.at(rows, k.multiply(m, k.whole(count))), begin)
-            other = k.at(place, 1)
-            a, b = k.load(place), k.load(other)
-            k.store(k.add(k.multiply(c, a), k.multiply(s, b)), place)
-            k.store(k.subtract(k.multiply(c, b), k.multiply(s, a)), other)
-        return ()
-
-    for slide, joints in alike(scene.mechanism.slides, scene.mechanism.n):
-        if not slide:
-            over(k, joints, turn)
-    k.done()
-
-
-def _bounds(k: Kernel, slide: bool, j: Word, first: Word, strays: Word, h: Word) -> Sequence[Word]:
-    """Of coordinate j its rate, and of that at most |D|, of |z| at least, and |w - w0| at most.
-
-    `first` are the coefficients of the order 1 of its series, then come those that stray.
+    Of y (m, 1.., 2n or more) and steps h (m).  See `placed.joint_ways`; parts are faster in turn.
     """
-    zero, one = k.number(0.0), k.number(1.0)
-    total, left, slack = _size(k, *_pair(k, strays, j)), one, zero
-    stray, rate = _pair(k, first, j)
-    if not slide:
-        total = k.add(total, k.intrinsic("fabs", stray))
-        slack = k.multiply(k.number(SLACK), k.intrinsic("fabs", rate))
-    total = k.multiply(total, k.number(1.0 + SLACK))
-    if not slide:
-        left = k.subtract(one, k.multiply(h, total))
-        left = k.select(k.less(zero, left), left, zero)
-    return rate, total, left, k.add(k.divide(total, left), slack)
+    n, slides = mechanism.n, list(mechanism.slides)
+    (rho, along), (theta, across) = sums[0].swapaxes(0, 1), sums[1].swapaxes(0, 1)
+    turn = rho + 1.0
+    states = np.empty((2 * n, *rho.shape[1:]))
+    way, rates = states[:n], states[n:]
+    np.arctan2(theta, turn, out=way)
+    np.multiply(turn, across, out=rates)
+    rates -= theta * along
+    rates /= np.square(turn, out=turn) + theta * theta
+    if slides:
+        way[slides], rates[slides] = theta[slides], across[slides]
+    rates /= h
+    if n > 1:
+        both = states.reshape(2, n, -1)
+        np.matmul(relative_matrix(mechanism), both.copy(), out=both)
+    way += y.T[:n]
+    return states.T
 
 
-def write_box(scene: Scene, module: Module) -> None:
-    """step_box(block, end, there, box): of the step from the block's state to that at `end`."""
-    k = Kernel(module, "step_box", (ADDRESS, SCALAR, ADDRESS, ADDRESS), "void")
-    block, end, there, box = k.arguments
-    n, count = scene.mechanism.n, 2 * scene.mechanism.n
-    x = k.subtract(end, scene.get(k, block, "t"))
-    h, slack = k.intrinsic("fabs", x), k.number(SLACK)
-    first, width = scene.row(k, block, 1), k.whole(len(scene.loop.columns))
-    strays, aparts, owns = (k.room(SCALAR, i) for i in (count * (scene.order + 2), n, n))
-    _strays(scene, k, first, width, h, strays)
-    for slide, joints in alike(scene.mechanism.slides, scene.mechanism.n):
-
-        def keep(j: Word, _: Sequence[Word], slide: bool = slide) -> Sequence[Word]:
-            apart = _bounds(k, slide, j, first, strays, h)[-1]
-            for room in (aparts, owns):
-                k.store(apart, k.at(room, j))
-            return ()
-
-        over(k, joints, keep)
-    for j, above in enumerate(scene.mechanism.above):
-        if above is not None:
-            both = (k.load(k.at(aparts, i)) for i in (j, above))
-            k.store(k.add(*both), k.at(owns, j))
-    if scene.closes:
-        scene.put(k, block, "x", x)
-        k.line(f"call void @evaluate({block})")
-    begin, ends = (scene.at(k, block, name) for name in ("q0", "to_q0"))
-
-    def put(j: Word, _: Sequence[Word]) -> Sequence[Word]:
-        own, places = k.load(k.at(owns, j)), (j, k.add(j, k.whole(n)))
-        q, qd = (k.load(k.at(begin, place)) for place in places)
-        half = k.multiply(k.multiply(k.number(0.5), x), qd)
-        turned = k.add(k.intrinsic("fabs", half), k.multiply(h, own))
-        found = (q, k.add(q, half), turned), (qd, qd, own)
-        for place, (start, middle, reach) in zip(places, found, strict=True):
-            reach = k.add(reach, k.multiply(slack, k.intrinsic("fabs", start)))
-            if scene.closes:
-                missed = k.subtract(k.load(k.at(ends, place)), k.load(k.at(there, place)))
-                missed = k.multiply(k.number(MISSED), k.intrinsic("fabs", missed))
-                reach = k.add(reach, missed)
-            k.store(middle, k.at(box, place))
-            k.store(reach, k.at(k.at(box, count), place))
-        return ()
-
-    over(k, range(n), put)
-    k.done()
+@lru_cache(maxsize=64)
+def _orders(count: int) -> Array:
+    return np.arange(1.0, count + 1.0)[:, None]
 
 
-def write_slope(
-    scene: Scene, k: Kernel, rows: Word, width: Word, h: Word, form: Word
-) -> Sequence[Word]:
-    """The slope of a linear function where a series begins, and how far it goes from there in h."""
-    n, first = scene.mechanism.n, k.at(rows, width)
-    room, sums = k.room(SCALAR, 2 * n * (scene.order + 2)), k.room(SCALAR, 2 * n)
-    strays = k.at(room, 2 * n)
-    _strays(scene, k, first, width, h, room)
-    _strays(scene, k, first, width, h, sums, strays)
-    totals: Sequence[Word] = k.load(k.at(form, 1)), k.number(0.0)
-    for slide, joints in alike(scene.mechanism.slides, scene.mechanism.n):
-
-        def add(j: Word, totals: Sequence[Word], slide: bool = slide) -> Sequence[Word]:
-            rate, far, left, apart = _bounds(k, slide, j, first, room, h)
-            stray, speedup = _pair(k, strays, j)
-            further = _size(k, *_pair(k, sums, j))
-            if not slide:
-                missed = k.multiply(rate, _pair(k, first, j)[0])
-                further = k.add(further, _size(k, stray, missed))
-                further = k.add(further, k.multiply(apart, far))
-            further = k.multiply(k.divide(further, left), k.number(1.0 + SLACK))
-            slope, reach = totals
-            for i, (value, off) in enumerate(((rate, apart), (speedup, further))):
-                weight = k.load(k.at(k.at(form, 2 + (2 + i) * n), j))
-                slope = k.add(slope, k.multiply(weight, value))
-                reach = k.add(reach, k.multiply(k.intrinsic("fabs", weight), off))
-            return slope, reach
-
-        totals = over(k, joints, add, totals)
-    return totals
+@lru_cache(maxsize=64)
+def _weights(count: int, parts: bytes) -> Array:
+    """What makes sums of terms (columns), and of their slopes, at parts of a step (rows)."""
+    orders, at = _orders(count)[:, 0], np.frombuffer(parts)[:, None]
+    return np.concatenate([at**orders, orders * at ** (orders - 1.0)])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import starmap
 from struct import Struct
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -188,7 +187,8 @@ class SteppingEngine:
                 due = last
             self.last = t, state, series
             if self.keeps:
-                kept.extend(starmap(packed, series[: 2 * n]))
+                for row in series[: 2 * n]:  # faster than a starmap's extension of the list
+                    kept.append(packed(*row))
             t, state = end, new
             ends.append(t)
             states.append(state)
@@ -210,13 +210,14 @@ class SteppingEngine:
 
     def _kept(self, t: float, y: Array, steps: Chunk, kept: list[bytes]) -> Kept:
         """Of steps from (t, y), by their series."""
-        from robodyn.taylor.step_boxes import Kept, as_complex, boxes_along
+        from robodyn.taylor.step_boxes import Kept, boxes_along, terms_of
 
         parts = np.frombuffer(b"".join(kept)).reshape(len(steps.t), 2, self.mechanism.n, -1)
         states, times = np.concatenate([y[None], steps.y]), np.concatenate([[t], steps.t])
         h = times[1:] - times[:-1]
-        boxes = boxes_along(self.mechanism, states[:-1], states[1:], parts, h)
-        return Kept(boxes, lambda places: as_complex(parts[places]))
+        terms = terms_of(parts.transpose(1, 2, 3, 0), h)
+        boxes = boxes_along(self.mechanism, states[:-1], states[1:], terms, h)
+        return Kept(boxes, lambda places, _: terms[..., places])
 
     def within(self, times: Array) -> Array:
         """See `Engine`."""

@@ -6,7 +6,7 @@ the true motion, the following holds to rounding, of open chains:
 
 - a function that a box (`step_boxes.py`) tells the sign of has this sign on the whole step;
 - where a function may be zero, its slope stays within bounds that sums of |z_k| h^k give
-  (`step_boxes.write_slope`).  Where they have one sign it is monotone, and its signs at the ends,
+  (`box_code.write_slope`).  Where they have one sign it is monotone, and its signs at the ends,
   those of the states themselves, tell whether it passes zero.  Where it has one sign at both ends
   it keeps it if the lines of these slopes from the ends meet before zero;
 - what neither holds of is halved, and each part looked at with the series as it is from its begin
@@ -29,13 +29,14 @@ from robodyn.engines.machine_steps import Scene
 from robodyn.events.rounding import EPS, STATE
 from robodyn.events.signs import DEGREE, MISSED, ROUNDING, SLOPES
 from robodyn.taylor import NoCodeError
-from robodyn.taylor.step_boxes import write_box, write_on, write_shift, write_slope
+from robodyn.taylor.box_code import write_box, write_on, write_shift, write_slope
 
 PIECES = 1024  # of a step, those that it is looked at by at most
 ROUNDS = 8  # of secants on the states
 ROOM = 4096  # zeros that a call may find
 # of the table of a watch: addresses, then how many functions, zeros found, whether it is unsure
 WATCH = ("forms", "zeros", "functions", "found", "unsure")
+FOUND = WATCH.index("found")
 ZERO = ("function", "t", "apart", "sign")  # what `Found` has of each, before the state
 
 

@@ -5,49 +5,39 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robodyn.dynamics.placed import states_along
 from robodyn.events.pieces import Step
 from robodyn.events.signs import NODES
-from robodyn.events.told import Found, Stop
+from robodyn.events.told import Stop
 from robodyn.events.watch import EventWatch
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk, Engine, Status
-
-Places = NDArray[np.int64]
-
-WHOLE = np.ones(1)
+from robodyn.taylor.step_boxes import Kept, Places, states_along, states_at
 
 
 def with_events(
     events: EventWatch, mechanism: Mechanism, chunk: Chunk, t: float, y: Array, engine: Engine
 ) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
     """A chunk from (t, y) up to the event that ends it, and the states in its last step."""
-    if isinstance(chunk.kept, Found):
-        events.take(chunk.kept)
-        return chunk, engine.within, None
-    assert chunk.kept is not None
+    assert isinstance(chunk.kept, Kept)
     events.doubts += engine.forms is not None
-    series = chunk.kept.series
-    times = np.concatenate([[t], chunk.t])
+    terms = chunk.kept.terms
+    times, before = np.concatenate([[t], chunk.t]), np.concatenate([y[None], chunk.y[:-1]])
     forward = 1.0 if times[1] > times[0] else -1.0
+    h = times[1:] - times[:-1]
 
     def step(j: int) -> Step:
         begin, end = float(times[j]), float(times[j + 1])
-        return Step(begin, end, chunk.y[j], engine.dense(begin, chunk.y[j - 1] if j else y, end))
-
-    def starts(places: Places) -> Array:
-        return np.where(places[:, None] > 0, chunk.y[places - 1], y)
+        return Step(begin, end, chunk.y[j], engine.dense(begin, before[j], end))
 
     def sampled(places: Places) -> Array:
-        h = times[places + 1] - times[places]
-        return states_along(mechanism, starts(places), series(places), h, NODES)
+        some = h[places]
+        return states_along(mechanism, before[places], terms(places, some), some, NODES)
 
     def within(places: Places, t: Array) -> Array:
-        h = t - times[places]
-        found = states_along(mechanism, starts(places), series(places), h, WHOLE)[:, 0]
+        some, x = h[places], t - times[places]
+        found = states_at(mechanism, before[places], terms(places, some), some, x / some)
         return engine.closed(found) if mechanism.rows else found
 
     ends, exact = chunk.y[:, : 2 * mechanism.n], not mechanism.rows
