@@ -181,10 +181,10 @@ class RowValues:
         return {k: real[x.square][0] for k, x in forces if x.square is not None}
 
 
-def near_table_end(mechanism: Mechanism, q: Array, qd: Array, t: float) -> str:
-    """Which table ends next to a state (n,), where one does, in words; else nothing."""
-    rows = rows_of(parts.acting, mechanism)
-    places = rows("tables", q, qd, t)
+def near_table_end(mechanism: Mechanism, t: float, y: Array) -> str:
+    """Which table ends next to a state y = (q, qd, ...), where one does, in words; else nothing."""
+    rows, n = rows_of(parts.acting, mechanism), mechanism.n
+    places = rows("tables", y[:n], y[n : 2 * n], t)
     for (table, _), x in zip(rows.tables, places.tolist(), strict=True):
         first, last = table.x[0], table.x[-1]
         left = min(abs(x - first), abs(x - last)) / (last - first)

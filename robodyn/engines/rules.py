@@ -48,6 +48,14 @@ from robodyn.mechanics.program import (
     Unknown,
 )
 
+# f' = sign g and g' = back f: the name of g, sign, back
+_PARTNERS = {
+    "sin": ("cos", 1.0, -1.0),
+    "cos": ("sin", -1.0, 1.0),
+    "sinh": ("cosh", 1.0, 1.0),
+    "cosh": ("sinh", 1.0, 1.0),
+}
+
 
 def planar_scaled(scale: Value, z: Planar) -> Planar:
     """A planar number times a real one."""
@@ -59,7 +67,6 @@ class Rules(Frames):
 
     def known(self, slot: Slot, row: Row, m: int) -> Any:
         """Coefficient m of a slot; of unknowns of the present order nothing."""
-        real, planar = self.real, self.planar
         match row:
             case Given(name=name):
                 given = self.state.given[name]
@@ -75,32 +82,46 @@ class Rules(Frames):
             case Rate(turn=E):
                 return self._rate(slot, E, m)
             case Integral(start=start) | Anchored(start=start) if m == 0:
-                given = self.state.given[start]
-                return given(0) if callable(given) else given[0]
+                return self._first(start)
             case Integral() | Anchored() | Derivative() | Sum() | RealPart() | PlanarSum():
+                return self._linear(row, m, self._found, m == 0)
+            case Product() | Scaled() | Inner():
+                return self._product(row, m)
+            case Moment():
+                return self._known_moment(slot, row, m)
+        return self._function(slot, row, m)
 
-                def earlier(x: Slot, ahead: int) -> Any:
-                    return planar[x][m + ahead] if x in planar else real[x][m + ahead]
+    def _first(self, name: str) -> Value:
+        """What is given as the first coefficient."""
+        given = self.state.given[name]
+        return given(0) if callable(given) else given[0]
 
-                return self._linear(row, m, earlier, m == 0)
+    def _found(self, x: Slot, m: int) -> Any:
+        """Coefficient m of a slot, which is there."""
+        return self.planar[x][m] if x in self.planar else self.real[x][m]
+
+    def _product(self, row: Product | Scaled | Inner, m: int) -> Any:
+        """Products of two series; those with a direction in its own frame."""
+        match row:
             case Product(x=x, y=y):
-                return self.convolve(real[x], real[y], m)
-            case Scaled(x=x, z=z) if z in self._moment:  # a direction, in its own frame
-                a, b = self._moment[z]
-                own = self.convolve(real[x], a, m), self.convolve(real[x], b, m)
-                return ((self._link(z), None, own),)
+                return self.convolve(self.real[x], self.real[y], m)
             case Scaled(x=x, z=z):
-                frame = next(iter(self._kept.get(z, (None,))))  # one that it is kept in
-                a, b = self.columns(z, m, frame)
-                found = self.convolve(real[x], a, m), self.convolve(real[x], b, m)
-                return ((frame, None, found),)
+                frame = self._frame(z)
+                if frame is None:
+                    frame = next(iter(self._kept.get(z, (None,))))  # one that it is kept in
+                a, b = self._moment[z] if z in self._moment else self.columns(z, m, frame)
+                own = self.convolve(self.real[x], a, m), self.convolve(self.real[x], b, m)
+                return ((frame, None, own),)
             case Inner(z=z, w=w):
-                frame = self._link(z) if z in self._moment else None
+                frame = self._frame(z)
                 a, b = self._moment[z] if z in self._moment else self.columns(z, m)
                 c, d = self.columns(w, m, frame)
                 return plus(self.convolve(a, c, m), self.convolve(b, d, m))
-            case Moment():
-                return self._known_moment(slot, row, m)
+
+    def _function(self, slot: Slot, row: Row, m: int) -> Value:
+        """By its value at order 0, and its differential equation from there on."""
+        real = self.real
+        match row:
             case Quotient(x=x, y=y):
                 known = self.convolve(real[slot], real[y], m, 0, m - 1)
                 return difference(real[x][m], known) / real[y][0]
@@ -110,7 +131,7 @@ class Rules(Frames):
                 known = self.weigh(real[x], real[slot], m, 1, m, exponent + 1.0, -1.0 * m)
                 return over(known, m) / real[x][0]
             case Function(name=name, x=x):
-                return self._function(slot, name, real[x], m)
+                return self._smooth(slot, name, real[x], m)
             case Step(x=x):
                 return self._stepped(row, real[x][0]) if m == 0 else 0.0
             case Primitive(name=name, x=x, density=y):
@@ -139,32 +160,32 @@ class Rules(Frames):
     def _linear(
         self, row: Row, m: int, of: Callable[[Slot, int], Any], begins: bool = False
     ) -> Any:
-        """A row that is a sum of others, by what `of(slot, orders ahead)` gives; None adds nothing.
+        """A row that is a sum of others, by what `of(slot, order)` gives; None adds nothing.
 
         Where it `begins`, with its constant.
         """
         match row:
             case Integral(x=x):
-                return over(of(x, -1), m)
+                return over(of(x, m - 1), m)
             case Anchored(x=x):
-                return of(x, 0)
+                return of(x, m)
             case Derivative(x=x) if x in self.planar:
-                return tuple((f, c, planar_scaled(m + 1.0, z)) for f, c, z in of(x, 1))
+                return tuple((f, c, planar_scaled(m + 1.0, z)) for f, c, z in of(x, m + 1))
             case Derivative(x=x):
-                return times(m + 1.0, of(x, 1))
+                return times(m + 1.0, of(x, m + 1))
             case RealPart(z=z):
-                return self.real_part(of(z, 0))
+                return self.real_part(of(z, m))
             case Sum(constant=constant, terms=terms):
                 total: Value = self.coefficient(constant) if begins else 0.0
                 for c, x in terms:
-                    if (value := of(x, 0)) is not None:
+                    if (value := of(x, m)) is not None:
                         total = self._accumulate(total, c, value)
                 return total
             case PlanarSum(constant=by, terms=planar_terms):
                 start: Framed = ()
                 if begins and by != (0.0, 0.0):
                     start = ((None, by, (1.0, 0.0)),)
-                given = ((c, z, of(z, 0)) for c, z in planar_terms)
+                given = ((c, z, of(z, m)) for c, z in planar_terms)
                 framed = [
                     (c, value if z in self.planar else ((None, None, (value, 0.0)),))
                     for c, z, value in given
@@ -200,8 +221,7 @@ class Rules(Frames):
 
     def _slide(self, joint: int, m: int) -> Value:
         if m < 2:
-            given = self.state.given[f"{('q', 'qd')[m]}{joint}"]
-            return given(0) if callable(given) else given[0]
+            return self._first(f"{('q', 'qd')[m]}{joint}")
         known = self.state.accelerations
         return over(known[joint], 2) if known is not None and m == 2 else 0.0
 
@@ -231,7 +251,7 @@ class Rules(Frames):
         total = plus(y[m], self.convolve(rho, y, m, 1, m))  # rho_1 = 0
         return difference(total, self.convolve(theta, x, m, 1, m))
 
-    def _function(self, slot: Slot, name: str, x: Any, m: int) -> Value:
+    def _smooth(self, slot: Slot, name: str, x: Any, m: int) -> Value:
         """By the function's differential equation; `_extra` holds the other series it takes."""
         y, other, functions = self.real[slot], self._extra[slot], self.arithmetic.functions
         if name == "exp":
@@ -243,18 +263,13 @@ class Rules(Frames):
             keep = self.arithmetic.keep
             other[m - 1] = keep(difference(1.0 if m == 1 else 0.0, square))
             return keep(self.slope(x, other, m))
-        partner = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}[name]
+        partner, sign, back = _PARTNERS[name]
         if m == 0:
             other[0] = functions[partner](x[0])
             return functions[name](x[0])
-        found = self.slope(x, other, m)
-        back = self.slope(x, y, m)
-        if name == "cos":  # cos' = -sin, sin' = cos
-            found = times(-1.0, found)
-        elif name == "sin":
-            back = times(-1.0, back)
-        other[m] = back
-        return found
+        found, gained = self.slope(x, other, m), self.slope(x, y, m)
+        other[m] = times(back, gained)
+        return times(sign, found)
 
     # -- what the unknowns change ------------------------------------------------------------------
 
@@ -283,8 +298,8 @@ class Rules(Frames):
             case Moment():
                 return self._moment_change(row, change)[1]  # z_0 = 1
             case Inner(z=z, w=w):
-                frame = self._link(z) if z in self._moment else None
-                total = 0.0
+                frame = self._frame(z)
+                total: Value = 0.0
                 for one, two in ((z, w), (w, z)):
                     if one in change:
                         a, b = self.into(frame, change[one])
@@ -292,7 +307,7 @@ class Rules(Frames):
                         total = plus(total, plus(times(a, c), times(b, d)))
                 return total
             case Scaled(x=x, z=z):
-                frame = self._link(z) if z in self._moment else None
+                frame = self._frame(z)
                 result = planar_scaled(of(x), self.into(frame, self.planar[z][0]))
                 if z in change:
                     result = planar_plus(
@@ -310,6 +325,10 @@ class Rules(Frames):
             own = change[row.bend][0][2]
         by = self.coefficient(row.inertia)
         return plus(force[0], times(by, own[0])), plus(force[1], times(by, own[1]))
+
+    def _frame(self, z: Slot) -> int | None:
+        """That of a direction is its own, of others the ground's."""
+        return self._link(z) if z in self._moment else None
 
     def _link(self, turn: Slot) -> int:
         row = self.program.rows[turn]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from types import MappingProxyType
@@ -35,63 +36,89 @@ def float_source(
     be `readable`, local names count from 1, brackets that do no more than order a sum or a product
     are left out, and x (1/y) is x/y.  `beside`: numbers are x + dx i, and the x compare.
     """
-    uses = _uses(outputs)
-    text: dict[int, tuple[str, int]] = {}  # node -> its text and precedence
-    lines: list[str] = []
-    numbers = count(1)
+    uses, text = _uses(outputs), _Statements(names, symbol, readable, conditional, beside)
+    for node in needed(outputs):
+        text.write(node)
+        while len(text.of(node)) > longest:
+            parts = [a for a in node.args if isinstance(a, Expression)]
+            parts = [a for a in parts if not text.of(a).isidentifier()]
+            if not parts:
+                break
+            text.name(max(parts, key=lambda a: len(text.of(a))))
+            text.write(node)
+        if node.op not in INPUTS and names.get(node.index, uses[node.index] > 1):
+            text.name(node)
+    return text.lines, [text.shown(output, 0) for output in outputs]
 
-    def written(a: Value | str, least: int) -> str:
+
+class _Statements:
+    """The text of nodes as `float_source` writes them, and the statements that name some."""
+
+    def __init__(
+        self,
+        names: Mapping[int, str],
+        symbol: Callable[[str], str],
+        readable: bool,
+        conditional: str,
+        beside: bool,
+    ) -> None:
+        self.names, self.symbol, self.readable = names, symbol, readable
+        self.conditional, self.beside = conditional, beside
+        self.lines: list[str] = []
+        self._text: dict[int, tuple[str, int]] = {}  # node -> its text and precedence
+        self._numbers = count(1)
+
+    def of(self, node: Expression) -> str:
+        """What is written for a node."""
+        return self._text[node.index][0]
+
+    def shown(self, a: Value | str, least: int) -> str:
+        """An argument, in brackets where its precedence is below the least."""
         if isinstance(a, Expression):
-            shown, precedence = text[a.index]
+            shown, precedence = self._text[a.index]
+        elif isinstance(a, str):
+            shown, precedence = a, 9
         else:
-            shown, precedence = (
-                (a, 9) if isinstance(a, str) else (repr(float(a)), 9 if a >= 0 else 3)
-            )
+            shown, precedence = repr(float(a)), 9 if a >= 0 else 3
         return shown if precedence >= least else f"({shown})"
 
-    def composed(node: Expression) -> tuple[str, int]:
+    def name(self, node: Expression) -> None:
+        """A statement that gives the node a name of its own."""
+        number = next(self._numbers) if self.readable else node.index
+        name = self.names.get(node.index) or f"t{number}"
+        self.lines.append(f"{name} = {self.of(node)}")
+        self._text[node.index] = (name, 9)
+
+    def write(self, node: Expression) -> None:
+        """A node by the text of its arguments."""
         op, args = node.op, node.args
         if op in INPUTS:
-            return symbol(str(args[0])), 9
-        if op == "choose":
-            x, y, *values = (written(arg, 1) for arg in args)
-            if beside:
+            found = self.symbol(str(args[0])), 9
+        elif op == "choose":
+            x, y, *values = (self.shown(arg, 1) for arg in args)
+            if self.beside:
                 x, y = (f"({each}).real" for each in (x, y))
-            return conditional.format(x, y, *values), 0
-        if op == "keep":
-            kept = args[0]
-            assert isinstance(kept, Expression)
-            return text[kept.index]
-        if op not in _PRECEDENCE:
-            return f"{_NAMES.get(op, op)}({', '.join(written(arg, 0) for arg in args)})", 9
-        if op == "neg":
-            return f"-{written(args[0], 2)}", 2
-        precedence = _PRECEDENCE[op]
-        left = written(args[0], precedence)
-        right = written(args[1], precedence + (not readable or op in "-/"))
+            found = self.conditional.format(x, y, *values), 0
+        elif op == "keep":
+            assert isinstance(args[0], Expression)
+            found = self._text[args[0].index]
+        elif op == "neg":
+            found = f"-{self.shown(args[0], 2)}", 2
+        elif op in _PRECEDENCE:
+            found = self._joined(op, *args), _PRECEDENCE[op]
+        else:
+            found = f"{_NAMES.get(op, op)}({', '.join(self.shown(arg, 0) for arg in args)})", 9
+        self._text[node.index] = found
+
+    def _joined(self, op: str, a: Value | str, b: Value | str) -> str:
+        precedence, readable = _PRECEDENCE[op], self.readable
+        left = self.shown(a, precedence)
+        right = self.shown(b, precedence + (not readable or op in "-/"))
         if readable and op == "*":
             left, right = (right, left) if left.startswith("1.0/") else (left, right)
             if right.startswith("1.0/"):
-                return left + right[3:], precedence
-        return f"{left} {op} {right}" if precedence == 1 else f"{left}{op}{right}", precedence
-
-    def named(node: Expression) -> None:
-        name = names.get(node.index) or f"t{next(numbers) if readable else node.index}"
-        lines.append(f"{name} = {text[node.index][0]}")
-        text[node.index] = (name, 9)
-
-    for node in needed(outputs):
-        text[node.index] = composed(node)
-        while len(text[node.index][0]) > longest:
-            parts = [a for a in node.args if isinstance(a, Expression)]
-            parts = [a for a in parts if not text[a.index][0].isidentifier()]
-            if not parts:
-                break
-            named(max(parts, key=lambda a: len(text[a.index][0])))
-            text[node.index] = composed(node)
-        if node.op not in INPUTS and names.get(node.index, uses[node.index] > 1):
-            named(node)
-    return lines, [written(output, 0) for output in outputs]
+                return left + right[3:]
+        return f"{left} {op} {right}" if precedence == 1 else f"{left}{op}{right}"
 
 
 def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[str], int]:
@@ -99,41 +126,21 @@ def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[s
 
     Output number i is left in the array called `names[i]`, which may be strided.
     """
-    order = needed(outputs)
-    last: dict[int, int] = {}  # node -> the last node that reads it
-    for node in order:
-        for a in node.args:
-            if isinstance(a, Expression):
-                last[a.index] = node.index
     named = list(zip(outputs, names, strict=True))
     target = {out.index: name for out, name in named if isinstance(out, Expression)}
-    free: list[str] = []
-    buffers = 0
-    place: dict[int, str] = {}
     lines: list[str] = []
-    for node in order:
+    place, buffers = _places(needed(outputs), target)
+    for node in needed(outputs):
         if node.op in INPUTS:
-            place[node.index] = str(node.args[0])
             continue
         args = [place[a.index] if isinstance(a, Expression) else repr(a) for a in node.args]
-        for a in {x.index: x for x in node.args if isinstance(x, Expression)}.values():
-            dead = last[a.index] == node.index and a.op not in INPUTS
-            if dead and place[a.index].startswith("w"):
-                free.append(place[a.index])
-        if node.index not in last:  # read by nothing: an output, computed in place
-            place[node.index] = target[node.index]
-        elif free:
-            place[node.index] = free.pop()
-        else:
-            place[node.index] = f"w{buffers}"
-            buffers += 1
         to = place[node.index]
         if node.op == "choose":
-            lines.append(f"copyto({to}, where(less({args[0]}, {args[1]}), {args[2]}, {args[3]}))")
+            lines.append("copyto({4}, where(less({0}, {1}), {2}, {3}))".format(*args, to))
         else:
             lines.append(f"{_CALLS.get(node.op, node.op)}({', '.join(args)}, {to})")
-        if node.index in target and place[node.index] != target[node.index]:
-            lines.append(f"{target[node.index]}[...] = {place[node.index]}")
+        if target.get(node.index, to) != to:
+            lines.append(f"{target[node.index]}[...] = {to}")
     for out, name in named:
         if not isinstance(out, Expression):
             lines.append(f"{name}[...] = {out!r}")
@@ -144,13 +151,35 @@ def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[s
     return lines, buffers
 
 
-def _uses(outputs: Sequence[Value]) -> dict[int, int]:
-    uses: dict[int, int] = {}
-    for node in needed(outputs):
-        for a in node.args:
-            if isinstance(a, Expression):
-                uses[a.index] = uses.get(a.index, 0) + 1
-    for out in outputs:
-        if isinstance(out, Expression):
-            uses[out.index] = uses.get(out.index, 0) + 1
-    return uses
+def _places(nodes: Sequence[Expression], target: Mapping[int, str]) -> tuple[dict[int, str], int]:
+    """Where each node is computed, and how many buffers that takes.
+
+    A buffer is free again with the last node that reads it; outputs read by none are in place.
+    """
+    below = [{a.index: a for a in node.args if isinstance(a, Expression)} for node in nodes]
+    last = {index: node.index for node, args in zip(nodes, below, strict=True) for index in args}
+    place: dict[int, str] = {}
+    free: list[str] = []
+    buffers = 0
+    for node, args in zip(nodes, below, strict=True):
+        if node.op in INPUTS:
+            place[node.index] = str(node.args[0])
+            continue
+        for a in args.values():
+            dead = last[a.index] == node.index and a.op not in INPUTS
+            if dead and place[a.index].startswith("w"):
+                free.append(place[a.index])
+        if node.index not in last:
+            place[node.index] = target[node.index]
+        elif free:
+            place[node.index] = free.pop()
+        else:
+            place[node.index] = f"w{buffers}"
+            buffers += 1
+    return place, buffers
+
+
+def _uses(outputs: Sequence[Value]) -> Counter[int]:
+    """How often each node is read, as an output too."""
+    read = [a for node in needed(outputs) for a in node.args]
+    return Counter(a.index for a in (*read, *outputs) if isinstance(a, Expression))
