@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robodyn.dynamics import closed_form
-from robodyn.dynamics.dynamics import forward_dynamics, forward_dynamics_and_forces
+from robodyn.dynamics.dynamics import forward_dynamics_and_forces
 from robodyn.dynamics.sticking import (
     AT_REST,
     Standing,
@@ -38,17 +38,14 @@ from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, Mode, beyond, end_word, in_mode, pressed, pushes
 from robodyn.scene.scene import Limits
-from robodyn.simulation.impacts import rates_after
+from robodyn.simulation.impacts import INSTANT, Bounces
 from robodyn.simulation.run_torques import applied_torques
 from robodyn.tables.arrays import Array
 
 End = tuple[int, int]  # a joint and a side
 
-INSTANT = 8.0  # roundings of the time that are none
 DOUBTS = 3  # times that a joint is let leave its end
 KINK = 1e-14  # of the time of a run: so much beyond a kink the torques are those that follow it
-BLUR = 0.1  # part of its rate that a joint thrown back so little may lose or gain
-ENDLESS = 1e-10  # of the time of a run: bounces that end within this part of it are over at once
 
 
 class Guard(NamedTuple):
@@ -81,7 +78,7 @@ class Phases:
         self.limits, self.dry = dict(mechanism.limits), dict(mechanism.dry)
         self.found: list[Event] = []
         self.begun, self.idle = 0.0, 0  # when the phase began, and how many took no time before
-        self.thrown: dict[int, float] = {}  # how fast a joint left its end last
+        self.bounces = Bounces(mechanism, t_end, small)
         self.hits: list[End]  # the ends met as the phase began
         self.doubts = 0  # times in a row that a joint which leaves its end was to meet it
         q, qd = self._split(y)
@@ -298,38 +295,13 @@ class Phases:
 
     def _impact(self, t: float, y: Array, hits: Sequence[End], touches: set[End]) -> Array:
         """The state after an impact; bounces that would end at once are over."""
-        q, qd = self._split(y)
-        ends = sorted({*hits, *touches})
-        e = [self.limits[joint].restitution or 0.0 for joint, _ in ends]
-        after = rates_after(self.mechanism, q, qd, ends, e)
-        leaving = [-side * float(after[joint]) for joint, side in ends]
-        qdd, kept = np.zeros_like(qd), list[float | None](e)
-        if any(leaves > 0.0 and part < 1.0 for leaves, part in zip(leaving, e, strict=True)):
-            given = self.mechanism, q, after, self._torque(t, y)
-            on = [end for end in ends if not after[end[0]]]
-            mode = mode_at(*given, resting(self.mechanism, after), on, t=t).mode
-            qdd = forward_dynamics(in_mode(self.mechanism, mode), *given[1:], t)
-        for k, (joint, side) in enumerate(ends):
-            back, leaves = side * float(qdd[joint]), leaving[k]
-            if leaves > 0.0 and e[k] < 1.0 and back > 0.0:
-                brief = leaves < 0.5 * back * (1.0 - e[k]) * ENDLESS * abs(self.t_end)
-                low = leaves**2 < 2.0 * back * INSTANT * math.ulp(q[joint])
-                if brief or low or not self._resolves(joint, side * qd[joint], back):
-                    kept[k] = None if brief or low else 0.0
-            self.thrown[joint] = leaves
-        if kept != e:
-            after = rates_after(self.mechanism, q, qd, ends, kept)
-        self.struck = [(x, part or 0.0) for x, part in zip(ends, kept, strict=True)]  # all touched
-        y = y.copy()
-        y[self.mechanism.n : 2 * self.mechanism.n] = after
+        y, n = y.copy(), self.mechanism.n
+        tau = self._torque(t, y)
+        after, self.struck = self.bounces.after(*self._split(y), tau, t, {*hits, *touches})
+        y[n : 2 * n] = after
         for joint, side in hits:
             self._tell(t, y, joint, f"hits its {end_word(side)}")
         return y
-
-    def _resolves(self, joint: int, v: float, back: float) -> bool:
-        """Whether a joint that meets its end with v was thrown back so far that steps show it."""
-        last = self.thrown.get(joint, 0.0)
-        return last**2 >= 2.0 * back * self.small or abs(v - last) <= BLUR * last or not last
 
     def _energy(self, moving: Mechanism, y: Array) -> float:
         KE, PE = closed_form.energies(moving, *self._split(y))

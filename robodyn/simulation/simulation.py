@@ -25,6 +25,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.recording import Recorder, Sink, joined
 from robodyn.simulation.report import Outcome, Report, StopRun
+from robodyn.simulation.run_statistics import RunStatistics
 from robodyn.simulation.run_torques import applied_torques, as_actuation, over_run
 from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
 from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
@@ -261,8 +262,10 @@ def run(
         moving = phases.moving
     smooth = SmoothMotions(actuation, settings, t_end, work)
     smooth.check_start(moving, y, report)
-    recorder = Recorder(moving, report, sink, times, settings.max_evaluations, watch, actuation)
-    recorder.events, recorder.closes = events, bool(mechanism.rows)
+    statistics = RunStatistics(report, actuation, mechanism.n, bool(mechanism.rows))
+    most = settings.max_evaluations
+    recorder = Recorder(moving, report, sink, times, most, watch, actuation, statistics)
+    recorder.events = events
     recorder.begin(y)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
