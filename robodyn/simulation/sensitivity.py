@@ -24,7 +24,7 @@ from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, cheapest
 from robodyn.engines.frames import relative
 from robodyn.engines.straightline import FloatFunction, compile_floats
-from robodyn.engines.tangents import Tangents, slopes_by, substituted, tangents
+from robodyn.engines.tangents import slopes_by, substituted, tangents
 from robodyn.errors import InputError
 from robodyn.loops.change_points import rank, rank_beside
 from robodyn.mechanics.actuation import Actuation
@@ -33,7 +33,7 @@ from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.program import Program
 from robodyn.simulation.fed_back import Fed
 from robodyn.simulation.start_slopes import CHANGE, is_start, start_slopes
-from robodyn.simulation.varied_motion import Varied, torque_lines, torque_nodes
+from robodyn.simulation.varied_motion import Varied, changes, torque_lines, torque_nodes
 from robodyn.tables.arrays import Array
 from robodyn.taylor.variations import Number
 
@@ -180,16 +180,14 @@ def _formula(
 ) -> Formula:
     """The rates of all s_qd (k n) from q, qd, tau, all s and t."""
     n, varied = mechanism.n, Varied(mechanism, mode, way, Graph())
-    graph, state = varied.graph, varied.state
+    graph, state = varied.state.graph, varied.state
     torques = torque_nodes(mechanism, lines, graph)
     z = [f"z{states + i}" for i in range(2 * n * len(names))]
     fed: list[str] = []  # d tau of what controls
     outputs: list[Value] = []
     for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
         own = z[2 * n * k : 2 * n * (k + 1)]
-        by: dict[str, Tangents] = {
-            x: {CHANGE: graph.variable(s)} for x, s in zip(state.inputs[: 2 * n], own, strict=True)
-        }
+        by = changes(graph, state.inputs[: 2 * n], own)
         if ".motor." in name and any(tangents(torques, list(by))):
             limit = "no derivative is known by it where torques depend on q or qd"
             raise InputError(name, where=mechanism.source, limit=limit)
@@ -198,6 +196,6 @@ def _formula(
         else:
             by |= {f"tau{j}": {CHANGE: graph.variable(f"f{k}_{j}")} for j in mechanism.actuated}
             fed += [f"f{k}_{j}" for j in mechanism.actuated]
-        outputs += relative(mechanism, varied.along(name, size, by)[:n])
+        outputs += relative(mechanism, varied.by(name, size, by)[:n])
     steady: Mapping[str, Value] = {f"tau{j}": x for j, x in enumerate(constants or ())}
     return Formula((*state.inputs, *z, *fed, "t"), tuple(substituted(outputs, steady)), ())

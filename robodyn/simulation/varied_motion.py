@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from robodyn.dynamics.named_numbers import with_variable
-from robodyn.engines.derivative_formulas import KINDS, residuals
+from robodyn.engines.derivative_formulas import KINDS, Solved, residuals
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.formulas import Formula, Recorded
@@ -30,28 +30,33 @@ from robodyn.simulation.start_slopes import CHANGE, is_start
 from robodyn.tables.arrays import Array
 
 
-class Varied:
-    """The unknowns u of a state in a mode, as nodes, and how they change: du = -K^-1 dR."""
+class Varied(Solved):
+    """The unknowns of a state in a mode, and how they change with numbers too."""
 
     def __init__(self, mechanism: Mechanism, mode: Mode | None, way: bool, graph: Graph) -> None:
-        self.mechanism, self.mode, self.way, self.graph = mechanism, mode, way, graph
+        self.mechanism, self.mode = mechanism, mode
         moving = mechanism if mode is None else in_mode(mechanism, mode)
-        self.state = Recorded(moving, KINDS[1:], way, graph=graph)
-        series, r, _, self.R = residuals(self.state)
-        factors = series.factorise()
-        assert isinstance(factors, Factors)
-        self.factors, self.u = factors, factors.solve([-x for x in r])
+        super().__init__(Recorded(moving, KINDS[1:], way, graph=graph))
 
-    def along(self, name: str | None, size: float, by: dict[str, Tangents]) -> list[Value]:
+    def by(self, name: str | None, size: float, by: dict[str, Tangents]) -> list[Value]:
         """du where the inputs change as `by` says, and the number of that name by its size."""
-        residual = self.R
+        graph, R = self.state.graph, self.R
         if name is not None and not is_start(self.mechanism, name):
-            named = with_variable(self.mechanism, name, self.graph.variable(CHANGE), self.mode)
-            residual = residuals(Recorded(named, KINDS[1:], self.way, graph=self.graph))[3]
+            named = with_variable(self.mechanism, name, graph.variable(CHANGE), self.mode)
+            R = residuals(Recorded(named, KINDS[1:], self.state.by_direction, graph=graph))[3]
             by = {**by, CHANGE: {CHANGE: size}}
-        known = {CHANGE: 0.0, **{f"u{i}": x for i, x in enumerate(self.u)}}
-        slopes = substituted(slopes_by(residual, by, [CHANGE]), known)
-        return self.factors.solve([-x for x in slopes])
+        (du,) = self.along([CHANGE], by, R, **{CHANGE: 0.0})
+        return du
+
+
+def changes(graph: Graph, inputs: Sequence[str], by: Sequence[str]) -> dict[str, Tangents]:
+    """That inputs change as variables of these names."""
+    return {x: {CHANGE: graph.variable(s)} for x, s in zip(inputs, by, strict=True)}
+
+
+def unchanged(outputs: Sequence[Value]) -> list[Value]:
+    """The slopes of the outputs by the change of a number, where it is none yet."""
+    return substituted(slopes_by(outputs, [CHANGE]), {CHANGE: 0.0})
 
 
 def by_numbers(
@@ -67,7 +72,7 @@ def by_numbers(
             slopes.append(0.0)
         else:
             named = with_variable(mechanism, name, Graph().variable(CHANGE))
-            slopes += substituted(slopes_by([of(named.description)], [CHANGE]), {CHANGE: 0.0})
+            slopes += unchanged([of(named.description)])
     return np.asarray(np.array(slopes, float) * sizes)
 
 
@@ -85,12 +90,10 @@ def holding(
     for k, (name, size) in enumerate(zip((*names, None), (*sizes, 0.0), strict=True)):
         own = [f"s{k}_{i}" for i in range(3 * n)]
         inputs += own
-        by: dict[str, Tangents] = {
-            x: {CHANGE: varied.graph.variable(s)} for x, s in zip(state.inputs, own, strict=True)
-        }
+        by = changes(state.graph, state.inputs, own)
         if name is None:
             by["t"] = {CHANGE: 1.0}
-        du = varied.along(name, size, by)
+        du = varied.by(name, size, by)
         outputs += [moving.rows[r].arm * du[n + r] for r in moving.held]
     return compile_floats(Formula(tuple(inputs), tuple(outputs), ()), "holding")
 
@@ -112,13 +115,8 @@ def thrown_back(
 
     def after(moving: Mechanism) -> list[Value]:
         state = Recorded(moving, KINDS[1:], True, graph=graph)
-        series, _, _, R = residuals(state)
-        factors = series.factorise()
-        assert isinstance(factors, Factors)
-        columns = []
-        for joint in joints:
-            right = [-slope for slope in slopes_by(R, [f"tau{joint}"])]
-            columns.append(relative(moving, factors.solve(right)[:n]))
+        solved = Solved(state)
+        columns = [relative(moving, du[:n]) for du in solved.along([f"tau{j}" for j in joints])]
         q, qd = state.relative["q"], state.relative["qd"]
         v = []
         for joint, e in impulses:
@@ -137,9 +135,7 @@ def thrown_back(
     for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
         own = [f"s{k}_{i}" for i in range(2 * n)]
         inputs += own
-        by: dict[str, Tangents] = {
-            x: {CHANGE: graph.variable(s)} for x, s in zip(state, own, strict=True)
-        }
+        by = changes(graph, state, own)
         named = in_mode(mechanism, Mode())
         if not is_start(mechanism, name):
             named = with_variable(mechanism, name, graph.variable(CHANGE), Mode())
