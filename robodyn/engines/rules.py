@@ -21,33 +21,11 @@ from robodyn.engines.arithmetic import (
     times,
 )
 from robodyn.engines.frames import Framed, Frames
-from robodyn.mechanics.program import (
-    Anchored,
-    Coefficient,
-    Derivative,
-    Function,
-    Given,
-    Inner,
-    Integral,
-    Moment,
-    PlanarCoefficient,
-    PlanarSum,
-    Power,
-    Primitive,
-    Product,
-    Quotient,
-    Rate,
-    RealPart,
-    Row,
-    Scaled,
-    Slide,
-    Slot,
-    Step,
-    Sum,
-    Turn,
-    Unknown,
-)
+from robodyn.mechanics import program as rows
+from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Row, Slot
 
+SUMS = rows.Sum, rows.PlanarSum, rows.RealPart
+LINEAR = (rows.Integral, rows.Anchored, rows.Derivative, *SUMS)
 # f' = sign g and g' = back f: the name of g, sign, back
 _PARTNERS = {
     "sin": ("cos", 1.0, -1.0),
@@ -68,26 +46,26 @@ class Rules(Frames):
     def known(self, slot: Slot, row: Row, m: int) -> Any:
         """Coefficient m of a slot; of unknowns of the present order nothing."""
         match row:
-            case Given(name=name):
+            case rows.Given(name=name):
                 given = self.state.given[name]
                 if callable(given):
                     return given(m)
                 return given[m] if m < len(given) else 0.0
-            case Unknown():
+            case rows.Unknown():
                 return 0.0
-            case Turn(link=k):
+            case rows.Turn(link=k):
                 return self._turn(slot, k, m)
-            case Slide(joint=k):
+            case rows.Slide(joint=k):
                 return self._slide(k, m)
-            case Rate(turn=E):
+            case rows.Rate(turn=E):
                 return self._rate(slot, E, m)
-            case Integral(start=start) | Anchored(start=start) if m == 0:
+            case rows.Integral(start=start) | rows.Anchored(start=start) if m == 0:
                 return self._first(start)
-            case Integral() | Anchored() | Derivative() | Sum() | RealPart() | PlanarSum():
+            case _ if isinstance(row, LINEAR):
                 return self._linear(row, m, self._found, m == 0)
-            case Product() | Scaled() | Inner():
+            case rows.Product() | rows.Scaled() | rows.Inner():
                 return self._product(row, m)
-            case Moment():
+            case rows.Moment():
                 return self._known_moment(slot, row, m)
         return self._function(slot, row, m)
 
@@ -100,19 +78,19 @@ class Rules(Frames):
         """Coefficient m of a slot, which is there."""
         return self.planar[x][m] if x in self.planar else self.real[x][m]
 
-    def _product(self, row: Product | Scaled | Inner, m: int) -> Any:
+    def _product(self, row: rows.Product | rows.Scaled | rows.Inner, m: int) -> Any:
         """Products of two series; those with a direction in its own frame."""
         match row:
-            case Product(x=x, y=y):
+            case rows.Product(x=x, y=y):
                 return self.convolve(self.real[x], self.real[y], m)
-            case Scaled(x=x, z=z):
+            case rows.Scaled(x=x, z=z):
                 frame = self._frame(z)
                 if frame is None:
                     frame = next(iter(self._kept.get(z, (None,))))  # one that it is kept in
                 a, b = self._moment[z] if z in self._moment else self.columns(z, m, frame)
                 own = self.convolve(self.real[x], a, m), self.convolve(self.real[x], b, m)
                 return ((frame, None, own),)
-            case Inner(z=z, w=w):
+            case rows.Inner(z=z, w=w):
                 frame = self._frame(z)
                 a, b = self._moment[z] if z in self._moment else self.columns(z, m)
                 c, d = self.columns(w, m, frame)
@@ -122,26 +100,26 @@ class Rules(Frames):
         """By its value at order 0, and its differential equation from there on."""
         real = self.real
         match row:
-            case Quotient(x=x, y=y):
+            case rows.Quotient(x=x, y=y):
                 known = self.convolve(real[slot], real[y], m, 0, m - 1)
                 return difference(real[x][m], known) / real[y][0]
-            case Power(x=x, exponent=exponent):
+            case rows.Power(x=x, exponent=exponent):
                 if m == 0:
                     return self.arithmetic.power(real[x][0], exponent)
                 known = self.weigh(real[x], real[slot], m, 1, m, exponent + 1.0, -1.0 * m)
                 return over(known, m) / real[x][0]
-            case Function(name=name, x=x):
+            case rows.Function(name=name, x=x):
                 return self._smooth(slot, name, real[x], m)
-            case Step(x=x):
+            case rows.Step(x=x):
                 return self._stepped(row, real[x][0]) if m == 0 else 0.0
-            case Primitive(name=name, x=x, density=y):
+            case rows.Primitive(name=name, x=x, density=y):
                 if m == 0:
                     return self.arithmetic.functions[name](real[x][0])
                 known = self.weigh(real[slot], real[y], m, 1, m - 1, 1.0, 0.0)
                 return difference(real[x][m], over(known, m)) / real[y][0]
         raise AssertionError(row)
 
-    def _stepped(self, row: Step, x: Value) -> Value:
+    def _stepped(self, row: rows.Step, x: Value) -> Value:
         """The value of x's interval."""
         arithmetic = self.arithmetic
         if not row.period:
@@ -165,23 +143,23 @@ class Rules(Frames):
         Where it `begins`, with its constant.
         """
         match row:
-            case Integral(x=x):
+            case rows.Integral(x=x):
                 return over(of(x, m - 1), m)
-            case Anchored(x=x):
+            case rows.Anchored(x=x):
                 return of(x, m)
-            case Derivative(x=x) if x in self.planar:
+            case rows.Derivative(x=x) if x in self.planar:
                 return tuple((f, c, planar_scaled(m + 1.0, z)) for f, c, z in of(x, m + 1))
-            case Derivative(x=x):
+            case rows.Derivative(x=x):
                 return times(m + 1.0, of(x, m + 1))
-            case RealPart(z=z):
+            case rows.RealPart(z=z):
                 return self.real_part(of(z, m))
-            case Sum(constant=constant, terms=terms):
+            case rows.Sum(constant=constant, terms=terms):
                 total: Value = self.coefficient(constant) if begins else 0.0
                 for c, x in terms:
                     if (value := of(x, m)) is not None:
                         total = self._accumulate(total, c, value)
                 return total
-            case PlanarSum(constant=by, terms=planar_terms):
+            case rows.PlanarSum(constant=by, terms=planar_terms):
                 start: Framed = ()
                 if begins and by != (0.0, 0.0):
                     start = ((None, by, (1.0, 0.0)),)
@@ -239,7 +217,7 @@ class Rules(Frames):
         known = self.convolve(self.real[slot], rho, m, 0, m - 1)
         return difference(times(m + 1.0, theta[m + 1]), known)
 
-    def _known_moment(self, slot: Slot, row: Moment, m: int) -> Value:
+    def _known_moment(self, slot: Slot, row: rows.Moment, m: int) -> Value:
         """Im(conj(z) F) in the frame of the link, with its own part inertia P in F."""
         rho, theta = self._moment[row.turn]
         own = self.coefficient(row.inertia)
@@ -281,23 +259,23 @@ class Rules(Frames):
             return change.get(x, 0.0)
 
         match row:
-            case Unknown():
+            case rows.Unknown():
                 return self.unknown_values.get(slot, 0.0)
-            case Turn(link=k):
+            case rows.Turn(link=k):
                 added = over(self.unknown_values.get(slot, 0.0), m * (m - 1))
                 return ((k, None, (0.0, added)),)
-            case Slide():
+            case rows.Slide():
                 return over(self.unknown_values.get(slot, 0.0), m * (m - 1))
-            case Rate(turn=E):
+            case rows.Rate(turn=E):
                 _, _, (_, theta) = change[E][0]
                 return times(m + 1.0, theta)
-            case Integral() | Anchored() | Derivative() | Sum() | RealPart() | PlanarSum():
+            case _ if isinstance(row, LINEAR):
                 return self._linear(row, m, lambda x, _: change.get(x))
-            case Product(x=x, y=y):
+            case rows.Product(x=x, y=y):
                 return plus(times(of(x), real[y][0]), times(real[x][0], of(y)))
-            case Moment():
+            case rows.Moment():
                 return self._moment_change(row, change)[1]  # z_0 = 1
-            case Inner(z=z, w=w):
+            case rows.Inner(z=z, w=w):
                 frame = self._frame(z)
                 total: Value = 0.0
                 for one, two in ((z, w), (w, z)):
@@ -306,7 +284,7 @@ class Rules(Frames):
                         c, d = self.into(frame, self.planar[two][0])
                         total = plus(total, plus(times(a, c), times(b, d)))
                 return total
-            case Scaled(x=x, z=z):
+            case rows.Scaled(x=x, z=z):
                 frame = self._frame(z)
                 result = planar_scaled(of(x), self.into(frame, self.planar[z][0]))
                 if z in change:
@@ -316,7 +294,7 @@ class Rules(Frames):
                 return ((frame, None, result),)
         raise AssertionError(row)
 
-    def _moment_change(self, row: Moment, change: dict[Slot, Any]) -> Planar:
+    def _moment_change(self, row: rows.Moment, change: dict[Slot, Any]) -> Planar:
         """What the unknowns add to the force F + inertia P on a link, in the link's frame."""
         force, own = ZERO, ZERO
         if row.F in change:
@@ -332,5 +310,5 @@ class Rules(Frames):
 
     def _link(self, turn: Slot) -> int:
         row = self.program.rows[turn]
-        assert isinstance(row, Turn)
+        assert isinstance(row, rows.Turn)
         return row.link
