@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Container, Sequence
+from functools import partial
 from typing import Any, Union
 
 Value = Union["Expression", float]
@@ -220,22 +221,6 @@ class Expression:
         return multiply(self, self) if exponent == 2 else power(self, exponent)
 
 
-def cos(a: Value) -> Value:
-    """cos(a)."""
-    if not isinstance(a, Expression):
-        return math.cos(a)
-    return a.graph.node("cos", (_value(a.args[0]) if a.op == "neg" else a,))
-
-
-def sin(a: Value) -> Value:
-    """sin(a)."""
-    if not isinstance(a, Expression):
-        return math.sin(a)
-    if a.op == "neg":
-        return negate(sin(_value(a.args[0])))
-    return a.graph.node("sin", (a,))
-
-
 def power(a: Value, exponent: float) -> Value:
     """a to a constant power."""
     return a.graph.node("pow", (a, exponent)) if isinstance(a, Expression) else a**exponent
@@ -243,7 +228,15 @@ def power(a: Value, exponent: float) -> Value:
 
 def call(name: str, a: Value) -> Value:
     """Any of the functions."""
-    return a.graph.node(name, (a,)) if isinstance(a, Expression) else float(getattr(math, name)(a))
+    if not isinstance(a, Expression):
+        return float(getattr(math, name)(a))
+    if a.op != "neg" or name not in ("cos", "sin"):
+        return a.graph.node(name, (a,))
+    found = call(name, _value(a.args[0]))
+    return negate(found) if name == "sin" else found
+
+
+cos, sin = partial(call, "cos"), partial(call, "sin")
 
 
 def rough_power(a: Value, exponent: float) -> Value:

@@ -224,11 +224,7 @@ class _Step(Items):
 
     def write(self, active: Word, observe: Callable[[Word, Word], None]) -> None:
         k, scene = self.k, self.scene
-        if scene.linear:
-            past = k.subtract(self.get("t"), self.get("base_t"))
-            for j in range(scene.mechanism.n):
-                change = k.multiply(self.get(f"dtau{j}"), past)
-                self.put(f"tau{j}", k.add(self.get(f"base{j}"), change))
+        scene.torques(k, self.block)
         self.call("expand")
         longest, t = self.get("longest"), self.get("t")
         known = k.compare("ord", longest, longest)

@@ -147,12 +147,7 @@ class VariedScene(Scene):
                 value = k.spread(k.load(k.at(given, i), SCALAR))
                 k.store(value, k.at(state, i, k.numbers))
             self.put(k, block, "t", k.spread(begin))
-            if self.linear:
-                past = k.subtract(self.get(k, block, "t"), self.get(k, block, "base_t"))
-                for joint in range(self.mechanism.n):
-                    change = k.multiply(self.get(k, block, f"dtau{joint}"), past)
-                    base = self.get(k, block, f"base{joint}")
-                    self.put(k, block, f"tau{joint}", k.add(base, change))
+            self.torques(k, block)
             k.line(f"call void @expand({block})")
             direction = k.subtract(end, begin)
             with k.forever() as done:
