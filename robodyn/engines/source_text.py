@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import count
 from types import MappingProxyType
 
@@ -26,7 +27,6 @@ def float_source(
     longest: float = math.inf,
     readable: bool = False,
     conditional: str = "{2} if {0} < {1} else {3}",
-    beside: bool = False,
 ) -> tuple[list[str], list[str]]:
     """Python statements on floats, and the expression of each output.
 
@@ -34,9 +34,9 @@ def float_source(
     those of nodes by their index: such a node always gets its own, or with "" none.  Statements
     keep to `longest` characters where names do; inputs are called as `symbol` says.  Where it is to
     be `readable`, local names count from 1, brackets that do no more than order a sum or a product
-    are left out, and x (1/y) is x/y.  `beside`: numbers are x + dx i, and the x compare.
+    are left out, and x (1/y) is x/y.
     """
-    uses, text = _uses(outputs), _Statements(names, symbol, readable, conditional, beside)
+    uses, text = _uses(outputs), _Statements(names, symbol, readable, conditional)
     for node in needed(outputs):
         text.write(node)
         while len(text.of(node)) > longest:
@@ -51,22 +51,17 @@ def float_source(
     return text.lines, [text.shown(output, 0) for output in outputs]
 
 
+@dataclass
 class _Statements:
     """The text of nodes as `float_source` writes them, and the statements that name some."""
 
-    def __init__(
-        self,
-        names: Mapping[int, str],
-        symbol: Callable[[str], str],
-        readable: bool,
-        conditional: str,
-        beside: bool,
-    ) -> None:
-        self.names, self.symbol, self.readable = names, symbol, readable
-        self.conditional, self.beside = conditional, beside
-        self.lines: list[str] = []
-        self._text: dict[int, tuple[str, int]] = {}  # node -> its text and precedence
-        self._numbers = count(1)
+    names: Mapping[int, str]
+    symbol: Callable[[str], str]
+    readable: bool
+    conditional: str
+    lines: list[str] = field(default_factory=list)
+    _text: dict[int, tuple[str, int]] = field(default_factory=dict)  # and its precedence
+    _numbers: Iterator[int] = field(default_factory=lambda: count(1))
 
     def of(self, node: Expression) -> str:
         """What is written for a node."""
@@ -95,10 +90,7 @@ class _Statements:
         if op in INPUTS:
             found = self.symbol(str(args[0])), 9
         elif op == "choose":
-            x, y, *values = (self.shown(arg, 1) for arg in args)
-            if self.beside:
-                x, y = (f"({each}).real" for each in (x, y))
-            found = self.conditional.format(x, y, *values), 0
+            found = self.conditional.format(*(self.shown(arg, 1) for arg in args)), 0
         elif op == "keep":
             assert isinstance(args[0], Expression)
             found = self._text[args[0].index]

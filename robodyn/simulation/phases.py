@@ -8,27 +8,15 @@ as an event.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from robodyn.dynamics import closed_form
+from robodyn.dynamics import closed_form, sticking
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces
-from robodyn.dynamics.sticking import (
-    AT_REST,
-    Standing,
-    bounds,
-    held_forces,
-    margins,
-    mode_at,
-    resting,
-    starting_at,
-    stopped,
-    touching,
-)
 from robodyn.errors import InputError
 from robodyn.events.functions import EventFunction
 from robodyn.events.signs import ROUNDING
@@ -37,7 +25,6 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, Mode, beyond, end_word, in_mode, pressed, pushes
-from robodyn.scene.scene import Limits
 from robodyn.simulation.impacts import INSTANT, Bounces
 from robodyn.simulation.run_torques import applied_torques
 from robodyn.tables.arrays import Array
@@ -89,19 +76,13 @@ class Phases:
                 value=float(q[joint]),
                 limit=f"is beyond the joint's {end_word(side)}, {end:.9g}",
             )
-        hits = [end for end in touching(mechanism, q, qd) if end[1] * qd[end[0]] > 0.0]
+        hits = [end for end in sticking.touching(mechanism, q, qd) if end[1] * qd[end[0]] > 0.0]
         self.given, self.hits = y, hits  # before an impact
         self.y = self._impact(0.0, y, hits, set()) if hits else y
         q, qd = self._split(self.y)
         pushing = pressed(mechanism, q.tolist(), qd.tolist())
-        touches = set(touching(mechanism, q, qd))
-        self._enter(0.0, set(resting(mechanism, qd)), touches, set(pushing))
-
-    def _ends(self) -> Iterator[tuple[int, int, float, Limits]]:
-        """Each end of a joint: the joint, the side, where it is, and what is there."""
-        for joint, stop in self.mechanism.limits:
-            for side, end in stop.ends:
-                yield joint, side, end, stop
+        touches = set(sticking.touching(mechanism, q, qd))
+        self._enter(0.0, set(sticking.resting(mechanism, qd)), touches, set(pushing))
 
     def _split(self, y: Array) -> tuple[Array, Array]:
         n = self.mechanism.n
@@ -135,26 +116,25 @@ class Phases:
         self._reach(t)
         q, qd = self._split(self.y)
         tau, sorts = self._torque(t, self.y), (sorted(rests), sorted(touches))
-        self.mode, self.still = mode_at(
+        self.mode, self.still = sticking.mode_at(
             self.mechanism, q, qd, tau, *sorts, tuple(sorted(pushing)), starting, t
         )
         self.started = (rests | {joint for joint, _ in touches}) - set(self.still)
         self.touches = {end for end in touches if end[0] in self.still}
-        self.bounds = {
-            joint: bounds(self.mechanism, joint, [s for j, s in self.touches if j == joint])
-            for joint in self.still
-        }
+        sides = {joint: [s for j, s in self.touches if j == joint] for joint in self.still}
+        self.bounds = {j: sticking.bounds(self.mechanism, j, sides[j]) for j in self.still}
         self.moving = in_mode(self.mechanism, self.mode)
         self._watch(t)
 
     def _watch(self, t: float) -> None:
         """The functions that are positive while the mode lasts."""
         self.guards: list[Guard] = [Guard("slips", *slip) for slip in self.mode.slips]
-        for joint, side, _, stop in self._ends():
-            if (joint, side) not in self.touches:
-                compliant = "presses" if (joint, side) in self.mode.pressed else "apart"
-                kind = "inside" if stop.stiffness is None else compliant
-                self.guards.append(Guard(kind, joint, side))
+        for joint, stop in self.mechanism.limits:
+            for side, _ in stop.ends:
+                if (joint, side) not in self.touches:
+                    compliant = "presses" if (joint, side) in self.mode.pressed else "apart"
+                    kind = "inside" if stop.stiffness is None else compliant
+                    self.guards.append(Guard(kind, joint, side))
         left = self._margins(np.array([t]), self.y[None])[0] if self.still else []
         self.guards += [Guard("holds", k, 0) for k, x in enumerate(left) if math.isfinite(x)]
         self.functions = [self._function(guard, t) for guard in self.guards]
@@ -211,12 +191,12 @@ class Phases:
         n = self.mechanism.n
         tau = self._torques(t, y)
         solution = forward_dynamics_and_forces(self.moving, y[:, :n], y[:, n : 2 * n], tau, t)
-        return held_forces(self.moving, solution.multipliers)
+        return sticking.held_forces(self.moving, solution.multipliers)
 
     def _margins(self, t: Array, y: Array) -> Array:
         q = y[:, : self.mechanism.n]
         forces = self._forces(t, y)
-        return margins(self.mechanism, self.mode, self.still, q, forces, self.bounds)
+        return sticking.margins(self.mechanism, self.mode, self.still, q, forces, self.bounds)
 
     # -- from one to the next ----------------------------------------------------------------------
 
@@ -243,8 +223,8 @@ class Phases:
             pushing.add((guard.joint, guard.side))
         if guard.kind == "slips":
             rests.add(guard.joint)
-        least = AT_REST * float(np.abs(qd).max(initial=0.0))
-        ends = set(touching(self.mechanism, q, qd)) - touches
+        least = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
+        ends = set(sticking.touching(self.mechanism, q, qd)) - touches
         hits = sorted((joint, side) for joint, side in ends if side * qd[joint] > least)
         inside = guard.kind == "inside"
         meets = inside and guard.side * qd[guard.joint] > 0.0
@@ -259,19 +239,20 @@ class Phases:
         for joint, side in hits:  # rounding must not grow from bounce to bounce
             q[joint] = dict(self.limits[joint].ends)[side]
         if standing := sorted(rests | {joint for joint, _ in touches}):
-            qd[:], also = stopped(self.mechanism, q, qd, standing)
+            qd[:], also = sticking.stopped(self.mechanism, q, qd, standing)
             rests |= set(also)
         self.y, self.hits = y, hits
         if hits:
             self.y = self._impact(t, y, hits, touches)
             _, qd = self._split(self.y)
-        still = AT_REST * float(np.abs(qd).max(initial=0.0))
+        still = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
         rest = {joint for joint, rate in enumerate(qd.tolist()) if abs(rate) <= still}
         if hits:
             rests, touches = rest & set(self.dry), {x for x in touches | set(hits) if x[0] in rest}
-        was, stood, starting = self.mode, set(self.still), self._starting(guard, t, y)
+        was, stood, rates = self.mode, set(self.still), self.letting_go(guard, t, y)
+        starting = {joint: 1 if rate > 0.0 else -1 for joint, rate in rates.items()}
         begun = self.started if self.idle and not hits else set()  # and have not moved since
-        touches |= {x for x in touching(self.mechanism, q, qd) if x[0] in rest - begun}
+        touches |= {x for x in sticking.touching(self.mechanism, q, qd) if x[0] in rest - begun}
         starting |= {j: way for j, way in self.mode.slips if j in (begun & rest) - rests}
         rests |= set(starting) & set(self.dry)
         if begins and self.doubts < DOUBTS:
@@ -282,16 +263,13 @@ class Phases:
             self.y[-1] += self._energy(self.moving, self.y) - before
         return self.y
 
-    def _starting(self, guard: Guard, t: float, y: Array) -> dict[int, int]:
-        """The joints that what holds them holds no longer, and which way they start."""
-        rates = self.letting_go(guard, t, y) if guard.kind == "holds" else {}
-        return {joint: 1 if rate > 0.0 else -1 for joint, rate in rates.items()}
-
     def letting_go(self, guard: Guard, t: float, y: Array) -> dict[int, float]:
         """The joints that a guard of what holds lets start, and with which rates."""
-        forces, standing = self._forces(np.array([t]), y[None])[0], Standing(self.mode, self.still)
-        q = self._split(y)[0]
-        return starting_at(self.mechanism, standing, q, forces, self.bounds, guard.joint)
+        if guard.kind != "holds":
+            return {}
+        forces, q = self._forces(np.array([t]), y[None])[0], self._split(y)[0]
+        standing = sticking.Standing(self.mode, self.still)
+        return sticking.starting_at(self.mechanism, standing, q, forces, self.bounds, guard.joint)
 
     def _impact(self, t: float, y: Array, hits: Sequence[End], touches: set[End]) -> Array:
         """The state after an impact; bounces that would end at once are over."""

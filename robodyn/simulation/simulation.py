@@ -166,22 +166,16 @@ def simulate(
         from robodyn.simulation.sensitivity import with_sensitivities
 
         carried = with_sensitivities(mechanism, actuation, state, sensitivity, method)
-    rows: list[tuple[Array, Array]] = []
+    rows: list[tuple[Array, Array, Mechanism]] = []
     times = None if t_eval is None else np.asarray(t_eval, float)
     watch = watched_events(mechanism, events or {}, until, float(t_end))
-    phases: list[tuple[int, Mechanism]] = []
-
-    def keep(t: Array, y: Array, moving: Mechanism) -> None:
-        rows.append((t, y))
-        phases.append((len(t), moving))
-
     outcome, recorder = run(
         mechanism,
         state,
         float(t_end),
         carried.actuation if carried else actuation,
         Settings(method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step),
-        keep,
+        lambda *row: rows.append(row),
         times,
         events=watch,
     )
@@ -193,8 +187,9 @@ def simulate(
             return events
         return sorted([*events, *recorder.contacts], key=lambda event: abs(event.t))
 
-    rows = rows or [(np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity)))))]
-    t, y = joined(rows)
+    phases = [(len(t), moving) for t, _, moving in rows]
+    none = np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity))))
+    t, y = joined([(t, y) for t, y, _ in rows] or [none])
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
     by, further = None, Columns()
