@@ -192,9 +192,10 @@ class Expression:
     def _number(self) -> float | None:
         if self.op in INPUTS:
             return self.graph.parameters[str(self.args[0])] if self.op == "par" else None
-        values = [a.number if isinstance(a, Expression) else a for a in self.args]
-        if None in values:
-            return None
+        for a in self.args:
+            if isinstance(a, Expression) and a.number is None:
+                return None
+        values = (a.number if isinstance(a, Expression) else a for a in self.args)
         try:
             return float(_NUMBER[self.op](*values))
         except (ArithmeticError, ValueError):

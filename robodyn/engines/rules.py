@@ -24,8 +24,10 @@ from robodyn.engines.frames import Framed, Frames
 from robodyn.mechanics import program as rows
 from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Row, Slot
 
-SUMS = rows.Sum, rows.PlanarSum, rows.RealPart
-LINEAR = (rows.Integral, rows.Anchored, rows.Derivative, *SUMS)
+PRODUCTS = (rows.Product, rows.Scaled, rows.Inner)
+FUNCTIONS = (rows.Quotient, rows.Power, rows.Function, rows.Step, rows.Primitive)
+SUMS = (rows.Sum, rows.PlanarSum, rows.RealPart)
+LINEAR = {*SUMS, rows.Integral, rows.Anchored, rows.Derivative}
 # f' = sign g and g' = back f: the name of g, sign, back
 _PARTNERS = {
     "sin": ("cos", 1.0, -1.0),
@@ -45,29 +47,28 @@ class Rules(Frames):
 
     def known(self, slot: Slot, row: Row, m: int) -> Any:
         """Coefficient m of a slot; of unknowns of the present order nothing."""
+        return _KNOWN[type(row)](self, slot, row, m)
+
+    def _given(self, slot: Slot, row: Row, m: int) -> Any:
+        """What is given, and the coordinates with their rates; of unknowns nothing."""
         match row:
             case rows.Given(name=name):
                 given = self.state.given[name]
                 if callable(given):
                     return given(m)
                 return given[m] if m < len(given) else 0.0
-            case rows.Unknown():
-                return 0.0
             case rows.Turn(link=k):
                 return self._turn(slot, k, m)
             case rows.Slide(joint=k):
                 return self._slide(k, m)
             case rows.Rate(turn=E):
                 return self._rate(slot, E, m)
-            case rows.Integral(start=start) | rows.Anchored(start=start) if m == 0:
-                return self._first(start)
-            case _ if isinstance(row, LINEAR):
-                return self._linear(row, m, self._found, m == 0)
-            case rows.Product() | rows.Scaled() | rows.Inner():
-                return self._product(row, m)
-            case rows.Moment():
-                return self._known_moment(slot, row, m)
-        return self._function(slot, row, m)
+        return 0.0
+
+    def _sum(self, slot: Slot, row: Row, m: int) -> Any:
+        if m == 0 and isinstance(row, (rows.Integral, rows.Anchored)):
+            return self._first(row.start)
+        return self._linear(row, m, self._found, m == 0)
 
     def _first(self, name: str) -> Value:
         """What is given as the first coefficient."""
@@ -78,7 +79,7 @@ class Rules(Frames):
         """Coefficient m of a slot, which is there."""
         return self.planar[x][m] if x in self.planar else self.real[x][m]
 
-    def _product(self, row: rows.Product | rows.Scaled | rows.Inner, m: int) -> Any:
+    def _product(self, slot: Slot, row: Row, m: int) -> Any:
         """Products of two series; those with a direction in its own frame."""
         match row:
             case rows.Product(x=x, y=y):
@@ -95,6 +96,7 @@ class Rules(Frames):
                 a, b = self._moment[z] if z in self._moment else self.columns(z, m)
                 c, d = self.columns(w, m, frame)
                 return plus(self.convolve(a, c, m), self.convolve(b, d, m))
+        raise AssertionError(row)
 
     def _function(self, slot: Slot, row: Row, m: int) -> Value:
         """By its value at order 0, and its differential equation from there on."""
@@ -143,16 +145,6 @@ class Rules(Frames):
         Where it `begins`, with its constant.
         """
         match row:
-            case rows.Integral(x=x):
-                return over(of(x, m - 1), m)
-            case rows.Anchored(x=x):
-                return of(x, m)
-            case rows.Derivative(x=x) if x in self.planar:
-                return tuple((f, c, planar_scaled(m + 1.0, z)) for f, c, z in of(x, m + 1))
-            case rows.Derivative(x=x):
-                return times(m + 1.0, of(x, m + 1))
-            case rows.RealPart(z=z):
-                return self.real_part(of(z, m))
             case rows.Sum(constant=constant, terms=terms):
                 total: Value = self.coefficient(constant) if begins else 0.0
                 for c, x in terms:
@@ -170,6 +162,16 @@ class Rules(Frames):
                     if value is not None
                 ]
                 return start + self._planar_sum(framed)
+            case rows.Integral(x=x):
+                return over(of(x, m - 1), m)
+            case rows.Anchored(x=x):
+                return of(x, m)
+            case rows.Derivative(x=x) if x in self.planar:
+                return tuple((f, c, planar_scaled(m + 1.0, z)) for f, c, z in of(x, m + 1))
+            case rows.Derivative(x=x):
+                return times(m + 1.0, of(x, m + 1))
+            case rows.RealPart(z=z):
+                return self.real_part(of(z, m))
         raise AssertionError(row)
 
     def _planar_sum(self, terms: Sequence[tuple[PlanarCoefficient, Framed]]) -> Framed:
@@ -269,7 +271,7 @@ class Rules(Frames):
             case rows.Rate(turn=E):
                 _, _, (_, theta) = change[E][0]
                 return times(m + 1.0, theta)
-            case _ if isinstance(row, LINEAR):
+            case _ if type(row) in LINEAR:
                 return self._linear(row, m, lambda x, _: change.get(x))
             case rows.Product(x=x, y=y):
                 return plus(times(of(x), real[y][0]), times(real[x][0], of(y)))
@@ -312,3 +314,12 @@ class Rules(Frames):
         row = self.program.rows[turn]
         assert isinstance(row, rows.Turn)
         return row.link
+
+
+_KNOWN: dict[type, Callable[[Any, Slot, Any, Any], Any]] = {
+    **dict.fromkeys((rows.Given, rows.Unknown, rows.Turn, rows.Slide, rows.Rate), Rules._given),
+    **dict.fromkeys(LINEAR, Rules._sum),
+    **dict.fromkeys(PRODUCTS, Rules._product),
+    **dict.fromkeys(FUNCTIONS, Rules._function),
+    rows.Moment: Rules._known_moment,
+}

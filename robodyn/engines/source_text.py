@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 from robodyn.engines.expression import FUNCTIONS, INPUTS, Expression, Value, needed
 
-_PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
+_BINARY = {"+": 1, "-": 1, "*": 2, "/": 2}  # their precedence
 _CALLS = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}
 _CALLS |= {"pow": "power", "rough": "power", "abs": "absolute", "atan2": "arctan2"}
 _CALLS |= {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}
@@ -38,14 +38,12 @@ def float_source(
     """
     uses, text = _uses(outputs), _Statements(names, symbol, readable, conditional)
     for node in needed(outputs):
-        text.write(node)
-        while len(text.of(node)) > longest:
+        while len(text.write(node)) > longest:
             parts = [a for a in node.args if isinstance(a, Expression)]
             parts = [a for a in parts if not text.of(a).isidentifier()]
             if not parts:
                 break
             text.name(max(parts, key=lambda a: len(text.of(a))))
-            text.write(node)
         if node.op not in INPUTS and names.get(node.index, uses[node.index] > 1):
             text.name(node)
     return text.lines, [text.shown(output, 0) for output in outputs]
@@ -84,10 +82,17 @@ class _Statements:
         self.lines.append(f"{name} = {self.of(node)}")
         self._text[node.index] = (name, 9)
 
-    def write(self, node: Expression) -> None:
+    def write(self, node: Expression) -> str:
         """A node by the text of its arguments."""
         op, args = node.op, node.args
-        if op in INPUTS:
+        if (precedence := _BINARY.get(op)) is not None:
+            left = self.shown(args[0], precedence)
+            right = self.shown(args[1], precedence + (not self.readable or op in "-/"))
+            if precedence == 1:
+                found = f"{left} {op} {right}", 1
+            else:
+                found = _readable(left, op, right) if self.readable else f"{left}{op}{right}", 2
+        elif op in INPUTS:
             found = self.symbol(str(args[0])), 9
         elif op == "choose":
             found = self.conditional.format(*(self.shown(arg, 1) for arg in args)), 0
@@ -96,21 +101,19 @@ class _Statements:
             found = self._text[args[0].index]
         elif op == "neg":
             found = f"-{self.shown(args[0], 2)}", 2
-        elif op in _PRECEDENCE:
-            found = self._joined(op, *args), _PRECEDENCE[op]
         else:
             found = f"{_NAMES.get(op, op)}({', '.join(self.shown(arg, 0) for arg in args)})", 9
         self._text[node.index] = found
+        return found[0]
 
-    def _joined(self, op: str, a: Value | str, b: Value | str) -> str:
-        precedence, readable = _PRECEDENCE[op], self.readable
-        left = self.shown(a, precedence)
-        right = self.shown(b, precedence + (not readable or op in "-/"))
-        if readable and op == "*":
-            left, right = (right, left) if left.startswith("1.0/") else (left, right)
-            if right.startswith("1.0/"):
-                return left + right[3:]
-        return f"{left} {op} {right}" if precedence == 1 else f"{left}{op}{right}"
+
+def _readable(left: str, op: str, right: str) -> str:
+    """A product or quotient; x (1/y) is x/y."""
+    if op == "*" and left.startswith("1.0/"):
+        left, right = right, left
+    if op == "*" and right.startswith("1.0/"):
+        return left + right[3:]
+    return f"{left}{op}{right}"
 
 
 def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[str], int]:
@@ -121,8 +124,9 @@ def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[s
     named = list(zip(outputs, names, strict=True))
     target = {out.index: name for out, name in named if isinstance(out, Expression)}
     lines: list[str] = []
-    place, buffers = _places(needed(outputs), target)
-    for node in needed(outputs):
+    nodes = needed(outputs)
+    place, buffers = _places(nodes, target)
+    for node in nodes:
         if node.op in INPUTS:
             continue
         args = [place[a.index] if isinstance(a, Expression) else repr(a) for a in node.args]
@@ -148,16 +152,19 @@ def _places(nodes: Sequence[Expression], target: Mapping[int, str]) -> tuple[dic
 
     A buffer is free again with the last node that reads it; outputs read by none are in place.
     """
-    below = [{a.index: a for a in node.args if isinstance(a, Expression)} for node in nodes]
-    last = {index: node.index for node, args in zip(nodes, below, strict=True) for index in args}
+    last: dict[int, int] = {}
+    for node in nodes:
+        for a in node.args:
+            if isinstance(a, Expression):
+                last[a.index] = node.index
     place: dict[int, str] = {}
     free: list[str] = []
     buffers = 0
-    for node, args in zip(nodes, below, strict=True):
+    for node in nodes:
         if node.op in INPUTS:
             place[node.index] = str(node.args[0])
             continue
-        for a in args.values():
+        for a in {x.index: x for x in node.args if isinstance(x, Expression)}.values():
             dead = last[a.index] == node.index and a.op not in INPUTS
             if dead and place[a.index].startswith("w"):
                 free.append(place[a.index])
