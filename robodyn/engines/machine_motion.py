@@ -102,13 +102,9 @@ def compile(scene: Scene, observer: Observer, lanes: int, family: str = "") -> L
     """
 
     def load(code: Code) -> Loaded:
-        return Loaded(
-            code.function("close", ctypes.c_void_p, result=None) if scene.closes else None,
-            code.function("advance", ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p),
-            code.function("size")(),
-            code.processor.lanes,
-            code,
-        )
+        close = code.function("close", ctypes.c_void_p, result=None) if scene.closes else None
+        advance = code.function("advance", ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p)
+        return Loaded(close, advance, code.function("size")(), code.processor.lanes, code)
 
     key = f"{observer.key} {scene.key}"
     found: Loaded | None = kept(key, partial(text, scene, observer), load, lanes, family)
