@@ -14,8 +14,9 @@ from robodyn.loops import assembly
 from robodyn.loops.assembly import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.even_times import EvenTimes
-from robodyn.simulation.recording import ROWS_AT_ONCE, Recorder
+from robodyn.simulation.recording import ROWS_AT_ONCE
 from robodyn.simulation.report import Outcome, Report
+from robodyn.simulation.run_statistics import RunStatistics
 from robodyn.simulation.settings import METHODS, Settings
 from robodyn.simulation.simulation import run
 from robodyn.taylor import Status
@@ -23,12 +24,12 @@ from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 
 
 def least_singular(mech, q):
-    """The recorder's values, and those of numpy's decomposition."""
+    """The statistics' values, and those of numpy's decomposition."""
     Psi = closed_form.closure_jacobian(mech, q)
     idle = Actuation((0.0,) * mech.n)
-    recorder = Recorder(mech, Report(), lambda t, y, _: None, None, 10**6, None, idle)
+    statistics = RunStatistics(Report(), idle, mech.n, True)
     s = np.linalg.svd(Psi, compute_uv=False)[:, -1]
-    return recorder._least_singular(Psi), s / loop_size(mech)
+    return statistics.least_singular(mech, Psi), s / loop_size(mech)
 
 
 @pytest.mark.parametrize("name", ["four-bar", "slider-crank", "five-bar", "loop in a tree"])

@@ -23,31 +23,6 @@ def chosen(x: Value, knots: Sequence[float], values: Sequence[float]) -> Value:
     return values[bisect_right(knots, x)]
 
 
-@dataclass(eq=False, repr=False)
-class Arithmetic:
-    """The functions of one kind of numbers; +, -, *, / are the numbers' own."""
-
-    cos: Callable[[Value], Value]
-    sin: Callable[[Value], Value]
-    power: Callable[[Value, float], Value]
-    functions: dict[str, Callable[[Value], Value]] = field(default_factory=dict)
-    # sum of x_j y_{m-j} for j from first to last, and of (slope j + level) x_j y_{m-j}
-    convolve: Callable[[Any, Any, int, int, int], Value] | None = None
-    weigh: Callable[[Any, Any, int, int, int, float, Value], Value] | None = None
-    room: Callable[[int], Any] = lambda orders: [0.0] * orders
-    chosen: Callable[[Value, Sequence[float], Sequence[float]], Value] = chosen
-    keep: Callable[[Value], Value] = lambda value: value  # marks what is used again and again
-
-
-_FUNCTIONS = ("exp", "tanh", "sin", "cos", "sinh", "cosh", "log", "atan", "asin", "acos", "floor")
-FLOATS = Arithmetic(
-    cos=math.cos,
-    sin=math.sin,
-    power=math.pow,
-    functions={name: getattr(math, name) for name in _FUNCTIONS},
-)
-
-
 def times(a: Value, b: Value) -> Value:
     """a b, without the products of a structural zero or one."""
     if type(a) is float:
@@ -107,6 +82,31 @@ def weighted(
     for j in range(first, last + 1):
         total = plus(total, times(keep(times(slope * j + level, x[j])), y[m - j]))
     return total
+
+
+@dataclass(eq=False, repr=False)
+class Arithmetic:
+    """The functions of one kind of numbers; +, -, *, / are the numbers' own."""
+
+    cos: Callable[[Value], Value]
+    sin: Callable[[Value], Value]
+    power: Callable[[Value, float], Value]
+    functions: dict[str, Callable[[Value], Value]] = field(default_factory=dict)
+    # sum of x_j y_{m-j} for j from first to last, and of (slope j + level) x_j y_{m-j}
+    convolve: Callable[[Any, Any, int, int, int], Value] = convolution
+    weigh: Callable[[Any, Any, int, int, int, float, Value], Value] = weighted
+    room: Callable[[int], Any] = lambda orders: [0.0] * orders
+    chosen: Callable[[Value, Sequence[float], Sequence[float]], Value] = chosen
+    keep: Callable[[Value], Value] = lambda value: value  # marks what is used again and again
+
+
+_FUNCTIONS = ("exp", "tanh", "sin", "cos", "sinh", "cosh", "log", "atan", "asin", "acos", "floor")
+FLOATS = Arithmetic(
+    cos=math.cos,
+    sin=math.sin,
+    power=math.pow,
+    functions={name: getattr(math, name) for name in _FUNCTIONS},
+)
 
 
 def planar_times(a: Planar, b: Planar) -> Planar:

@@ -140,19 +140,6 @@ class MotionProgram:
         )
 
 
-def longest_formula(
-    graph: Graph,
-    series: Coefficients,
-    w: Sequence[Value],
-    rough: bool = False,
-    slides: Sequence[int] = (),
-) -> Value:
-    """`longest_step` of tolerances that are variables, by rough roots where these serve."""
-    power = _rough if rough else expression.power
-    tolerances = graph.variable("rtol"), graph.variable("atol")
-    return longest_step(series, w, *tolerances, power, slides)
-
-
 def longest_step(
     series: Coefficients,
     w: Sequence[Value],
@@ -190,7 +177,7 @@ def longest_step(
     return expression.choose(abs(tails), math.inf, h, math.nan)
 
 
-def _rough(a: Value, exponent: float) -> Value:
+def rough(a: Value, exponent: float) -> Value:
     """A power that errs by some percent, rather below than above."""
     return 0.96 * expression.rough_power(a, exponent)
 

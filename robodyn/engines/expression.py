@@ -13,7 +13,8 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Container, Sequence
-from typing import Union
+from functools import partial
+from typing import Any, Union
 
 Value = Union["Expression", float]
 
@@ -63,74 +64,6 @@ class Graph:
             found = self._known[op, args] = Expression(self, op, args, len(self.nodes))
             self.nodes.append(found)
         return found
-
-
-class Expression:
-    """One node: an operation on earlier nodes and constants.  Operators fold and simplify."""
-
-    __slots__ = ("args", "graph", "index", "number", "op")
-    imag = 0.0
-
-    def __init__(self, graph: Graph, op: str, args: tuple[Value | str, ...], index: int) -> None:
-        self.graph, self.op, self.args, self.index = graph, op, args, index
-        self.number = self._number()  # of parameters alone: its value now
-
-    @property
-    def real(self) -> Expression:
-        """Itself, as of any real number."""
-        return self
-
-    @property
-    def constant(self) -> bool:
-        """Whether it is computed of parameters alone."""
-        return self.number is not None
-
-    def _number(self) -> float | None:
-        if self.op in INPUTS:
-            return self.graph.parameters[str(self.args[0])] if self.op == "par" else None
-        values: list[float] = []
-        for a in self.args:
-            if isinstance(a, Expression):
-                if a.number is None:
-                    return None
-                values.append(a.number)
-            else:
-                values.append(a)  # type: ignore[arg-type]
-        try:
-            return float(_NUMBER[self.op](*values))
-        except (ArithmeticError, ValueError):
-            return math.nan
-
-    def __add__(self, other: Value) -> Value:
-        return add(self, other)
-
-    __radd__ = __add__
-
-    def __sub__(self, other: Value) -> Value:
-        return add(self, negate(other))
-
-    def __rsub__(self, other: float) -> Value:
-        return add(other, negate(self))
-
-    def __mul__(self, other: Value) -> Value:
-        return multiply(self, other)
-
-    __rmul__ = __mul__
-
-    def __truediv__(self, other: Value) -> Value:
-        return divide(self, other)
-
-    def __rtruediv__(self, other: float) -> Value:
-        return divide(other, self)
-
-    def __neg__(self) -> Value:
-        return negate(self)
-
-    def __abs__(self) -> Value:
-        return self.graph.node("abs", (self,))
-
-    def __pow__(self, exponent: float) -> Value:
-        return multiply(self, self) if exponent == 2 else power(self, exponent)
 
 
 def negate(a: Value) -> Value:
@@ -236,20 +169,57 @@ def divide(a: Value, b: Value) -> Value:
     return b.graph.node("/", (a, b))
 
 
-def cos(a: Value) -> Value:
-    """cos(a)."""
-    if not isinstance(a, Expression):
-        return math.cos(a)
-    return a.graph.node("cos", (_value(a.args[0]) if a.op == "neg" else a,))
+class Expression:
+    """One node: an operation on earlier nodes and constants.  Operators fold and simplify."""
 
+    __slots__ = ("args", "graph", "index", "number", "op")
+    imag = 0.0
 
-def sin(a: Value) -> Value:
-    """sin(a)."""
-    if not isinstance(a, Expression):
-        return math.sin(a)
-    if a.op == "neg":
-        return negate(sin(_value(a.args[0])))
-    return a.graph.node("sin", (a,))
+    def __init__(self, graph: Graph, op: str, args: tuple[Value | str, ...], index: int) -> None:
+        self.graph, self.op, self.args, self.index = graph, op, args, index
+        self.number = self._number()  # of parameters alone: its value now
+
+    @property
+    def real(self) -> Expression:
+        """Itself, as of any real number."""
+        return self
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is computed of parameters alone."""
+        return self.number is not None
+
+    def _number(self) -> float | None:
+        if self.op in INPUTS:
+            return self.graph.parameters[str(self.args[0])] if self.op == "par" else None
+        for a in self.args:
+            if isinstance(a, Expression) and a.number is None:
+                return None
+        values = (a.number if isinstance(a, Expression) else a for a in self.args)
+        try:
+            return float(_NUMBER[self.op](*values))
+        except (ArithmeticError, ValueError):
+            return math.nan
+
+    __add__ = __radd__ = add
+    __mul__ = __rmul__ = multiply
+    __truediv__ = divide
+    __neg__ = negate
+
+    def __sub__(self, other: Value) -> Value:
+        return add(self, negate(other))
+
+    def __rsub__(self, other: float) -> Value:
+        return add(other, negate(self))
+
+    def __rtruediv__(self, other: float) -> Value:
+        return divide(other, self)
+
+    def __abs__(self) -> Value:
+        return self.graph.node("abs", (self,))
+
+    def __pow__(self, exponent: float) -> Value:
+        return multiply(self, self) if exponent == 2 else power(self, exponent)
 
 
 def power(a: Value, exponent: float) -> Value:
@@ -259,7 +229,15 @@ def power(a: Value, exponent: float) -> Value:
 
 def call(name: str, a: Value) -> Value:
     """Any of the functions."""
-    return a.graph.node(name, (a,)) if isinstance(a, Expression) else float(getattr(math, name)(a))
+    if not isinstance(a, Expression):
+        return float(getattr(math, name)(a))
+    if a.op != "neg" or name not in ("cos", "sin"):
+        return a.graph.node(name, (a,))
+    found = call(name, _value(a.args[0]))
+    return negate(found) if name == "sin" else found
+
+
+cos, sin = partial(call, "cos"), partial(call, "sin")
 
 
 def rough_power(a: Value, exponent: float) -> Value:
@@ -270,10 +248,10 @@ def rough_power(a: Value, exponent: float) -> Value:
 
 def arctangent(y: Value, x: Value) -> Value:
     """The angle of (x, y), atan2(y, x)."""
-    for known in (y, x):
-        if isinstance(known, Expression):
-            return known.graph.node("atan2", (y, x))
-    return math.atan2(y, x)  # type: ignore[arg-type]
+    node = y if isinstance(y, Expression) else x
+    if isinstance(node, Expression):
+        return node.graph.node("atan2", (y, x))
+    return math.atan2(y, node)  # type: ignore[arg-type]
 
 
 def keep(a: Value) -> Value:
@@ -332,6 +310,20 @@ def _negative(a: Expression) -> bool:
     if first.op == "-" and len(indices) == 2:  # of a - b and b - a of constants one is used
         return indices[0] > indices[1]
     return first.op == "neg"
+
+
+def rewritten(
+    outputs: Sequence[Value], rule: Callable[[Expression, tuple[Any, ...]], Value]
+) -> list[Value]:
+    """The outputs with what `rule(node, arguments)` makes of each node and its new arguments."""
+    found: dict[int, Value] = {}
+
+    def now(a: Any) -> Any:
+        return found[a.index] if isinstance(a, Expression) else a
+
+    for node in needed(outputs):
+        found[node.index] = rule(node, tuple(map(now, node.args)))
+    return list(map(now, outputs))
 
 
 def needed(outputs: Sequence[Value], there: Container[int] = ()) -> list[Expression]:

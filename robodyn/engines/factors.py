@@ -13,9 +13,7 @@ from typing import Any
 
 Value = Any
 
-SMALL = (
-    24  # unknowns up to which closures stand behind all links: an ordering is not worth its search
-)
+SMALL = 24  # unknowns up to which closures stand behind all links: no search for an order pays
 
 
 class Factors:

@@ -17,14 +17,12 @@ from robodyn.engines.arithmetic import (
     Planar,
     Value,
     conjugate_times,
-    convolution,
     difference,
     over,
     planar_plus,
     planar_times,
     plus,
     times,
-    weighted,
 )
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Program, Row, Slot
@@ -197,13 +195,8 @@ class Frames:
         last = m if last is None else last
         if last < first:
             return 0.0
-        return (self.arithmetic.convolve or convolution)(x, y, m, first, last)
+        return self.arithmetic.convolve(x, y, m, first, last)
 
     def slope(self, x: Any, y: Any, m: int) -> Value:
         """Coefficient m of the integral of x' y: 1/m sum j x_j y_{m-j}."""
-        return over(self.weigh(x, y, m, 1, m, 1.0, 0.0), m)
-
-    @property
-    def weigh(self) -> Callable[[Any, Any, int, int, int, float, Value], Value]:
-        """Sum of (slope j + level) x_j y_{m-j}, by (x, y, m, first j, last j, slope, level)."""
-        return self.arithmetic.weigh or weighted
+        return over(self.arithmetic.weigh(x, y, m, 1, m, 1.0, 0.0), m)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,35 +73,42 @@ def aligned(size: int) -> NDArray[np.float64]:
     return room[-(room.ctypes.data // 8) % ALIGNED :][:size]
 
 
-_made: dict[tuple[str, int, str], Loaded | None] = {}
+_made: dict[tuple[str, int, str], Any] = {}
 _making = threading.Lock()
 
 
+def kept(
+    key: str,
+    text: Callable[[Processor], str],
+    load: Callable[[Code], Any],
+    lanes: int,
+    family: str = "",
+) -> Any:
+    """What is loaded of the code of a text, made once a process; None: there is none."""
+    found = key, lanes, family
+    with _making:  # all threads get the same
+        if found not in _made:
+            while len(_made) >= KEPT:
+                _made.pop(next(iter(_made)))
+            code = machine.make(text, key, None, family, lanes)
+            _made[found] = None if code is None else load(code)
+        return _made[found]
+
+
 def compile(scene: Scene, observer: Observer, lanes: int, family: str = "") -> Loaded | None:
-    """The machine code of a scene, made once a process for all of its shape; None: there is none.
+    """The machine code of a scene, for all of its shape; None: there is none.
 
     Raises ZeroDivisionError where no state has a series.
     """
-    key = f"{observer.key} {scene.key}", lanes, family
-    with _making:  # all threads get the same
-        if key not in _made:
-            while len(_made) >= KEPT:
-                _made.pop(next(iter(_made)))
-            code = machine.make(
-                lambda processor: text(scene, observer, processor), key[0], None, family, lanes
-            )
-            _made[key] = None if code is None else _loaded(scene, code)
-        return _made[key]
 
+    def load(code: Code) -> Loaded:
+        close = code.function("close", ctypes.c_void_p, result=None) if scene.closes else None
+        advance = code.function("advance", ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p)
+        return Loaded(close, advance, code.function("size")(), code.processor.lanes, code)
 
-def _loaded(scene: Scene, code: Code) -> Loaded:
-    return Loaded(
-        code.function("close", ctypes.c_void_p, result=None) if scene.closes else None,
-        code.function("advance", ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p),
-        code.function("size")(),
-        code.processor.lanes,
-        code,
-    )
+    key = f"{observer.key} {scene.key}"
+    found: Loaded | None = kept(key, partial(text, scene, observer), load, lanes, family)
+    return found
 
 
 def text(scene: Scene, observer: Observer, processor: Processor) -> str:
@@ -212,11 +220,7 @@ class _Step(Items):
 
     def write(self, active: Word, observe: Callable[[Word, Word], None]) -> None:
         k, scene = self.k, self.scene
-        if scene.linear:
-            past = k.subtract(self.get("t"), self.get("base_t"))
-            for j in range(scene.mechanism.n):
-                change = k.multiply(self.get(f"dtau{j}"), past)
-                self.put(f"tau{j}", k.add(self.get(f"base{j}"), change))
+        scene.torques(k, self.block)
         self.call("expand")
         longest, t = self.get("longest"), self.get("t")
         known = k.compare("ord", longest, longest)

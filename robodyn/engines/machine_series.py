@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from robodyn.engines.arithmetic import Planar
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
-from robodyn.engines.expansion import Coefficients, ends, integral, longest_formula
+from robodyn.engines.expansion import Coefficients, ends, integral, longest_step, rough
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.machine_sums import WIDE, Run, read_together, repeated, write_sums
 from robodyn.engines.order_loop import Sum
@@ -121,8 +121,9 @@ def _longest(scene: Scene, k: Kernel, block: Word) -> None:
     rho = [zeros + _coefficients(graph, i, last) for i in turns]
     theta = [zeros + _coefficients(graph, i + 1, last) for i in turns]
     w = [graph.variable(f"{i + 1}_1") for i in turns]
-    slides = scene.mechanism.slides
-    h = longest_formula(graph, Coefficients(rho, theta, [], []), w, True, slides)
+    tolerances = graph.variable("rtol"), graph.variable("atol")
+    slides, series = scene.mechanism.slides, Coefficients(rho, theta, [], [])
+    h = longest_step(series, w, *tolerances, rough, slides)
     scene.put(k, block, "longest", read_segment(scene, k, block).write([h])[0])
 
 

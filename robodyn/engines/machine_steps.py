@@ -86,15 +86,8 @@ class Scene:
         self.values |= {f"bell{j}": width for j, width in bells}
         self.values |= kept or {}
         shapes = [program.shape, mechanism.above, mechanism.order, order, work, self.closes]
-        shapes += [
-            self.bells,
-            mechanism.bends_inside,
-            self.linear,
-            rate_series,
-            link,
-            list(kept or ()),
-        ]
-        shapes.append([bool(x) for x in actuation.constants or ()])
+        shapes += [self.bells, mechanism.bends_inside, self.linear, rate_series, link]
+        shapes += [list(kept or ()), [bool(x) for x in actuation.constants or ()]]
         if self.closes:
             closing = EquationsOfMotion(mechanism)
             closing.write([None] * mechanism.n)
@@ -252,6 +245,15 @@ class Scene:
     def there(self, names: Sequence[str]) -> dict[str, str]:
         """Inputs of a graph, taken from the state at a step's end."""
         return {name: f"to_{name}" for name in names} | {"t": "t_there"}
+
+    def torques(self, k: Kernel, block: Word) -> None:
+        """Those that are linear in time, at the time of the state."""
+        if not self.linear:
+            return
+        past = k.subtract(self.get(k, block, "t"), self.get(k, block, "base_t"))
+        for j in range(self.mechanism.n):
+            change = k.multiply(self.get(k, block, f"dtau{j}"), past)
+            self.put(k, block, f"tau{j}", k.add(self.get(k, block, f"base{j}"), change))
 
     def _terms(self, k: Kernel, block: Word, i: int, x: Word) -> tuple[Word, Word]:
         """The sum of a watched series at x, and its largest term."""

@@ -141,89 +141,93 @@ def _batches(vectors: Sequence[Vector], least: int, most: int) -> Iterator[Seque
         left = left[size:]
 
 
-def _write_batch(
-    module: Module,
-    name: str,
-    vectors: Sequence[Vector],
-    weights: Sequence[Weight],
-    columns: int,
-    fewest: int,
-) -> None:
+class _Batch:
     """name(x, y, out, p, levels): sums of (slope j + level) x_j y_j to their places in `out`.
 
     The rows of x go up from order 0, those of y down from order p; a level for each weight.  What
     the order before has found stands in the first term and the last: they come last, so that the
-    processor adds up the others while it is found.  There may be no term where there are `fewest`.
+    processor adds up the others while it is found.
     """
-    wide = Module(max(WIDE, module.lanes)) if module.together else module
-    wide.functions = module.functions
-    k = Kernel(wide, name, [*[ADDRESS] * 3, WHOLE, *[SCALAR] * len(weights)], "void")
-    x, y, out, p, *levels = k.arguments
-    if not module.together:
-        for v in vectors:
+
+    def __init__(
+        self, module: Module, name: str, vectors: Sequence[Vector], weights: Sequence[Weight]
+    ) -> None:
+        self.vectors, self.weights, self.lanes = vectors, weights, module.lanes
+        wide = Module(max(WIDE, module.lanes)) if module.together else module
+        wide.functions = module.functions
+        arguments = [*[ADDRESS] * 3, WHOLE, *[SCALAR] * len(weights)]
+        self.k = Kernel(wide, name, arguments, "void")
+
+    def call(self) -> None:
+        """Each vector by a function that serves them all."""
+        k = self.k
+        x, y, out, p, *levels = k.arguments
+        for v in self.vectors:
             places = (k.at(base, i, k.numbers) for base, i in zip((x, y, out), v[:3], strict=True))
             rest = [*places, k.add(p, k.whole(v.terms)), k.whole(v.wide), k.whole(v.same)]
             if v.weight is not None:
-                rest += [levels[weights.index(v.weight)], k.scalar(v.weight[0])]
+                rest += [levels[self.weights.index(v.weight)], k.scalar(v.weight[0])]
             k.line(f"call void @sum_rows({', '.join(map(str, rest))})")
         k.done()
-        return
-    least = min(v.terms for v in vectors)
 
-    def term(among: Sequence[int], rows: tuple[Word, Word], levels: Sequence[Word]) -> None:
+    def write(self, columns: int, fewest: int) -> None:
+        """All in one loop, and what has more terms behind it; where they may be `fewest`, none."""
+        k, vectors = self.k, self.vectors
+        x, y, out, p, *levels = k.arguments
+        self.step = columns * self.lanes
+        least = min(v.terms for v in vectors)
+        held = least > fewest
+        newest, at_first = (x, y), levels
+        if held:
+            (x, y), levels = self._after(newest, levels)
+        with k.loop(k.add(p, k.whole(least - held))):
+            zeros = [_zeros(v.wide * self.lanes) for v in vectors]
+            carried = [k.carried(word) for word in (x, y, *levels, *zeros)]
+            totals = carried[2 + len(levels) :]
+            rows, levels = (carried[0], carried[1]), carried[2 : 2 + len(levels)]
+            self.totals = totals.copy()
+            self._term(range(len(vectors)), rows, levels)
+            above, new = self._after(rows, levels)
+            for word, now in zip(carried, (*above, *new, *self.totals), strict=True):
+                k.becomes(word, now)
+        self.totals = totals
+        for more in range(max(v.terms for v in vectors) - least):
+            self._term([i for i, v in enumerate(vectors) if v.terms - least > more], rows, levels)
+            rows, levels = self._after(rows, levels)
+        if held:
+            self._term(range(len(vectors)), newest, at_first)
+        for total, vector in zip(self.totals, vectors, strict=True):
+            k.store(total, k.at(out, vector.place * self.lanes))
+        k.done()
+
+    def _term(self, among: Sequence[int], rows: tuple[Word, Word], levels: Sequence[Word]) -> None:
         """Add one to the totals."""
-        known: dict[tuple[Word, int, int, bool], Word] = {}
+        k, known = self.k, dict[tuple[Word, int, int, bool], Word]()
 
         def read(row: Word, column: int, wide: int, same: bool = False) -> Word:
             key = row, column, wide, same
             if key not in known:
-                place = k.at(row, column * module.lanes)
-                if same:
-                    known[key] = repeated(k, place, module.lanes, wide)
-                else:
-                    known[key] = k.load(place, numbers(wide))
+                place = k.at(row, column * self.lanes)
+                type = f"<{wide} x double>" if wide > 1 else SCALAR
+                known[key] = repeated(k, place, self.lanes, wide) if same else k.load(place, type)
             return known[key]
 
         for i in among:
-            wide = vectors[i].wide * module.lanes
-            a = read(rows[0], vectors[i].x, wide, vectors[i].same)
-            if (weight := vectors[i].weight) is not None:
-                a = k.multiply(a, k.spread(levels[weights.index(weight)], wide))
-            totals[i] = k.add(totals[i], k.multiply(a, read(rows[1], vectors[i].y, wide)))
+            v = self.vectors[i]
+            wide = v.wide * self.lanes
+            a = read(rows[0], v.x, wide, v.same)
+            if v.weight is not None:
+                a = k.multiply(a, k.spread(levels[self.weights.index(v.weight)], wide))
+            self.totals[i] = k.add(self.totals[i], k.multiply(a, read(rows[1], v.y, wide)))
 
-    def numbers(wide: int) -> str:
-        return f"<{wide} x double>" if wide > 1 else SCALAR
-
-    def after(rows: tuple[Word, Word], levels: Sequence[Word]) -> tuple[Word, Word, list[Word]]:
+    def _after(
+        self, rows: tuple[Word, Word], levels: Sequence[Word]
+    ) -> tuple[tuple[Word, Word], list[Word]]:
         """The rows and levels of the next term."""
-        slopes = (k.scalar(slope) for slope, _ in weights)
+        k = self.k
+        slopes = (k.scalar(slope) for slope, _ in self.weights)
         new = [k.add(level, slope) for level, slope in zip(levels, slopes, strict=True)]
-        step = columns * module.lanes
-        return k.at(rows[0], step), k.at(rows[1], -step), new
-
-    held = least > fewest
-    newest, at_first = (x, y), levels
-    if held:
-        x, y, levels = after(newest, levels)
-    with k.loop(k.add(p, k.whole(least - held))):
-        zeros = [_zeros(v.wide * module.lanes) for v in vectors]
-        carried = [k.carried(word) for word in (x, y, *levels, *zeros)]
-        totals = carried[2 + len(levels) :]
-        begun, rows, levels = totals.copy(), (carried[0], carried[1]), carried[2 : 2 + len(levels)]
-        term(range(len(vectors)), rows, levels)
-        up, down, new = after(rows, levels)
-        for word, now in zip(carried, (up, down, *new, *totals), strict=True):
-            k.becomes(word, now)
-    totals[:] = begun
-    for more in range(max(v.terms for v in vectors) - least):  # of those with more terms
-        term([i for i, v in enumerate(vectors) if v.terms - least > more], rows, levels)
-        up, down, levels = after(rows, levels)
-        rows = up, down
-    if held:
-        term(range(len(vectors)), newest, at_first)
-    for total, vector in zip(totals, vectors, strict=True):
-        k.store(total, k.at(out, vector.place * module.lanes))
-    k.done()
+        return (k.at(rows[0], self.step), k.at(rows[1], -self.step)), new
 
 
 def write_sums(
@@ -234,7 +238,11 @@ def write_sums(
     found = []
     for i, batch in enumerate(_batches(vectors, least, module.together or len(vectors))):
         weights = list(dict.fromkeys(v.weight for v in batch if v.weight is not None))
-        _write_batch(module, f"{name}{i}", batch, weights, columns, least)
+        written = _Batch(module, f"{name}{i}", batch, weights)
+        if module.together:
+            written.write(columns, least)
+        else:
+            written.call()
         found.append((f"{name}{i}", weights))
     return found
 

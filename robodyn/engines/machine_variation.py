@@ -12,12 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
-from robodyn.engines import machine
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.expansion import MotionProgram, ends
 from robodyn.engines.expression import Graph, Value
-from robodyn.engines.machine import Processor
-from robodyn.engines.machine_motion import KEPT
+from robodyn.engines.machine import Code, Processor
+from robodyn.engines.machine_motion import kept
 from robodyn.engines.machine_series import (
     read_segment,
     value_and_slope,
@@ -148,12 +147,7 @@ class VariedScene(Scene):
                 value = k.spread(k.load(k.at(given, i), SCALAR))
                 k.store(value, k.at(state, i, k.numbers))
             self.put(k, block, "t", k.spread(begin))
-            if self.linear:
-                past = k.subtract(self.get(k, block, "t"), self.get(k, block, "base_t"))
-                for joint in range(self.mechanism.n):
-                    change = k.multiply(self.get(k, block, f"dtau{joint}"), past)
-                    base = self.get(k, block, f"base{joint}")
-                    self.put(k, block, f"tau{joint}", k.add(base, change))
+            self.torques(k, block)
             k.line(f"call void @expand({block})")
             direction = k.subtract(end, begin)
             with k.forever() as done:
@@ -180,11 +174,8 @@ class Varying(NamedTuple):
     items: int
 
 
-_made: dict[tuple[str, int], Varying | None] = {}
-
-
 def compile(scene: VariedScene, lanes: int) -> Varying | None:
-    """The machine code of a scene, made once a process for all of its shape; None: there is none.
+    """The machine code of a scene, for all of its shape; None: there is none.
 
     Raises ZeroDivisionError where no state has a series.
     """
@@ -194,14 +185,9 @@ def compile(scene: VariedScene, lanes: int) -> Varying | None:
         scene.write(module)
         return module.text
 
-    key = scene.key, lanes
-    if key not in _made:
-        while len(_made) >= KEPT:
-            _made.pop(next(iter(_made)))
-        code = machine.make(text, scene.key, lanes=lanes)
+    def load(code: Code) -> Varying:
         kinds = ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p
-        _made[key] = None
-        if code is not None:
-            vary, size = code.function("vary", *kinds, result=None), code.function("size")
-            _made[key] = Varying(vary, size())
-    return _made[key]
+        return Varying(code.function("vary", *kinds, result=None), code.function("size")())
+
+    found: Varying | None = kept(scene.key, text, load, lanes)
+    return found

@@ -18,16 +18,8 @@ from robodyn.engines.expression import Expression, Graph, needed
 from robodyn.engines.formulas import RECORDED
 from robodyn.engines.frames import Framed
 from robodyn.engines.series import Series
-from robodyn.mechanics.program import (
-    COORDINATES,
-    Derivative,
-    Function,
-    Given,
-    Row,
-    Slide,
-    Slot,
-    Turn,
-)
+from robodyn.mechanics import program as rows
+from robodyn.mechanics.program import COORDINATES, Row, Slot
 
 
 class Order:
@@ -157,7 +149,8 @@ class LoopSeries(Series):
 
     def known(self, slot: Slot, row: Row, m: Any) -> Any:
         turn = self._bent(row)
-        if not isinstance(m, Order) or turn is None or isinstance(self.program.rows[turn], Slide):
+        slides = turn is not None and isinstance(self.program.rows[turn], rows.Slide)
+        if not isinstance(m, Order) or turn is None or slides:
             return super().known(slot, row, m)
         (link, _, _), *_ = self.planar[turn][m + 2]
         by = self.arithmetic.keep(-0.5 * ((m + 1.0) * (m + 2.0)))
@@ -169,15 +162,15 @@ class LoopSeries(Series):
         if not isinstance(m, Order) or turn is None:
             return super().change(slot, row, m, change)
         unknown = self.unknown_values.get(turn, 0.0)
-        if isinstance(self.program.rows[turn], Slide):
+        if isinstance(self.program.rows[turn], rows.Slide):
             return unknown
         (link, _, _), *_ = self.planar[turn][m + 2]
         return ((link, None, (0.0, unknown)),)
 
     def _bent(self, row: Row) -> Slot | None:
         """The coordinate that a row is the second derivative of."""
-        rate = self.program.rows[row.x] if isinstance(row, Derivative) else None
-        if isinstance(rate, Derivative) and isinstance(self.program.rows[rate.x], COORDINATES):
+        rate = self.program.rows[row.x] if isinstance(row, rows.Derivative) else None
+        if isinstance(rate, rows.Derivative) and isinstance(self.program.rows[rate.x], COORDINATES):
             return rate.x
         return None
 
@@ -201,7 +194,7 @@ class LoopSeries(Series):
     def earlier(self, slot: Slot, m: Any) -> Framed:
         """A planar coefficient of an order before this one."""
         row = self.program.rows[slot]
-        if isinstance(row, Turn):
+        if isinstance(row, rows.Turn):
             rho, theta = self._moment[slot]
             return ((row.link, None, (rho[m], theta[m])),)
         if slot not in self._kept:
@@ -271,7 +264,8 @@ def loop_expansion(motion: MotionProgram, order: int) -> LoopExpansion:
         motion.program, loop.arithmetic, start.numbers, order, start.state, slots=slots
     )
     kinds = [type(row) for _, row in series.rows]
-    first = 2 if Given in kinds or Function in kinds else 1  # what is special in coefficient 1
+    special = rows.Given in kinds or rows.Function in kinds  # in their coefficient 1
+    first = 2 if special else 1
     for p in range(first):
         series.advance(p)
     series.advance(Order(loop.p))

@@ -135,16 +135,14 @@ class RowValues:
                 return [x for force in self._forces() for x in force]
             case "on links":
                 return [x for force in self._on_links() for x in force]
-            case "tables":
-                real = self._series.real
-                return [real[slot][0] for _, slot in self._recorded.equations.tables]
-            case "moments":
-                real = self._series.real  # which has them written
-                return [real[slot][0] for slot in self._recorded.equations.varying_moments]
             case "PE":
                 q, qd = (self._recorded.relative[x] for x in ("q", "qd"))
                 return [energies(self.mechanism, float, q, qd)[1] + self.mechanism.energy_offset]
         real, named = self._series.real, self._series.program.named
+        equations = self._recorded.equations  # which has them written
+        given = {"tables": [x for _, x in equations.tables], "moments": equations.varying_moments}
+        if name in given:
+            return [real[slot][0] for slot in given[name]]
         return [real[slot][0] for slot in named[name]] or [0.0]  # without power where none acts
 
     @property
@@ -181,10 +179,10 @@ class RowValues:
         return {k: real[x.square][0] for k, x in forces if x.square is not None}
 
 
-def near_table_end(mechanism: Mechanism, q: Array, qd: Array, t: float) -> str:
-    """Which table ends next to a state (n,), where one does, in words; else nothing."""
-    rows = rows_of(parts.acting, mechanism)
-    places = rows("tables", q, qd, t)
+def near_table_end(mechanism: Mechanism, t: float, y: Array) -> str:
+    """Which table ends next to a state y = (q, qd, ...), where one does, in words; else nothing."""
+    rows, n = rows_of(parts.acting, mechanism), mechanism.n
+    places = rows("tables", y[:n], y[n : 2 * n], t)
     for (table, _), x in zip(rows.tables, places.tolist(), strict=True):
         first, last = table.x[0], table.x[-1]
         left = min(abs(x - first), abs(x - last)) / (last - first)

@@ -21,32 +21,20 @@ from robodyn.engines.arithmetic import (
     times,
 )
 from robodyn.engines.frames import Framed, Frames
-from robodyn.mechanics.program import (
-    Anchored,
-    Coefficient,
-    Derivative,
-    Function,
-    Given,
-    Inner,
-    Integral,
-    Moment,
-    PlanarCoefficient,
-    PlanarSum,
-    Power,
-    Primitive,
-    Product,
-    Quotient,
-    Rate,
-    RealPart,
-    Row,
-    Scaled,
-    Slide,
-    Slot,
-    Step,
-    Sum,
-    Turn,
-    Unknown,
-)
+from robodyn.mechanics import program as rows
+from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Row, Slot
+
+PRODUCTS = (rows.Product, rows.Scaled, rows.Inner)
+FUNCTIONS = (rows.Quotient, rows.Power, rows.Function, rows.Step, rows.Primitive)
+SUMS = (rows.Sum, rows.PlanarSum, rows.RealPart)
+LINEAR = {*SUMS, rows.Integral, rows.Anchored, rows.Derivative}
+# f' = sign g and g' = back f: the name of g, sign, back
+_PARTNERS = {
+    "sin": ("cos", 1.0, -1.0),
+    "cos": ("sin", -1.0, 1.0),
+    "sinh": ("cosh", 1.0, 1.0),
+    "cosh": ("sinh", 1.0, 1.0),
+}
 
 
 def planar_scaled(scale: Value, z: Planar) -> Planar:
@@ -59,68 +47,81 @@ class Rules(Frames):
 
     def known(self, slot: Slot, row: Row, m: int) -> Any:
         """Coefficient m of a slot; of unknowns of the present order nothing."""
-        real, planar = self.real, self.planar
+        return _KNOWN[type(row)](self, slot, row, m)
+
+    def _given(self, slot: Slot, row: Row, m: int) -> Any:
+        """What is given, and the coordinates with their rates; of unknowns nothing."""
         match row:
-            case Given(name=name):
+            case rows.Given(name=name):
                 given = self.state.given[name]
                 if callable(given):
                     return given(m)
                 return given[m] if m < len(given) else 0.0
-            case Unknown():
-                return 0.0
-            case Turn(link=k):
+            case rows.Turn(link=k):
                 return self._turn(slot, k, m)
-            case Slide(joint=k):
+            case rows.Slide(joint=k):
                 return self._slide(k, m)
-            case Rate(turn=E):
+            case rows.Rate(turn=E):
                 return self._rate(slot, E, m)
-            case Integral(start=start) | Anchored(start=start) if m == 0:
-                given = self.state.given[start]
-                return given(0) if callable(given) else given[0]
-            case Integral() | Anchored() | Derivative() | Sum() | RealPart() | PlanarSum():
+        return 0.0
 
-                def earlier(x: Slot, ahead: int) -> Any:
-                    return planar[x][m + ahead] if x in planar else real[x][m + ahead]
+    def _sum(self, slot: Slot, row: Row, m: int) -> Any:
+        if m == 0 and isinstance(row, (rows.Integral, rows.Anchored)):
+            return self._first(row.start)
+        return self._linear(row, m, self._found, m == 0)
 
-                return self._linear(row, m, earlier, m == 0)
-            case Product(x=x, y=y):
-                return self.convolve(real[x], real[y], m)
-            case Scaled(x=x, z=z) if z in self._moment:  # a direction, in its own frame
-                a, b = self._moment[z]
-                own = self.convolve(real[x], a, m), self.convolve(real[x], b, m)
-                return ((self._link(z), None, own),)
-            case Scaled(x=x, z=z):
-                frame = next(iter(self._kept.get(z, (None,))))  # one that it is kept in
-                a, b = self.columns(z, m, frame)
-                found = self.convolve(real[x], a, m), self.convolve(real[x], b, m)
-                return ((frame, None, found),)
-            case Inner(z=z, w=w):
-                frame = self._link(z) if z in self._moment else None
+    def _first(self, name: str) -> Value:
+        """What is given as the first coefficient."""
+        given = self.state.given[name]
+        return given(0) if callable(given) else given[0]
+
+    def _found(self, x: Slot, m: int) -> Any:
+        """Coefficient m of a slot, which is there."""
+        return self.planar[x][m] if x in self.planar else self.real[x][m]
+
+    def _product(self, slot: Slot, row: Row, m: int) -> Any:
+        """Products of two series; those with a direction in its own frame."""
+        match row:
+            case rows.Product(x=x, y=y):
+                return self.convolve(self.real[x], self.real[y], m)
+            case rows.Scaled(x=x, z=z):
+                frame = self._frame(z)
+                if frame is None:
+                    frame = next(iter(self._kept.get(z, (None,))))  # one that it is kept in
+                a, b = self._moment[z] if z in self._moment else self.columns(z, m, frame)
+                own = self.convolve(self.real[x], a, m), self.convolve(self.real[x], b, m)
+                return ((frame, None, own),)
+            case rows.Inner(z=z, w=w):
+                frame = self._frame(z)
                 a, b = self._moment[z] if z in self._moment else self.columns(z, m)
                 c, d = self.columns(w, m, frame)
                 return plus(self.convolve(a, c, m), self.convolve(b, d, m))
-            case Moment():
-                return self._known_moment(slot, row, m)
-            case Quotient(x=x, y=y):
+        raise AssertionError(row)
+
+    def _function(self, slot: Slot, row: Row, m: int) -> Value:
+        """By its value at order 0, and its differential equation from there on."""
+        real, weigh = self.real, self.arithmetic.weigh
+        match row:
+            case rows.Quotient(x=x, y=y):
                 known = self.convolve(real[slot], real[y], m, 0, m - 1)
                 return difference(real[x][m], known) / real[y][0]
-            case Power(x=x, exponent=exponent):
+            case rows.Power(x=x, exponent=exponent):
                 if m == 0:
                     return self.arithmetic.power(real[x][0], exponent)
-                known = self.weigh(real[x], real[slot], m, 1, m, exponent + 1.0, -1.0 * m)
+                known = weigh(real[x], real[slot], m, 1, m, exponent + 1.0, -1.0 * m)
                 return over(known, m) / real[x][0]
-            case Function(name=name, x=x):
-                return self._function(slot, name, real[x], m)
-            case Step(x=x):
+            case rows.Function(name=name, x=x):
+                return self._smooth(slot, name, real[x], m)
+            case rows.Step(x=x):
                 return self._stepped(row, real[x][0]) if m == 0 else 0.0
-            case Primitive(name=name, x=x, density=y):
+            case rows.Primitive(name=name, x=x, density=y):
                 if m == 0:
                     return self.arithmetic.functions[name](real[x][0])
-                known = self.weigh(real[slot], real[y], m, 1, m - 1, 1.0, 0.0)
+                known = weigh(real[slot], real[y], m, 1, m - 1, 1.0, 0.0)
                 return difference(real[x][m], over(known, m)) / real[y][0]
         raise AssertionError(row)
 
-    def _stepped(self, row: Step, x: Value) -> Value:
+    def _stepped(self, row: rows.Step, x: Value) -> Value:
         """The value of x's interval."""
         arithmetic = self.arithmetic
         if not row.period:
@@ -139,38 +140,38 @@ class Rules(Frames):
     def _linear(
         self, row: Row, m: int, of: Callable[[Slot, int], Any], begins: bool = False
     ) -> Any:
-        """A row that is a sum of others, by what `of(slot, orders ahead)` gives; None adds nothing.
+        """A row that is a sum of others, by what `of(slot, order)` gives; None adds nothing.
 
         Where it `begins`, with its constant.
         """
         match row:
-            case Integral(x=x):
-                return over(of(x, -1), m)
-            case Anchored(x=x):
-                return of(x, 0)
-            case Derivative(x=x) if x in self.planar:
-                return tuple((f, c, planar_scaled(m + 1.0, z)) for f, c, z in of(x, 1))
-            case Derivative(x=x):
-                return times(m + 1.0, of(x, 1))
-            case RealPart(z=z):
-                return self.real_part(of(z, 0))
-            case Sum(constant=constant, terms=terms):
+            case rows.Sum(constant=constant, terms=terms):
                 total: Value = self.coefficient(constant) if begins else 0.0
                 for c, x in terms:
-                    if (value := of(x, 0)) is not None:
+                    if (value := of(x, m)) is not None:
                         total = self._accumulate(total, c, value)
                 return total
-            case PlanarSum(constant=by, terms=planar_terms):
+            case rows.PlanarSum(constant=by, terms=planar_terms):
                 start: Framed = ()
                 if begins and by != (0.0, 0.0):
                     start = ((None, by, (1.0, 0.0)),)
-                given = ((c, z, of(z, 0)) for c, z in planar_terms)
+                given = ((c, z, of(z, m)) for c, z in planar_terms)
                 framed = [
                     (c, value if z in self.planar else ((None, None, (value, 0.0)),))
                     for c, z, value in given
                     if value is not None
                 ]
                 return start + self._planar_sum(framed)
+            case rows.Integral(x=x):
+                return over(of(x, m - 1), m)
+            case rows.Anchored(x=x):
+                return of(x, m)
+            case rows.Derivative(x=x) if x in self.planar:
+                return tuple((f, c, planar_scaled(m + 1.0, z)) for f, c, z in of(x, m + 1))
+            case rows.Derivative(x=x):
+                return times(m + 1.0, of(x, m + 1))
+            case rows.RealPart(z=z):
+                return self.real_part(of(z, m))
         raise AssertionError(row)
 
     def _planar_sum(self, terms: Sequence[tuple[PlanarCoefficient, Framed]]) -> Framed:
@@ -200,8 +201,7 @@ class Rules(Frames):
 
     def _slide(self, joint: int, m: int) -> Value:
         if m < 2:
-            given = self.state.given[f"{('q', 'qd')[m]}{joint}"]
-            return given(0) if callable(given) else given[0]
+            return self._first(f"{('q', 'qd')[m]}{joint}")
         known = self.state.accelerations
         return over(known[joint], 2) if known is not None and m == 2 else 0.0
 
@@ -219,7 +219,7 @@ class Rules(Frames):
         known = self.convolve(self.real[slot], rho, m, 0, m - 1)
         return difference(times(m + 1.0, theta[m + 1]), known)
 
-    def _known_moment(self, slot: Slot, row: Moment, m: int) -> Value:
+    def _known_moment(self, slot: Slot, row: rows.Moment, m: int) -> Value:
         """Im(conj(z) F) in the frame of the link, with its own part inertia P in F."""
         rho, theta = self._moment[row.turn]
         own = self.coefficient(row.inertia)
@@ -231,7 +231,7 @@ class Rules(Frames):
         total = plus(y[m], self.convolve(rho, y, m, 1, m))  # rho_1 = 0
         return difference(total, self.convolve(theta, x, m, 1, m))
 
-    def _function(self, slot: Slot, name: str, x: Any, m: int) -> Value:
+    def _smooth(self, slot: Slot, name: str, x: Any, m: int) -> Value:
         """By the function's differential equation; `_extra` holds the other series it takes."""
         y, other, functions = self.real[slot], self._extra[slot], self.arithmetic.functions
         if name == "exp":
@@ -243,18 +243,13 @@ class Rules(Frames):
             keep = self.arithmetic.keep
             other[m - 1] = keep(difference(1.0 if m == 1 else 0.0, square))
             return keep(self.slope(x, other, m))
-        partner = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}[name]
+        partner, sign, back = _PARTNERS[name]
         if m == 0:
             other[0] = functions[partner](x[0])
             return functions[name](x[0])
-        found = self.slope(x, other, m)
-        back = self.slope(x, y, m)
-        if name == "cos":  # cos' = -sin, sin' = cos
-            found = times(-1.0, found)
-        elif name == "sin":
-            back = times(-1.0, back)
-        other[m] = back
-        return found
+        found, gained = self.slope(x, other, m), self.slope(x, y, m)
+        other[m] = times(back, gained)
+        return times(sign, found)
 
     # -- what the unknowns change ------------------------------------------------------------------
 
@@ -266,33 +261,33 @@ class Rules(Frames):
             return change.get(x, 0.0)
 
         match row:
-            case Unknown():
+            case rows.Unknown():
                 return self.unknown_values.get(slot, 0.0)
-            case Turn(link=k):
+            case rows.Turn(link=k):
                 added = over(self.unknown_values.get(slot, 0.0), m * (m - 1))
                 return ((k, None, (0.0, added)),)
-            case Slide():
+            case rows.Slide():
                 return over(self.unknown_values.get(slot, 0.0), m * (m - 1))
-            case Rate(turn=E):
+            case rows.Rate(turn=E):
                 _, _, (_, theta) = change[E][0]
                 return times(m + 1.0, theta)
-            case Integral() | Anchored() | Derivative() | Sum() | RealPart() | PlanarSum():
+            case _ if type(row) in LINEAR:
                 return self._linear(row, m, lambda x, _: change.get(x))
-            case Product(x=x, y=y):
+            case rows.Product(x=x, y=y):
                 return plus(times(of(x), real[y][0]), times(real[x][0], of(y)))
-            case Moment():
+            case rows.Moment():
                 return self._moment_change(row, change)[1]  # z_0 = 1
-            case Inner(z=z, w=w):
-                frame = self._link(z) if z in self._moment else None
-                total = 0.0
+            case rows.Inner(z=z, w=w):
+                frame = self._frame(z)
+                total: Value = 0.0
                 for one, two in ((z, w), (w, z)):
                     if one in change:
                         a, b = self.into(frame, change[one])
                         c, d = self.into(frame, self.planar[two][0])
                         total = plus(total, plus(times(a, c), times(b, d)))
                 return total
-            case Scaled(x=x, z=z):
-                frame = self._link(z) if z in self._moment else None
+            case rows.Scaled(x=x, z=z):
+                frame = self._frame(z)
                 result = planar_scaled(of(x), self.into(frame, self.planar[z][0]))
                 if z in change:
                     result = planar_plus(
@@ -301,7 +296,7 @@ class Rules(Frames):
                 return ((frame, None, result),)
         raise AssertionError(row)
 
-    def _moment_change(self, row: Moment, change: dict[Slot, Any]) -> Planar:
+    def _moment_change(self, row: rows.Moment, change: dict[Slot, Any]) -> Planar:
         """What the unknowns add to the force F + inertia P on a link, in the link's frame."""
         force, own = ZERO, ZERO
         if row.F in change:
@@ -311,7 +306,20 @@ class Rules(Frames):
         by = self.coefficient(row.inertia)
         return plus(force[0], times(by, own[0])), plus(force[1], times(by, own[1]))
 
+    def _frame(self, z: Slot) -> int | None:
+        """That of a direction is its own, of others the ground's."""
+        return self._link(z) if z in self._moment else None
+
     def _link(self, turn: Slot) -> int:
         row = self.program.rows[turn]
-        assert isinstance(row, Turn)
+        assert isinstance(row, rows.Turn)
         return row.link
+
+
+_KNOWN: dict[type, Callable[[Any, Slot, Any, Any], Any]] = {
+    **dict.fromkeys((rows.Given, rows.Unknown, rows.Turn, rows.Slide, rows.Rate), Rules._given),
+    **dict.fromkeys(LINEAR, Rules._sum),
+    **dict.fromkeys(PRODUCTS, Rules._product),
+    **dict.fromkeys(FUNCTIONS, Rules._function),
+    rows.Moment: Rules._known_moment,
+}

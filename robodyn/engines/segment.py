@@ -12,6 +12,14 @@ from robodyn.engines.assembler import Kernel, Word
 from robodyn.engines.expression import INPUTS, Expression, Value, needed
 
 _CIRCULAR = ("sin", "cos")
+_INSTRUCTIONS: dict[str, Callable[..., Word]] = {
+    "+": Kernel.add,
+    "-": Kernel.subtract,
+    "*": Kernel.multiply,
+    "/": Kernel.divide,
+    "neg": Kernel.negate,
+    "atan2": sines.arctangent,
+}
 
 
 class Segment:
@@ -56,30 +64,16 @@ class Segment:
         if node.op in INPUTS:
             return self.input(str(node.args[0]))
         a, *rest = map(self.word, node.args)
+        if (write := _INSTRUCTIONS.get(node.op)) is not None:
+            return write(k, a, *rest)
         match node.op:
-            case "+":
-                return k.add(a, *rest)
-            case "-":
-                return k.subtract(a, *rest)
-            case "*":
-                return k.multiply(a, *rest)
-            case "/":
-                return k.divide(a, *rest)
-            case "neg":
-                return k.negate(a)
-            case "sqrt":
-                return k.intrinsic("sqrt", a)
-            case "abs":
-                return k.intrinsic("fabs", a)
-            case "floor":
-                return k.intrinsic("floor", a)
+            case "sqrt" | "abs" | "floor" as name:
+                return k.intrinsic("fabs" if name == "abs" else name, a)
             case "keep":
                 return a
             case "choose":
                 b, x, y = rest
                 return k.select(k.less(a, b), x, y)
-            case "atan2":
-                return sines.arctangent(k, a, *rest)
             case "rough":
                 return sines.rough_power(k, a, float(node.args[1]))  # type: ignore[arg-type]
         return sines.each_lane(k, node.op, a, *rest)  # exp, log, pow, tanh

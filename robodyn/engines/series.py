@@ -32,17 +32,8 @@ from robodyn.engines.arithmetic import plus, some, times
 from robodyn.engines.factors import Factors, PivotedFactors
 from robodyn.engines.frames import State as State
 from robodyn.engines.rules import Rules
-from robodyn.mechanics.program import (
-    COORDINATES,
-    Derivative,
-    Function,
-    Moment,
-    Slide,
-    Slot,
-    Sum,
-    Turn,
-    Unknown,
-)
+from robodyn.mechanics import program as rows
+from robodyn.mechanics.program import COORDINATES, Slot
 
 
 @dataclass(eq=False, repr=False)
@@ -62,16 +53,16 @@ class Series(Rules):
         for slot, row in self.rows:
             if program.planar[slot]:
                 self.planar[slot] = self.planar_room(slot, K)
-                if isinstance(row, Turn):
+                if isinstance(row, rows.Turn):
                     self._moment[slot] = (room(K), room(K))  # rho, theta
             else:
                 self.real[slot] = room(K)
-            if isinstance(row, Slide):
+            if isinstance(row, rows.Slide):
                 self._extra[slot] = room(K)
                 self._extra[slot][0] = 1.0
-            if isinstance(row, Moment):
+            if isinstance(row, rows.Moment):
                 self._moment[slot] = (room(K), room(K))
-            if isinstance(row, Function):
+            if isinstance(row, rows.Function):
                 self._extra[slot] = room(K)
         for slot, row in self.rows:
             for m in range(self.ahead[slot]):
@@ -109,15 +100,15 @@ class Series(Rules):
             through = {x: change[x] for x in self.live[slot]}
             delta = change[slot] = self.change(slot, row, m, through)
             match row:
-                case Turn(link=k):
+                case rows.Turn(link=k):
                     rho, theta = self._moment[slot]
                     theta[m] = self.arithmetic.keep(delta[0][2][1])
                     self.put(slot, m, ((k, None, (rho[m], theta[m])),))
-                case Derivative() if program.planar[slot]:
+                case rows.Derivative() if program.planar[slot]:
                     self.put(slot, m, self.known(slot, row, m))
                 case _ if program.planar[slot]:
                     self.put(slot, m, (*self.planar[slot][m], *delta))
-                case Moment():
+                case rows.Moment():
                     x, y = self._moment[slot]
                     added = self._moment_change(row, through)
                     if slot in self._balance:  # its residual vanishes: no need to add up again
@@ -160,19 +151,19 @@ class Series(Rules):
     @property
     def first_unknowns(self) -> int:
         """How many of the unknowns are accelerations."""
-        rows = self.program.rows
-        return sum(isinstance(rows[x], COORDINATES) for x in self.program.unknowns)
+        program = self.program
+        return sum(isinstance(program.rows[x], COORDINATES) for x in program.unknowns)
 
     def _balances(self) -> dict[Slot, int]:
         """The moments that the unknowns change by as much as they change a residual."""
         found: dict[Slot, int] = {}
         for place, slot in enumerate(self.program.residuals):
-            while isinstance(row := self.program.rows[slot], Sum):
+            while isinstance(row := self.program.rows[slot], rows.Sum):
                 changing = [(c, x) for c, x in row.terms if x in self.live[slot]]
                 if len(changing) != 1 or changing[0][0] != 1.0:
                     break
                 slot = changing[0][1]
-            if isinstance(row, Moment):
+            if isinstance(row, rows.Moment):
                 found[slot] = place
         return found
 
@@ -185,7 +176,7 @@ class Series(Rules):
                 continue
             tangents[slot] = {}
             by_unknown: dict[Slot, dict[Slot, Any]] = {}
-            if isinstance(row, (*COORDINATES, Unknown)):
+            if isinstance(row, (*COORDINATES, rows.Unknown)):
                 by_unknown[slot] = {}
             else:
                 for x in self.live[slot]:

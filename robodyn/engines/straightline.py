@@ -131,22 +131,17 @@ def by_tangents(outputs: Sequence[Value]) -> list[Value]:
 
     numpy has vector code for tangents alone; without it one costs as much as two others.
     """
-    found: dict[int, Any] = {}
 
-    def now(a: Any) -> Any:
-        return found[a.index] if isinstance(a, Expression) else a
+    def rule(node: Expression, args: tuple[Any, ...]) -> Any:
+        if node.op == "keep":
+            return args[0]
+        if node.op not in ("sin", "cos"):
+            return node.graph.node(node.op, args)
+        t = expression.call("tan", 0.5 * args[0])
+        d = 2.0 / (1.0 + t * t)
+        return t * d if node.op == "sin" else d - 1.0
 
-    for node in expression.needed(outputs):
-        match node.op:
-            case "sin" | "cos":
-                t = expression.call("tan", 0.5 * now(node.args[0]))
-                d = 2.0 / (1.0 + t * t)
-                found[node.index] = t * d if node.op == "sin" else d - 1.0
-            case "keep":
-                found[node.index] = now(node.args[0])
-            case _:
-                found[node.index] = node.graph.node(node.op, tuple(map(now, node.args)))
-    return list(map(now, outputs))
+    return expression.rewritten(outputs, rule)
 
 
 def define(

@@ -6,6 +6,7 @@ tangent in it, so that zeros which the structure of a mechanism makes cost nothi
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -62,7 +63,7 @@ def tangents(
             case "/":
                 found = _combined(((1.0 / x[1], of(x[0])), (-node / x[1], of(x[1]))))
             case "pow":
-                slope = _power_slope(x[0], x[1])
+                slope = expression.multiply(x[1], expression.power(x[0], x[1] - 1.0))
                 found = _combined(((slope, of(x[0])),))
             case "choose":
                 found = _chosen(x, of(x[2]), of(x[3]))
@@ -97,11 +98,6 @@ def _combined(parts: Any) -> Tangents:
     return {name: value for name, value in found.items() if isinstance(value, Expression) or value}
 
 
-def _power_slope(x: Any, exponent: Any) -> Value:
-    """c x^(c - 1)."""
-    return expression.multiply(exponent, expression.power(x, exponent - 1.0))
-
-
 def _chosen(x: Sequence[Any], one: Tangents, other: Tangents) -> Tangents:
     names = dict.fromkeys((*one, *other))
     return {
@@ -112,20 +108,15 @@ def _chosen(x: Sequence[Any], one: Tangents, other: Tangents) -> Tangents:
 
 def substituted(outputs: Sequence[Value], values: Mapping[str, Value]) -> list[Value]:
     """The outputs with values in place of variables; what does not depend on them stays."""
-    found: dict[int, Value] = {}
 
-    def now(a: Any) -> Any:
-        return found[a.index] if isinstance(a, Expression) else a
-
-    for node in expression.needed(outputs):
+    def rule(node: Expression, args: tuple[Any, ...]) -> Value:
         if node.op == "var":
-            found[node.index] = values.get(str(node.args[0]), node)
-        elif node.op == "par" or all(now(a) is a for a in node.args):
-            found[node.index] = node
-        else:
-            again = _AGAIN.get(node.op) or partial(expression.call, node.op)
-            found[node.index] = again(*map(now, node.args))
-    return [now(out) for out in outputs]
+            return values.get(str(node.args[0]), node)
+        if node.op == "par" or all(map(operator.is_, args, node.args)):
+            return node
+        return (_AGAIN.get(node.op) or partial(expression.call, node.op))(*args)
+
+    return expression.rewritten(outputs, rule)
 
 
 # operations on other arguments, folded as operators fold; functions are called by name

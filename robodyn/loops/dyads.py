@@ -12,15 +12,23 @@ displacements; a line takes one part of it, and a line of an unknown link turns 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from robodyn.loops.assembly_plan import Plan, Step, root_of
-from robodyn.mechanics.planar_model import ClosureRow, Mechanism
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Coupling
 from robodyn.tables.arrays import Array, Complex
 
 CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
 PARALLEL = 1e-12  # sine between two lines that do not meet
+
+
+OWN = -1  # in place of a joint: what is constant in the frame of a line that turns
+
+# the unknowns by their joints, the distance missing (below zero where it closes), a sine
+Solved = tuple[dict[int, Array], Array, Array]
 
 
 def solve_dyad(
@@ -31,44 +39,118 @@ def solve_dyad(
     `x` (..., n) has what unknown links turn ahead of the first of them.  The sine is that of the
     angle between the unknown links, or of a link to its line's normal.
     """
-    row, K, c = _gap_of(mechanism, plan, step, x)
-    size = row.size + abs(row.offset)
-    turning = [u for u in step.unknown if u not in mechanism.slides]
-    sliding = [u for u in step.unknown if u in mechanism.slides]
-    sine: Array = np.ones(K.shape)
-    found: dict[int, Array] = {}
-    pin = len(step.rows) == 2
-    if not step.unknown:
-        missing = np.abs(K) if pin else np.abs(K.imag)
-        if row.arm:
-            missing = np.where(K.real > 0.0, missing, row.arm)
-    elif row.arm:
-        (u,) = turning
-        z: Complex = K if u == _line_root(plan, row) else c[u].conj()
-        found[u], missing = np.angle(z), np.zeros(K.shape)
-    elif not pin and sliding:
-        (u,) = sliding
+    found, missing, sine = _Dyad(mechanism, plan, step, x, side).solved()
+    row = step.rows[0]
+    missing = np.where(missing > CLOSED * (row.size + abs(row.offset)), missing, 0.0)
+    return [found[u] for u in step.unknown], missing, sine
+
+
+class _Dyad:
+    """The gap K + sum_u c_u E_u of a step's unknowns, and the ways to close it.
+
+    That of a line is turned onto it: its imaginary part.  A line that turns with the unknown is
+    not: what does not turn with it is K, the rest c[OWN].
+    """
+
+    def __init__(self, mechanism: Mechanism, plan: Plan, step: Step, x: Array, side: float) -> None:
+        self.mechanism, self.plan, self.step, self.side = mechanism, plan, step, side
+        self.row, self.pin = step.rows[0], len(step.rows) == 2
+        self.turning = [u for u in step.unknown if u not in mechanism.slides]
+        self.sliding = [u for u in step.unknown if u in mechanism.slides]
+        self.line = None if self.row.line is None else plan.turns_with[self.row.line]
+        self.K, self.c = self._gap(x)
+        self.one: Array = np.ones(self.K.shape)
+
+    def _gap(self, x: Array) -> tuple[Complex, dict[int, Complex]]:
+        row, step, mechanism = self.row, self.step, self.mechanism
+        shape, turn = x.shape[:-1], 1.0 if self.pin else 1j
+        K: Complex = np.full(shape, turn * row.ground, complex)
+        own: Complex = np.full(shape, turn * row.offset, complex)
+        if self.pin:
+            own = own + 1j * step.rows[1].offset
+        c: dict[int, Complex] = {u: np.zeros(shape, complex) for u in step.unknown}
+        for k, p in row.P:
+            d = mechanism.frames[k]
+            term = turn * p * (np.ones(shape) if d is None else np.exp(1j * x[..., d]))
+            to: int | None = k
+            if k not in self.sliding:
+                if k in mechanism.slides:
+                    term = term * x[..., k]
+                to = root_of(mechanism, self.plan.turns_with, k)
+            if to is not None and to in c:
+                c[to] = c[to] + term
+            else:
+                K = K + term
+        for k, a in row.angles:
+            if k in c:
+                c[k] = c[k] + turn * a
+            else:
+                own = own + turn * a * x[..., k]
+        if row.line is None:
+            return K + own, c
+        back = np.exp(-1j * x[..., row.line])
+        K = K * back
+        if self.line in c:
+            return K, c | {OWN: own}
+        on_line = {k for k, _ in row.angles}
+        return K + own, {u: z if u in on_line else z * back for u, z in c.items()}
+
+    def solved(self) -> Solved:
+        """By the way that serves its unknowns."""
+        if not self.step.unknown:
+            return self._closed()
+        if self.row.arm:
+            return self._line_angle()
+        ways: dict[tuple[bool, int, int], Callable[[], Solved]] = {
+            (False, 0, 1): self._slide_on_line,
+            (False, 1, 0): self._turn_on_line,
+            (True, 0, 1): self._slide_to_pin,
+            (True, 1, 0): self._turn_to_pin,
+            (True, 2, 0): self._circles,
+            (True, 1, 1): self._circle_and_line,
+            (True, 0, 2): self._lines,
+        }
+        return ways[self.pin, len(self.turning), len(self.sliding)]()
+
+    def _closed(self) -> Solved:
+        missing = np.abs(self.K) if self.pin else np.abs(self.K.imag)
+        if self.row.arm:
+            missing = np.where(self.K.real > 0.0, missing, self.row.arm)
+        return {}, missing, self.one
+
+    def _line_angle(self) -> Solved:
+        (u,) = self.turning
+        z: Complex = self.K if u == self.line else self.c[u].conj()
+        return {u: np.angle(z)}, np.zeros(self.K.shape), self.one
+
+    def _slide_on_line(self) -> Solved:
+        (u,), c = self.sliding, self.c
         sine = _ratio(np.abs(c[u].imag), np.abs(c[u]))
         meets = sine > PARALLEL
-        found[u] = -K.imag / np.where(meets, c[u].imag, 1.0) * meets
-        missing = np.where(meets, 0.0, np.abs(K.imag))
-    elif not pin:
-        (u,) = turning
+        way = -self.K.imag / np.where(meets, c[u].imag, 1.0) * meets
+        return {u: way}, np.where(meets, 0.0, np.abs(self.K.imag)), sine
+
+    def _turn_on_line(self) -> Solved:
+        (u,), K, c = self.turning, self.K, self.c
         own = c.get(OWN)
         length, across = (np.abs(c[u]), -K.imag) if own is None else (np.abs(K), -own.imag)
-        along, missing, sine = _second_side(length, across, side)
+        along, missing, sine = _second_side(length, across, self.side)
         there = along + 1j * across
-        found[u] = np.angle(there / c[u]) if own is None else np.angle(K / there)
-    elif len(step.unknown) == 1:
-        (u,) = step.unknown
-        if turning:
-            missing, found[u] = np.abs(np.abs(K) - np.abs(c[u])), np.angle(-K / c[u])
-        else:
-            ahead = -K / c[u]
-            missing, found[u] = np.abs(ahead.imag * c[u]), ahead.real
-    elif len(turning) == 2:
-        one, two = turning
-        first, second = c[one], c[two]
+        return {u: np.angle(there / c[u]) if own is None else np.angle(K / there)}, missing, sine
+
+    def _slide_to_pin(self) -> Solved:
+        (u,) = self.sliding
+        ahead = -self.K / self.c[u]
+        return {u: ahead.real}, np.abs(ahead.imag * self.c[u]), self.one
+
+    def _turn_to_pin(self) -> Solved:
+        (u,), K, c = self.turning, self.K, self.c
+        return {u: np.angle(-K / c[u])}, np.abs(np.abs(K) - np.abs(c[u])), self.one
+
+    def _circles(self) -> Solved:
+        """RRR."""
+        (one, two), K = self.turning, self.K
+        first, second = self.c[one], self.c[two]
         ra, rb, d = np.abs(first), np.abs(second), np.abs(K)
         missing = np.maximum(d - (ra + rb), np.abs(ra - rb) - d)
         # P - A = (x + i y) along the unit vector from A to D; Heron's product keeps y exact
@@ -77,79 +159,40 @@ def solve_dyad(
             along = np.where(d > 0.0, ((ra - rb) * (ra + rb) / d + d) / 2.0, 0.0)
             heron = ((ra + rb) + d) * ((ra + rb) - d) * (d - (ra - rb)) * (d + (ra - rb))
             y = np.where(d > 0.0, np.sqrt(np.maximum(heron, 0.0)) / (2.0 * d), ra)
-        arm = unit * (along + 1j * side * y)
-        found[one], found[two] = np.angle(arm / first), np.angle((-K - arm) / second)
-        sine = _ratio(np.abs(d * y), ra * rb)
-    elif turning and root_of(mechanism, plan.turns_with, sliding[0]) == turning[0]:  # RPR
-        (u,), (s,) = turning, sliding
-        ahead = c[u] * c[s].conj()
-        along, missing, sine = _second_side(np.abs(K), ahead.imag, side)
-        found[s] = along - ahead.real
-        found[u] = np.angle(-K / (c[s] * (along + 1j * ahead.imag)))
-    elif turning:  # RRP
-        (u,), (s,) = turning, sliding
-        across = -(c[s].conj() * K).imag
-        same = 1.0 if _first_side(mechanism, step, u) == _first_side(mechanism, step, s) else -1.0
-        along, missing, sine = _second_side(np.abs(c[u]), across, side * same)
-        found[u] = np.angle(c[s] * (along + 1j * across) / c[u])
-        found[s] = -(c[s].conj() * K).real - along
-    else:  # PRP
-        one, two = sliding
+        arm = unit * (along + 1j * self.side * y)
+        found = {one: np.angle(arm / first), two: np.angle((-K - arm) / second)}
+        return found, missing, _ratio(np.abs(d * y), ra * rb)
+
+    def _circle_and_line(self) -> Solved:
+        """RPR where the line turns with the unknown link, else RRP."""
+        (u,), (s,), K, c = self.turning, self.sliding, self.K, self.c
+        if root_of(self.mechanism, self.plan.turns_with, s) == u:
+            ahead = c[u] * c[s].conj()
+            along, missing, sine = _second_side(np.abs(K), ahead.imag, self.side)
+            turn = np.angle(-K / (c[s] * (along + 1j * ahead.imag)))
+            return {s: along - ahead.real, u: turn}, missing, sine
+        back = c[s].conj() * K
+        across = -back.imag
+        side = self.side if self._first_side(u) == self._first_side(s) else -self.side
+        along, missing, sine = _second_side(np.abs(c[u]), across, side)
+        turn = np.angle(c[s] * (along + 1j * across) / c[u])
+        return {s: -back.real - along, u: turn}, missing, sine
+
+    def _lines(self) -> Solved:
+        """PRP."""
+        (one, two), K, c = self.sliding, self.K, self.c
         cross = (c[one].conj() * c[two]).imag
         sine = np.abs(cross) + np.zeros(K.shape)
         meets = sine > PARALLEL
         missing = np.where(meets, 0.0, np.abs((c[one].conj() * K).imag))
         cross = np.where(meets, cross, np.inf)
-        found[one], found[two] = (c[two].conj() * K).imag / cross, -(c[one].conj() * K).imag / cross
-    missing = np.where(missing > CLOSED * size, missing, 0.0)
-    return [found[u] for u in step.unknown], missing, sine
+        ways = {one: (c[two].conj() * K).imag / cross, two: -(c[one].conj() * K).imag / cross}
+        return ways, missing, sine
 
-
-OWN = -1  # in place of a joint: what is constant in the frame of a line that turns
-
-
-def _gap_of(
-    mechanism: Mechanism, plan: Plan, step: Step, x: Array
-) -> tuple[ClosureRow, Complex, dict[int, Complex]]:
-    """K and c_u of the gap K + sum_u c_u E_u; that of a line turned onto it, its imaginary part.
-
-    A line that turns with the unknown is not: what does not turn with it is K, the rest c[OWN].
-    """
-    row, slides = step.rows[0], mechanism.slides
-    shape, turn = x.shape[:-1], 1.0 if len(step.rows) == 2 else 1j
-    K: Complex = np.full(shape, turn * row.ground, complex)
-    own: Complex = np.full(shape, turn * row.offset, complex)
-    if len(step.rows) == 2:
-        own = own + 1j * step.rows[1].offset
-    c: dict[int, Complex] = {u: np.zeros(shape, complex) for u in step.unknown}
-    for k, p in row.P:
-        d = mechanism.frames[k]
-        term = turn * p * (np.ones(shape) if d is None else np.exp(1j * x[..., d]))
-        if k in slides and k in c:
-            c[k] = c[k] + term
-            continue
-        if k in slides:
-            term = term * x[..., k]
-        root = root_of(mechanism, plan.turns_with, k)
-        if root in c:
-            assert root is not None
-            c[root] = c[root] + term
-        else:
-            K = K + term
-    for k, a in row.angles:
-        if k in c:
-            c[k] = c[k] + turn * a
-        else:
-            own = own + turn * a * x[..., k]
-    if row.line is None:
-        return row, K + own, c
-    back = np.exp(-1j * x[..., row.line])
-    K = K * back
-    if _line_root(plan, row) in c:
-        return row, K, c | {OWN: own}
-    on_line = {k for k, _ in row.angles}
-    c = {u: z if u in on_line else z * back for u, z in c.items()}
-    return row, K + own, c
+    def _first_side(self, joint: int) -> bool:
+        """Whether a joint is on the side of the closure that is named first."""
+        first = self.mechanism.description.closures[self.step.closure].first
+        return joint in self.mechanism.path(first.link)
 
 
 def _second_side(length: Array, across: Array, side: float) -> tuple[Array, Array, Array]:
@@ -161,15 +204,6 @@ def _second_side(length: Array, across: Array, side: float) -> tuple[Array, Arra
 
 def _ratio(a: Array, b: Array) -> Array:
     return np.asarray(a / np.where(b > 0.0, b, 1.0))
-
-
-def _line_root(plan: Plan, row: ClosureRow) -> int | None:
-    return None if row.line is None else plan.turns_with[row.line]
-
-
-def _first_side(mechanism: Mechanism, step: Step, joint: int) -> bool:
-    """Whether a joint is on the side of the closure that is named first."""
-    return joint in mechanism.path(mechanism.description.closures[step.closure].first.link)
 
 
 def coupled_angle(coupling: Coupling, joint: int, q: Array) -> Array:

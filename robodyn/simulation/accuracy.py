@@ -53,7 +53,7 @@ def error_estimate(
     """
     if tighter(settings) is None:
         return np.nan
-    motion = _Motion(mechanism, state, t_end, actuation, settings)
+    motion = _Motion((mechanism, state, t_end, actuation), settings)
     tight = motion.tighter(settings)
     assert tight is not None
     return MARGIN * difference(*map(motion.sampled, (settings, tight)))
@@ -81,7 +81,7 @@ def settings_for(
         settings = replace(settings, method=method)
     first = max(accuracy / TIGHTER, TIGHTER * settings.smallest_rtol)
     loose = replace(settings, rtol=first, atol=first)
-    motion = _Motion(mechanism, state, t_end, actuation, loose)
+    motion = _Motion((mechanism, state, t_end, actuation), loose)
     before = motion.sampled(loose)
     if before is None and chooses and settings.method == "taylor":  # a root begins: no series
         others = replace(settings, method="DOP853")
@@ -142,15 +142,8 @@ class _Motion:
     An error peaks where the motion is fast, and so are the steps short: `CUTS` times a step.
     """
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        state: Array,
-        t_end: float,
-        actuation: Actuation,
-        settings: Settings,
-    ) -> None:
-        self._of = mechanism, state, t_end, actuation
+    def __init__(self, of: tuple[Mechanism, Array, float, Actuation], settings: Settings) -> None:
+        self._of, (_, state, t_end, _) = of, of
         ends: list[Array] = []
         outcome, _ = run(*self._of, settings, lambda t, y, _: ends.append(t))
         self.finishes = outcome is Outcome.FINISHED

@@ -10,17 +10,69 @@ e the restitution of each: of one stop p = -(1 + e) v / (R K^-1 R^T).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from robodyn.dynamics.dense_dynamics import responses
-from robodyn.dynamics.sticking import AT_REST, forces_between
+from robodyn.dynamics.dynamics import forward_dynamics
+from robodyn.dynamics.sticking import AT_REST, forces_between, mode_at, resting
 from robodyn.errors import SingularError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import in_mode
 from robodyn.tables.arrays import Array
 
 SLACK = 1e-10  # part of the rates by which a condition may be missed
+INSTANT = 8.0  # roundings of the time that are none
+BLUR = 0.1  # part of its rate that a joint thrown back so little may lose or gain
+ENDLESS = 1e-10  # of the time of a run: bounces that end within this part of it are over at once
+
+End = tuple[int, int]  # a joint and a side
+
+
+class Bounces:
+    """The impacts of a run to t_end, whose steps may miss angles and rates by `small`.
+
+    What would bounce for ever, or lower than is told from rest, is at rest at once.
+    """
+
+    def __init__(self, mechanism: Mechanism, t_end: float, small: float) -> None:
+        self.mechanism, self.t_end, self.small = mechanism, t_end, small
+        self.thrown: dict[int, float] = {}  # how fast a joint left its end last
+
+    def after(
+        self, q: Array, qd: Array, tau: Array, t: float, touches: set[End]
+    ) -> tuple[Array, list[tuple[End, float]]]:
+        """The rates (n) after an impact at the ends that are touched, and the restitution of each.
+
+        Torques are those before it.
+        """
+        ends, limits = sorted(touches), dict(self.mechanism.limits)
+        e = [limits[joint].restitution or 0.0 for joint, _ in ends]
+        after = rates_after(self.mechanism, q, qd, ends, e)
+        leaving = [-side * float(after[joint]) for joint, side in ends]
+        qdd, kept = np.zeros_like(qd), list[float | None](e)
+        if any(leaves > 0.0 and part < 1.0 for leaves, part in zip(leaving, e, strict=True)):
+            on = [end for end in ends if not after[end[0]]]
+            mode = mode_at(self.mechanism, q, after, tau, resting(self.mechanism, after), on, t=t)
+            qdd = forward_dynamics(in_mode(self.mechanism, mode.mode), q, after, tau, t)
+        for k, (joint, side) in enumerate(ends):
+            back, leaves = side * float(qdd[joint]), leaving[k]
+            if leaves > 0.0 and e[k] < 1.0 and back > 0.0:
+                brief = leaves < 0.5 * back * (1.0 - e[k]) * ENDLESS * abs(self.t_end)
+                low = leaves**2 < 2.0 * back * INSTANT * math.ulp(q[joint])
+                if brief or low or not self._resolves(joint, side * qd[joint], back):
+                    kept[k] = None if brief or low else 0.0
+            self.thrown[joint] = leaves
+        if kept != e:
+            after = rates_after(self.mechanism, q, qd, ends, kept)
+        return after, [(end, part or 0.0) for end, part in zip(ends, kept, strict=True)]
+
+    def _resolves(self, joint: int, v: float, back: float) -> bool:
+        """Whether a joint that meets its end with v was thrown back so far that steps show it."""
+        last = self.thrown.get(joint, 0.0)
+        return last**2 >= 2.0 * back * self.small or abs(v - last) <= BLUR * last or not last
 
 
 def rates_after(

@@ -8,27 +8,15 @@ as an event.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from robodyn.dynamics import closed_form
-from robodyn.dynamics.dynamics import forward_dynamics, forward_dynamics_and_forces
-from robodyn.dynamics.sticking import (
-    AT_REST,
-    Standing,
-    bounds,
-    held_forces,
-    margins,
-    mode_at,
-    resting,
-    starting_at,
-    stopped,
-    touching,
-)
+from robodyn.dynamics import closed_form, sticking
+from robodyn.dynamics.dynamics import forward_dynamics_and_forces
 from robodyn.errors import InputError
 from robodyn.events.functions import EventFunction
 from robodyn.events.signs import ROUNDING
@@ -37,18 +25,14 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, Mode, beyond, end_word, in_mode, pressed, pushes
-from robodyn.scene.scene import Limits
-from robodyn.simulation.impacts import rates_after
+from robodyn.simulation.impacts import INSTANT, Bounces
 from robodyn.simulation.run_torques import applied_torques
 from robodyn.tables.arrays import Array
 
 End = tuple[int, int]  # a joint and a side
 
-INSTANT = 8.0  # roundings of the time that are none
 DOUBTS = 3  # times that a joint is let leave its end
 KINK = 1e-14  # of the time of a run: so much beyond a kink the torques are those that follow it
-BLUR = 0.1  # part of its rate that a joint thrown back so little may lose or gain
-ENDLESS = 1e-10  # of the time of a run: bounces that end within this part of it are over at once
 
 
 class Guard(NamedTuple):
@@ -81,7 +65,7 @@ class Phases:
         self.limits, self.dry = dict(mechanism.limits), dict(mechanism.dry)
         self.found: list[Event] = []
         self.begun, self.idle = 0.0, 0  # when the phase began, and how many took no time before
-        self.thrown: dict[int, float] = {}  # how fast a joint left its end last
+        self.bounces = Bounces(mechanism, t_end, small)
         self.hits: list[End]  # the ends met as the phase began
         self.doubts = 0  # times in a row that a joint which leaves its end was to meet it
         q, qd = self._split(y)
@@ -92,19 +76,13 @@ class Phases:
                 value=float(q[joint]),
                 limit=f"is beyond the joint's {end_word(side)}, {end:.9g}",
             )
-        hits = [end for end in touching(mechanism, q, qd) if end[1] * qd[end[0]] > 0.0]
+        hits = [end for end in sticking.touching(mechanism, q, qd) if end[1] * qd[end[0]] > 0.0]
         self.given, self.hits = y, hits  # before an impact
         self.y = self._impact(0.0, y, hits, set()) if hits else y
         q, qd = self._split(self.y)
         pushing = pressed(mechanism, q.tolist(), qd.tolist())
-        touches = set(touching(mechanism, q, qd))
-        self._enter(0.0, set(resting(mechanism, qd)), touches, set(pushing))
-
-    def _ends(self) -> Iterator[tuple[int, int, float, Limits]]:
-        """Each end of a joint: the joint, the side, where it is, and what is there."""
-        for joint, stop in self.mechanism.limits:
-            for side, end in stop.ends:
-                yield joint, side, end, stop
+        touches = set(sticking.touching(mechanism, q, qd))
+        self._enter(0.0, set(sticking.resting(mechanism, qd)), touches, set(pushing))
 
     def _split(self, y: Array) -> tuple[Array, Array]:
         n = self.mechanism.n
@@ -138,26 +116,25 @@ class Phases:
         self._reach(t)
         q, qd = self._split(self.y)
         tau, sorts = self._torque(t, self.y), (sorted(rests), sorted(touches))
-        self.mode, self.still = mode_at(
+        self.mode, self.still = sticking.mode_at(
             self.mechanism, q, qd, tau, *sorts, tuple(sorted(pushing)), starting, t
         )
         self.started = (rests | {joint for joint, _ in touches}) - set(self.still)
         self.touches = {end for end in touches if end[0] in self.still}
-        self.bounds = {
-            joint: bounds(self.mechanism, joint, [s for j, s in self.touches if j == joint])
-            for joint in self.still
-        }
+        sides = {joint: [s for j, s in self.touches if j == joint] for joint in self.still}
+        self.bounds = {j: sticking.bounds(self.mechanism, j, sides[j]) for j in self.still}
         self.moving = in_mode(self.mechanism, self.mode)
         self._watch(t)
 
     def _watch(self, t: float) -> None:
         """The functions that are positive while the mode lasts."""
         self.guards: list[Guard] = [Guard("slips", *slip) for slip in self.mode.slips]
-        for joint, side, _, stop in self._ends():
-            if (joint, side) not in self.touches:
-                compliant = "presses" if (joint, side) in self.mode.pressed else "apart"
-                kind = "inside" if stop.stiffness is None else compliant
-                self.guards.append(Guard(kind, joint, side))
+        for joint, stop in self.mechanism.limits:
+            for side, _ in stop.ends:
+                if (joint, side) not in self.touches:
+                    compliant = "presses" if (joint, side) in self.mode.pressed else "apart"
+                    kind = "inside" if stop.stiffness is None else compliant
+                    self.guards.append(Guard(kind, joint, side))
         left = self._margins(np.array([t]), self.y[None])[0] if self.still else []
         self.guards += [Guard("holds", k, 0) for k, x in enumerate(left) if math.isfinite(x)]
         self.functions = [self._function(guard, t) for guard in self.guards]
@@ -214,12 +191,12 @@ class Phases:
         n = self.mechanism.n
         tau = self._torques(t, y)
         solution = forward_dynamics_and_forces(self.moving, y[:, :n], y[:, n : 2 * n], tau, t)
-        return held_forces(self.moving, solution.multipliers)
+        return sticking.held_forces(self.moving, solution.multipliers)
 
     def _margins(self, t: Array, y: Array) -> Array:
         q = y[:, : self.mechanism.n]
         forces = self._forces(t, y)
-        return margins(self.mechanism, self.mode, self.still, q, forces, self.bounds)
+        return sticking.margins(self.mechanism, self.mode, self.still, q, forces, self.bounds)
 
     # -- from one to the next ----------------------------------------------------------------------
 
@@ -246,8 +223,8 @@ class Phases:
             pushing.add((guard.joint, guard.side))
         if guard.kind == "slips":
             rests.add(guard.joint)
-        least = AT_REST * float(np.abs(qd).max(initial=0.0))
-        ends = set(touching(self.mechanism, q, qd)) - touches
+        least = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
+        ends = set(sticking.touching(self.mechanism, q, qd)) - touches
         hits = sorted((joint, side) for joint, side in ends if side * qd[joint] > least)
         inside = guard.kind == "inside"
         meets = inside and guard.side * qd[guard.joint] > 0.0
@@ -262,19 +239,20 @@ class Phases:
         for joint, side in hits:  # rounding must not grow from bounce to bounce
             q[joint] = dict(self.limits[joint].ends)[side]
         if standing := sorted(rests | {joint for joint, _ in touches}):
-            qd[:], also = stopped(self.mechanism, q, qd, standing)
+            qd[:], also = sticking.stopped(self.mechanism, q, qd, standing)
             rests |= set(also)
         self.y, self.hits = y, hits
         if hits:
             self.y = self._impact(t, y, hits, touches)
             _, qd = self._split(self.y)
-        still = AT_REST * float(np.abs(qd).max(initial=0.0))
+        still = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
         rest = {joint for joint, rate in enumerate(qd.tolist()) if abs(rate) <= still}
         if hits:
             rests, touches = rest & set(self.dry), {x for x in touches | set(hits) if x[0] in rest}
-        was, stood, starting = self.mode, set(self.still), self._starting(guard, t, y)
+        was, stood, rates = self.mode, set(self.still), self.letting_go(guard, t, y)
+        starting = {joint: 1 if rate > 0.0 else -1 for joint, rate in rates.items()}
         begun = self.started if self.idle and not hits else set()  # and have not moved since
-        touches |= {x for x in touching(self.mechanism, q, qd) if x[0] in rest - begun}
+        touches |= {x for x in sticking.touching(self.mechanism, q, qd) if x[0] in rest - begun}
         starting |= {j: way for j, way in self.mode.slips if j in (begun & rest) - rests}
         rests |= set(starting) & set(self.dry)
         if begins and self.doubts < DOUBTS:
@@ -285,51 +263,23 @@ class Phases:
             self.y[-1] += self._energy(self.moving, self.y) - before
         return self.y
 
-    def _starting(self, guard: Guard, t: float, y: Array) -> dict[int, int]:
-        """The joints that what holds them holds no longer, and which way they start."""
-        rates = self.letting_go(guard, t, y) if guard.kind == "holds" else {}
-        return {joint: 1 if rate > 0.0 else -1 for joint, rate in rates.items()}
-
     def letting_go(self, guard: Guard, t: float, y: Array) -> dict[int, float]:
         """The joints that a guard of what holds lets start, and with which rates."""
-        forces, standing = self._forces(np.array([t]), y[None])[0], Standing(self.mode, self.still)
-        q = self._split(y)[0]
-        return starting_at(self.mechanism, standing, q, forces, self.bounds, guard.joint)
+        if guard.kind != "holds":
+            return {}
+        forces, q = self._forces(np.array([t]), y[None])[0], self._split(y)[0]
+        standing = sticking.Standing(self.mode, self.still)
+        return sticking.starting_at(self.mechanism, standing, q, forces, self.bounds, guard.joint)
 
     def _impact(self, t: float, y: Array, hits: Sequence[End], touches: set[End]) -> Array:
         """The state after an impact; bounces that would end at once are over."""
-        q, qd = self._split(y)
-        ends = sorted({*hits, *touches})
-        e = [self.limits[joint].restitution or 0.0 for joint, _ in ends]
-        after = rates_after(self.mechanism, q, qd, ends, e)
-        leaving = [-side * float(after[joint]) for joint, side in ends]
-        qdd, kept = np.zeros_like(qd), list[float | None](e)
-        if any(leaves > 0.0 and part < 1.0 for leaves, part in zip(leaving, e, strict=True)):
-            given = self.mechanism, q, after, self._torque(t, y)
-            on = [end for end in ends if not after[end[0]]]
-            mode = mode_at(*given, resting(self.mechanism, after), on, t=t).mode
-            qdd = forward_dynamics(in_mode(self.mechanism, mode), *given[1:], t)
-        for k, (joint, side) in enumerate(ends):
-            back, leaves = side * float(qdd[joint]), leaving[k]
-            if leaves > 0.0 and e[k] < 1.0 and back > 0.0:
-                brief = leaves < 0.5 * back * (1.0 - e[k]) * ENDLESS * abs(self.t_end)
-                low = leaves**2 < 2.0 * back * INSTANT * math.ulp(q[joint])
-                if brief or low or not self._resolves(joint, side * qd[joint], back):
-                    kept[k] = None if brief or low else 0.0
-            self.thrown[joint] = leaves
-        if kept != e:
-            after = rates_after(self.mechanism, q, qd, ends, kept)
-        self.struck = [(x, part or 0.0) for x, part in zip(ends, kept, strict=True)]  # all touched
-        y = y.copy()
-        y[self.mechanism.n : 2 * self.mechanism.n] = after
+        y, n = y.copy(), self.mechanism.n
+        tau = self._torque(t, y)
+        after, self.struck = self.bounces.after(*self._split(y), tau, t, {*hits, *touches})
+        y[n : 2 * n] = after
         for joint, side in hits:
             self._tell(t, y, joint, f"hits its {end_word(side)}")
         return y
-
-    def _resolves(self, joint: int, v: float, back: float) -> bool:
-        """Whether a joint that meets its end with v was thrown back so far that steps show it."""
-        last = self.thrown.get(joint, 0.0)
-        return last**2 >= 2.0 * back * self.small or abs(v - last) <= BLUR * last or not last
 
     def _energy(self, moving: Mechanism, y: Array) -> float:
         KE, PE = closed_form.energies(moving, *self._split(y))

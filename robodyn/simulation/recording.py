@@ -14,14 +14,11 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
-from robodyn.dynamics import closed_form
-from robodyn.dynamics.placed import matvec
-from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.report import Outcome, Report, StopRun
-from robodyn.simulation.unseen_work import UnseenWork
+from robodyn.simulation.run_statistics import RunStatistics
 from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk
 
@@ -63,30 +60,22 @@ class Recorder:
     max_evaluations: int
     watch: Callable[[float], bool] | None
     actuation: Actuation
+    statistics: RunStatistics
     next_row: int = 0
     rows: list[tuple[Array, Array]] = field(default_factory=list)
     waiting: int = 0
     steps: list[tuple[Array, Array]] = field(default_factory=list)
     held: int = 0  # steps not yet in the statistics
     longest: float = 0.0  # of the steps in the statistics, s
-    last_singular: float | None = None
-    rank: int = 0
-    begun: bool = False  # whether the energy at the start is known
-    unseen: UnseenWork | None = None
-    missed: float = 0.0  # J
     last: tuple[float, Array] | None = None  # t and y of the last step
     ended: int = 0  # evaluations of solvers that have ended, and expansions of series
     events: EventWatch | None = None
     stopped: Stop | None = None  # by what event
     last_row: float | None = None  # its time
-    closes: bool = False  # whether the mechanism has closures, in all modes
     contacts: list[Event] = field(default_factory=list)  # what joints met, and left
     kept: list[Any] = field(default_factory=list)  # not yet looked at for events
 
     def begin(self, y: Array) -> None:
-        given = self.actuation.alone or self.actuation
-        if given.constants is None and not given.linear and given.control is None:
-            self.unseen = UnseenWork(given.function(self.mechanism.n), self.report.t_end)
         zero = np.zeros(1)
         if self.times is None or (len(self.times) and self.times[0] == 0.0):
             self._row(zero, y[None, :])
@@ -139,16 +128,8 @@ class Recorder:
             if stop is not None:
                 t, y = stop.t, stop.y
         self.report.evaluations = self.ended + solver.nfev
-        if self.times is None:
-            if t != self.last_row:
-                self._row(np.array([t]), y[None])
-        else:
-            self._due(t, y, lambda times: between()(times).T)
-        self.steps.append((np.array([t]), y[None]))
-        self.last = t, y
-        self.held += 1
-        self.stopped = stop
-        self._stepped(t, solver.status == "running" if stop is None else self.guard is not None)
+        running = solver.status == "running"
+        self._take(np.array([t]), y[None], lambda times: between()(times).T, running, stop)
         if stop is not None:
             self.stop(stop)
 
@@ -177,7 +158,7 @@ class Recorder:
         if moving is not self.mechanism:
             self.flush_rows()
             self.flush_steps()
-            self.mechanism, self.rank = moving, 0
+            self.mechanism = moving
         self.stopped = None
         assert self.events is not None
         self.events.guard(guards)
@@ -213,18 +194,10 @@ class Recorder:
         self.report.steps += count
         if not count:
             return
-        t = float(chunk.t[-1])
-        if self.times is None:
-            self._row(chunk.t, chunk.y)
-        else:
-            if len(chunk.row_t):
-                self.next_row += len(chunk.row_t)
-                self._row(chunk.row_t, chunk.row_y)
-            self._due(t, chunk.y[-1], within)
-        self.steps.append((chunk.t, chunk.y))
-        self.last = t, chunk.y[-1]
-        self.held += count
-        self._stepped(t, t != t_end)
+        if self.times is not None and len(chunk.row_t):
+            self.next_row += len(chunk.row_t)
+            self._row(chunk.row_t, chunk.row_y)
+        self._take(chunk.t, chunk.y, within, chunk.t[-1] != t_end)
 
     def _due(self, t: float, y: Array, states: Callable[[Array], Array]) -> None:
         """The rows still to come up to t, where the state is y; `states` gives those before."""
@@ -243,7 +216,26 @@ class Recorder:
         if self.watch is not None and self.watch(t):
             raise StopRun(Outcome.INTERRUPTED)
 
-    def _stepped(self, t: float, running: bool) -> None:
+    def _take(
+        self,
+        times: Array,
+        y: Array,
+        states: Callable[[Array], Array],
+        running: bool,
+        stop: Stop | None = None,
+    ) -> None:
+        """Steps to `times` (k,); `states` gives those within the last one."""
+        t = float(times[-1])
+        if self.times is not None:
+            self._due(t, y[-1], states)
+        elif t != self.last_row:
+            self._row(times, y)
+        self.steps.append((times, y))
+        self.last = t, y[-1]
+        self.held += len(times)
+        if stop is not None:
+            self.stopped = stop
+            running = self.guard is not None
         self.report.t_reached = t
         if self.held >= STEPS_AT_ONCE:
             endless = running and self._endless()
@@ -295,56 +287,6 @@ class Recorder:
         """Take the waiting steps into the statistics."""
         if not self.steps:
             return
-        report, mechanism, n = self.report, self.mechanism, self.mechanism.n
         t, y = joined(self.steps)
         self.steps, self.held = [], 0
-        finite = np.isfinite(y).all(axis=1)
-        t, y = t[finite], y[finite]
-        if not len(t):
-            return
-        if self.actuation.control is not None:
-            self.actuation.control.observe(t, y)
-        q, qd = y[:, :n], y[:, n : 2 * n]
-        KE, PE = closed_form.energies(mechanism, q, qd)
-        work = y[:, -1] if y.shape[1] > 2 * n + self.actuation.states else np.zeros(len(t))
-        if self.unseen is not None:
-            unseen = self.unseen(t, q, qd)
-            work, self.missed = work + unseen, max(self.missed, float(np.abs(unseen).max()))
-        if not self.begun:
-            report.energy_start, self.begun = float(KE[0] + PE[0]), True
-        error = float(np.abs(KE + PE - work - report.energy_start).max())
-        before = report.energy_drift * report.energy_in_motion
-        moving = max(float(KE.max()), float(np.ptp(PE)), report.energy_in_motion)
-        report.energy_in_motion = moving
-        report.energy_drift = max(error, before) / moving if moving > 0.0 else 0.0
-        report.work_missed = self.missed / moving if moving > 0.0 else 0.0
-        report.work = float(work[-1])
-        if self.closes:
-            self._flush_loops(t, q, qd)
-
-    def _flush_loops(self, t: Array, q: Array, qd: Array) -> None:
-        report, mechanism = self.report, self.mechanism
-        gap = closed_form.closure_gap(mechanism, q)
-        report.largest_gap = max(report.largest_gap, float(np.abs(gap).max()))
-        stride = 1 + mechanism.n * len(mechanism.rows) // 2000
-        Psi = closed_form.scaled_jacobian(mechanism, q[::stride])
-        rate = matvec(Psi, qd[::stride] / mechanism.arrays.units)
-        report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
-        least = self._least_singular(Psi)
-        worst = int(np.argmin(least))
-        self.last_singular = float(least[-1])
-        if report.nearest_singular is None or least[worst] < report.nearest_singular:
-            report.nearest_singular = float(least[worst])
-            report.nearest_singular_time = float(t[::stride][worst])
-            from robodyn.loops.change_points import miss_remark
-
-            report.missed = miss_remark(mechanism, q[::stride][worst])
-
-    def _least_singular(self, Psi: Array) -> Array:
-        """The least singular values (k,) of Psi (k, r, n), of those that can be other than 0."""
-        size = loop_size(self.mechanism)
-        if not self.rank:  # of closures that depend on one another not all count
-            s = np.linalg.svd(Psi[:: max(1, len(Psi) // 8)], compute_uv=False)
-            self.rank = max(1, int((s > 1e-9 * size).sum(axis=-1).max()))
-        s = np.linalg.svd(Psi, compute_uv=False)
-        return np.asarray(s[:, self.rank - 1] / size)
+        self.statistics.take(self.mechanism, t, y)

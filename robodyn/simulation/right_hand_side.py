@@ -72,9 +72,7 @@ def right_hand_side(
     kind: str | None = None,
 ) -> RightHandSide:
     """The evaluator of the given kind, or of the kind that is fastest for this mechanism."""
-    if kind is None:
-        kind = _best_kind(mechanism)
-
+    kind = kind or _best_kind(mechanism)
     straight = partial(straightline.compile_rates, mechanism, work=work, baumgarte=baumgarte)
 
     def solving(torques: Actuation) -> Rates:
@@ -87,11 +85,31 @@ def right_hand_side(
     solved = solving(actuation)
     if not mechanism.rows:
         return RightHandSide(solved, None, kind)
-    closing = (dense_closing if kind == "dense" else best_closing)(mechanism)
-    project = Projection(mechanism, closing)
+    project = Projection(mechanism, (dense_closing if kind == "dense" else best_closing)(mechanism))
     if baumgarte:  # its restoring terms need the gap: no state is projected
         return RightHandSide(solved, project, kind)
+    careful = _projecting(project, actuation, solving, solved, kind == "dense")
+    if kind == "dense":  # a projection costs little beside them
+        return RightHandSide(careful, project, kind)
 
+    def watched(t: float, y: Array) -> Any:
+        near.met = True
+        return careful(t, y)
+
+    rates = straight(actuation, least_pivot=NEAR, otherwise=watched)
+    near = NearSingular(watched)
+    return RightHandSide(rates, project, kind, near)
+
+
+def _projecting(
+    project: Projection,
+    actuation: Actuation,
+    solving: Callable[[Actuation], Rates],
+    solved: Rates,
+    dense: bool,
+) -> Rates:
+    """The rates at states that are closed first; at those next to a change point led across it."""
+    mechanism, closing = project.mechanism, project.closing
     # across a change point the state's own torque is kept: beside it it may bend
     held = [0.0] * (mechanism.n + actuation.states)
     beside, torques = solved, None
@@ -118,7 +136,7 @@ def right_hand_side(
         q = y[: mechanism.n]
         if project.misses.near(q):  # a stage that were closed here would bend the step
             return solved(t, y)
-        if kind != "straight-line":  # whose closing is the cheapest test
+        if dense:  # whose closing is the cheapest test
             closed, quality = closing(y)
             if quality > SUSPECT:
                 return solved(t, closed)
@@ -132,16 +150,7 @@ def right_hand_side(
                 return led
         return solved(t, closing(y)[0])
 
-    if kind != "straight-line":  # a projection costs little beside them
-        return RightHandSide(careful, project, kind)
-
-    def watched(t: float, y: Array) -> Any:
-        near.met = True
-        return careful(t, y)
-
-    rates = straight(actuation, least_pivot=NEAR, otherwise=watched)
-    near = NearSingular(watched)
-    return RightHandSide(rates, project, kind, near)
+    return careful
 
 
 def _best_kind(mechanism: Mechanism) -> str:

@@ -5,7 +5,8 @@ Along the motion s = (s_q, s_qd) = d(q, qd)/dp follows, with the residuals R of 
     s_q' = s_qd        s_qd' = -K^-1 (R_q s_q + R_qd s_qd + R_tau dtau/dp + R_p)
 
 Such s are integrated beside the motion as states of the torques' own; times the size of p, so that
-a tolerance is the same angle for them.
+a tolerance is the same angle for them.  What a controller feeds back of them, u' = U s, z' = Z s of
+s = d(q, qd, z)/dp with the integrals z of its law, goes into the torques.
 """
 
 from __future__ import annotations
@@ -24,16 +25,22 @@ from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, cheapest
 from robodyn.engines.frames import relative
 from robodyn.engines.straightline import FloatFunction, compile_floats
-from robodyn.engines.tangents import Tangents, slopes_by, substituted, tangents
+from robodyn.engines.tangents import slopes_by, substituted, tangents
 from robodyn.errors import InputError
 from robodyn.loops.change_points import rank, rank_beside
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.program import Program
-from robodyn.simulation.fed_back import Fed
-from robodyn.simulation.start_slopes import CHANGE, is_start, start_slopes
-from robodyn.simulation.varied_motion import Varied, torque_lines, torque_nodes
+from robodyn.simulation.varied_motion import (
+    CHANGE,
+    Varied,
+    changes,
+    is_start,
+    start_slopes,
+    torque_lines,
+    torque_nodes,
+)
 from robodyn.tables.arrays import Array
 from robodyn.taylor.variations import Number
 
@@ -180,16 +187,14 @@ def _formula(
 ) -> Formula:
     """The rates of all s_qd (k n) from q, qd, tau, all s and t."""
     n, varied = mechanism.n, Varied(mechanism, mode, way, Graph())
-    graph, state = varied.graph, varied.state
+    graph, state = varied.state.graph, varied.state
     torques = torque_nodes(mechanism, lines, graph)
     z = [f"z{states + i}" for i in range(2 * n * len(names))]
     fed: list[str] = []  # d tau of what controls
     outputs: list[Value] = []
     for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
         own = z[2 * n * k : 2 * n * (k + 1)]
-        by: dict[str, Tangents] = {
-            x: {CHANGE: graph.variable(s)} for x, s in zip(state.inputs[: 2 * n], own, strict=True)
-        }
+        by = changes(graph, state.inputs[: 2 * n], own)
         if ".motor." in name and any(tangents(torques, list(by))):
             limit = "no derivative is known by it where torques depend on q or qd"
             raise InputError(name, where=mechanism.source, limit=limit)
@@ -198,6 +203,85 @@ def _formula(
         else:
             by |= {f"tau{j}": {CHANGE: graph.variable(f"f{k}_{j}")} for j in mechanism.actuated}
             fed += [f"f{k}_{j}" for j in mechanism.actuated]
-        outputs += relative(mechanism, varied.along(name, size, by)[:n])
+        outputs += relative(mechanism, varied.by(name, size, by)[:n])
     steady: Mapping[str, Value] = {f"tau{j}": x for j, x in enumerate(constants or ())}
     return Formula((*state.inputs, *z, *fed, "t"), tuple(substituted(outputs, steady)), ())
+
+
+class Fed:
+    """The lines of torques, with d tau of `count` names, f0_0 .., and the rates of dz/dp.
+
+    States are z, then d(q, qd) of each name, then dz of each.
+    """
+
+    def __init__(self, actuation: Actuation, n: int, count: int) -> None:
+        self.actuation, self.n, self.count = actuation, n, count
+        self.control: Any = actuation.control
+        self.scope: dict[str, object] = {}
+        if actuation.control is not None and actuation.linear:
+            self.control = SampledSlopes(actuation.control, n, count)
+            self.scope["_fed"] = self.control.slopes_at
+        elif actuation.control is not None:
+            self.scope["_fed"] = actuation.control.along(count)
+
+    def lines(self, mechanism: Mechanism) -> list[str]:
+        """Those of the torques and what follows them."""
+        if self.actuation.constants is not None:
+            return [f"tau{j} = {x!r}" for j, x in enumerate(self.actuation.constants)]
+        if self.control is None:
+            return [*self.actuation.lines]
+        m, joints = self.actuation.states, mechanism.actuated
+        last = m + 2 * self.n * self.count
+        fed = [f"f{k}_{j}" for k in range(self.count) for j in joints]
+        if self.actuation.linear:
+            return [*self.actuation.lines, f"{', '.join(fed)}, = _fed(t)"]
+        fed = [f"tau{j}" for j in joints] + self.actuation.own("zd") + fed
+        fed += [f"zd{last + i}" for i in range(m * self.count)]
+        names = [f"{name}{j}" for name in ("q", "qd") for j in range(self.n)]
+        names += [f"z{i}" for i in range(last + m * self.count)]
+        zeros = [f"tau{j} = 0.0" for j in mechanism.passive]
+        return [f"{', '.join(fed)}, = _fed(t, {', '.join(names)})", *zeros]
+
+
+class SampledSlopes:
+    """A controller that is sampled, and what its torques change by: held as they are."""
+
+    def __init__(self, control: Any, n: int, count: int) -> None:
+        self.control, self.n, self.count = control, n, count
+        self.law, self.joints = control.along(count), control.reference.joints
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.control, name)
+
+    def begin(self, y: Sequence[float], t_end: float) -> None:
+        """See `run_control.Steps`."""
+        self.control.begin(y, t_end)
+        self.values: list[tuple[float, ...]] = []
+        self.z = self.before = [0.0] * (self.count * self.control.states)
+        self._sample(0.0, y)
+
+    def reach(self, t: float, y: Sequence[float]) -> None:
+        """See `run_control.Steps`."""
+        self.control.reach(t, y)
+        if t < self.control.times[-1]:
+            return
+        if len(self.values) == len(self.control.times):  # that sample was taken again
+            self.values.pop()
+            self.z = self.before
+        self._sample(t, y)
+
+    def _sample(self, t: float, y: Sequence[float]) -> None:
+        wide, control = 2 * self.n, self.control
+        self.before = self.z
+        s = y[wide : wide * (1 + self.count)]
+        found = self.law(t, *y[:wide], *control.before, *s, *self.z)
+        first = self.joints + control.states
+        last = first + self.joints * self.count
+        self.values.append(found[first:last])
+        rates = found[last:]
+        self.z = [z + zd / control.rate for z, zd in zip(self.z, rates, strict=True)]
+
+    def slopes_at(self, t: float) -> tuple[float, ...]:
+        """d tau (names times joints) of what is held at t."""
+        place: int = self.control.sample(t)
+        return self.values[place]

@@ -25,6 +25,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.recording import Recorder, Sink, joined
 from robodyn.simulation.report import Outcome, Report, StopRun
+from robodyn.simulation.run_statistics import RunStatistics
 from robodyn.simulation.run_torques import applied_torques, as_actuation, over_run
 from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
 from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
@@ -71,13 +72,8 @@ class Motion:
         return self._settle()
 
     def __getstate__(self) -> dict[str, object]:
-        return {
-            **vars(self),
-            "report": self.report,
-            "events": self.events,
-            "_settle": None,
-            "_events": None,
-        }
+        made = {"report": self.report, "events": self.events, "_settle": None, "_events": None}
+        return {**vars(self), **made}
 
     @cached_property
     def qdd(self) -> Array:
@@ -170,22 +166,16 @@ def simulate(
         from robodyn.simulation.sensitivity import with_sensitivities
 
         carried = with_sensitivities(mechanism, actuation, state, sensitivity, method)
-    rows: list[tuple[Array, Array]] = []
+    rows: list[tuple[Array, Array, Mechanism]] = []
     times = None if t_eval is None else np.asarray(t_eval, float)
     watch = watched_events(mechanism, events or {}, until, float(t_end))
-    phases: list[tuple[int, Mechanism]] = []
-
-    def keep(t: Array, y: Array, moving: Mechanism) -> None:
-        rows.append((t, y))
-        phases.append((len(t), moving))
-
     outcome, recorder = run(
         mechanism,
         state,
         float(t_end),
         carried.actuation if carried else actuation,
         Settings(method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step),
-        keep,
+        lambda *row: rows.append(row),
         times,
         events=watch,
     )
@@ -197,8 +187,9 @@ def simulate(
             return events
         return sorted([*events, *recorder.contacts], key=lambda event: abs(event.t))
 
-    rows = rows or [(np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity)))))]
-    t, y = joined(rows)
+    phases = [(len(t), moving) for t, _, moving in rows]
+    none = np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity))))
+    t, y = joined([(t, y) for t, y, _ in rows] or [none])
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
     by, further = None, Columns()
@@ -254,6 +245,60 @@ def run(
     the run as interrupted when it returns True; `events` finds events, and may end it as well.
     The recorder has the report, and its statistics once it is settled.
     """
+    _check(actuation, settings, t_end, times)
+    actuation = over_run(mechanism, actuation, state, t_end, settings.atol)
+    report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
+    report.hint = "" if actuation.told_by_leaves else TOO_FAST
+    report.stabilize = settings.stabilize if mechanism.rows else "none"
+    work = actuation.active or mechanism.changes_energy or mechanism.switches
+    own = actuation.start or [0.0] * actuation.states
+    y = np.array([*state.tolist(), *own, *[0.0] * work])
+    y = _begun(mechanism, actuation, y, t_end, report.stabilize == "projection")
+    phases, moving = None, mechanism
+    if mechanism.switches:
+        from robodyn.events.watch import EventWatch
+        from robodyn.simulation.phases import Phases
+
+        events = events or EventWatch([], t_end)
+        phases = Phases(mechanism, actuation.alone or actuation, y, t_end, settings.atol)
+        y = phases.y if actuation.modes is None else actuation.modes.begin(phases)
+        moving = phases.moving
+    smooth = SmoothMotions(actuation, settings, t_end, work)
+    smooth.check_start(moving, y, report)
+    statistics = RunStatistics(report, actuation, mechanism.n, bool(mechanism.rows))
+    most = settings.max_evaluations
+    recorder = Recorder(moving, report, sink, times, most, watch, actuation, statistics)
+    recorder.events = events
+    recorder.begin(y)
+    begun = time.perf_counter()
+    outcome = Outcome.FINISHED
+    try:
+        if t_end != 0.0 and phases is not None:
+            outcome = in_phases(phases, smooth, y, recorder)
+        elif t_end != 0.0:
+            outcome = smooth.run(mechanism, 0.0, y, recorder)
+    except SingularError:
+        outcome = Outcome.SINGULAR
+    except StopRun as stop:
+        outcome = stop.outcome
+    recorder.flush_rows()
+    if phases is not None:
+        recorder.contacts = phases.found
+    if actuation.control is not None:  # it may follow another run before it is asked
+        recorder.settle()
+    report.seconds = time.perf_counter() - begun
+    report.outcome, report.advice = outcome.label, outcome.advice
+    if mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL and recorder.last is not None:
+        from robodyn.engines.row_values import near_table_end
+
+        report.advice = near_table_end(mechanism, *recorder.last) or report.advice
+    return outcome, recorder
+
+
+def _check(
+    actuation: Actuation, settings: Settings, t_end: float, times: Array | EvenTimes | None
+) -> None:
+    """Raise InputError for what makes no run."""
     settings.check()
     if not math.isfinite(t_end):
         raise InputError("time", value=t_end, limit="must be finite")
@@ -263,66 +308,29 @@ def run(
     if isinstance(times, np.ndarray):
         _check_times(times, t_end)
     check_span(actuation, t_end)
-    actuation = over_run(mechanism, actuation, state, t_end, settings.atol)
-    report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
-    report.hint = "" if actuation.told_by_leaves else TOO_FAST
-    report.stabilize = settings.stabilize if mechanism.rows else "none"
+
+
+def _begun(
+    mechanism: Mechanism, actuation: Actuation, y: Array, t_end: float, projects: bool
+) -> Array:
+    """The state y from which a run starts, closed where it `projects`; torques are told of it."""
     n = mechanism.n
-    work = actuation.active or mechanism.changes_energy or mechanism.switches
-    own = actuation.start or [0.0] * actuation.states
-    y = np.array([*state.tolist(), *own, *[0.0] * work])
     if t_end != 0.0 and mechanism.rows:
         from robodyn.loops import loop_rates
 
         loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
-    if report.stabilize == "projection":
+    if projects:
         from robodyn.loops.projection import Projection, best_closing
 
         y = Projection(mechanism, best_closing(mechanism))(y)
     if actuation.told is not None:
         actuation.told.begin(y.tolist(), float(t_end))
     if mechanism.has_tables:
-        from robodyn.engines.row_values import near_table_end, rows_of
+        from robodyn.engines.row_values import rows_of
         from robodyn.mechanics import parts
 
         rows_of(parts.acting, mechanism).check_tables(y[:n], y[n : 2 * n])
-    phases = None
-    if mechanism.switches:
-        from robodyn.events.watch import EventWatch
-        from robodyn.simulation.phases import Phases
-
-        events = events or EventWatch([], t_end)
-        phases = Phases(mechanism, actuation.alone or actuation, y, t_end, settings.atol)
-        y = phases.y if actuation.modes is None else actuation.modes.begin(phases)
-    smooth = SmoothMotions(actuation, settings, t_end, work)
-    moving = mechanism if phases is None else phases.moving
-    smooth.check_start(moving, y, report)
-    recorder = Recorder(moving, report, sink, times, settings.max_evaluations, watch, actuation)
-    recorder.events, recorder.closes = events, bool(mechanism.rows)
-    recorder.begin(y)
-    begun = time.perf_counter()
-    outcome = Outcome.FINISHED
-    if t_end != 0.0:
-        try:
-            if phases is not None:
-                outcome = in_phases(phases, smooth, y, recorder)
-            else:
-                outcome = smooth.run(mechanism, 0.0, y, recorder)
-        except SingularError:
-            outcome = Outcome.SINGULAR
-        except StopRun as stop:
-            outcome = stop.outcome
-    recorder.flush_rows()
-    if phases is not None:
-        recorder.contacts = phases.found
-    if actuation.control is not None:  # it may follow another run before it is asked
-        recorder.settle()
-    report.seconds = time.perf_counter() - begun
-    report.outcome, report.advice = outcome.label, outcome.advice
-    if mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL and recorder.last is not None:
-        t, y = recorder.last
-        report.advice = near_table_end(mechanism, y[:n], y[n : 2 * n], t) or report.advice
-    return outcome, recorder
+    return y
 
 
 def check_span(actuation: Actuation, t_end: float) -> None:
@@ -335,15 +343,9 @@ def check_span(actuation: Actuation, t_end: float) -> None:
 
 
 def _check_times(times: Array, t_end: float) -> None:
-    direction = -1.0 if t_end < 0.0 else 1.0
-    if times.ndim != 1:
+    if times.ndim != 1 or not np.isfinite(times).all():
         raise InputError("t_eval", limit="must be a list of finite times")
-    if not len(times):
-        return
-    first, last = float(times[0]) * direction, float(times[-1]) * direction
-    ordered = len(times) < 2 or (np.diff(times) * direction > 0.0).all()
-    if ordered and first >= 0.0 and last <= t_end * direction:  # so all are finite
-        return
-    if not np.isfinite(times).all():
-        raise InputError("t_eval", limit="must be a list of finite times")
-    raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")
+    ahead = -times if t_end < 0.0 else times
+    ordered = (np.diff(ahead) > 0.0).all()
+    if len(ahead) and not (ordered and ahead[0] >= 0.0 and ahead[-1] <= abs(t_end)):
+        raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")

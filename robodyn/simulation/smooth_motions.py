@@ -118,7 +118,7 @@ class SmoothMotions:
         if solver.status == "finished":
             return Outcome.FINISHED
         recorder.flush_steps()
-        near = recorder.last_singular
+        near = recorder.statistics.last_singular
         singular = near is not None and near < NEARLY_SINGULAR
         return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
 

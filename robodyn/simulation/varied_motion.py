@@ -1,4 +1,4 @@
-"""How a state's accelerations, what holds its joints, and impacts change with what varies.
+"""How a motion's start, accelerations, what holds its joints, and impacts change with what varies.
 
 That is numbers of the scene, called by name and times their sizes, and the state itself.
 """
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from robodyn.dynamics.named_numbers import with_variable
-from robodyn.engines.derivative_formulas import KINDS, residuals
+from robodyn.engines.derivative_formulas import KINDS, Solved, residuals
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.formulas import Formula, Recorded
@@ -23,35 +23,54 @@ from robodyn.engines.recorded_numbers import evaluated
 from robodyn.engines.straightline import FloatFunction, compile_floats
 from robodyn.engines.tangents import Tangents, slopes_by, substituted
 from robodyn.errors import InputError
+from robodyn.loops.loop_rates import closing_rates, loop_accelerations
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
-from robodyn.simulation.start_slopes import CHANGE, is_start
 from robodyn.tables.arrays import Array
 
+CHANGE = "p"  # the variable that a number changes by
+_START = re.compile(r"(q|qd)([1-9][0-9]*)", re.ASCII)
 
-class Varied:
-    """The unknowns u of a state in a mode, as nodes, and how they change: du = -K^-1 dR."""
+
+def is_start(mechanism: Mechanism, name: str) -> bool:
+    match = _START.fullmatch(name)
+    if match and int(match[2]) > mechanism.n:
+        limit = f"must be one of {match[1]}1..{match[1]}{mechanism.n}"
+        raise InputError(name, where=mechanism.source, limit=limit)
+    if name.startswith("start."):
+        limit = "is where assembly begins; name a start value, q1 or qd1"
+        raise InputError(name, where=mechanism.source, limit=limit)
+    return match is not None
+
+
+class Varied(Solved):
+    """The unknowns of a state in a mode, and how they change with numbers too."""
 
     def __init__(self, mechanism: Mechanism, mode: Mode | None, way: bool, graph: Graph) -> None:
-        self.mechanism, self.mode, self.way, self.graph = mechanism, mode, way, graph
+        self.mechanism, self.mode = mechanism, mode
         moving = mechanism if mode is None else in_mode(mechanism, mode)
-        self.state = Recorded(moving, KINDS[1:], way, graph=graph)
-        series, r, _, self.R = residuals(self.state)
-        factors = series.factorise()
-        assert isinstance(factors, Factors)
-        self.factors, self.u = factors, factors.solve([-x for x in r])
+        super().__init__(Recorded(moving, KINDS[1:], way, graph=graph))
 
-    def along(self, name: str | None, size: float, by: dict[str, Tangents]) -> list[Value]:
+    def by(self, name: str | None, size: float, by: dict[str, Tangents]) -> list[Value]:
         """du where the inputs change as `by` says, and the number of that name by its size."""
-        residual = self.R
+        graph, R = self.state.graph, self.R
         if name is not None and not is_start(self.mechanism, name):
-            named = with_variable(self.mechanism, name, self.graph.variable(CHANGE), self.mode)
-            residual = residuals(Recorded(named, KINDS[1:], self.way, graph=self.graph))[3]
+            named = with_variable(self.mechanism, name, graph.variable(CHANGE), self.mode)
+            R = residuals(Recorded(named, KINDS[1:], self.state.by_direction, graph=graph))[3]
             by = {**by, CHANGE: {CHANGE: size}}
-        known = {CHANGE: 0.0, **{f"u{i}": x for i, x in enumerate(self.u)}}
-        slopes = substituted(slopes_by(residual, by, [CHANGE]), known)
-        return self.factors.solve([-x for x in slopes])
+        (du,) = self.along([CHANGE], by, R, **{CHANGE: 0.0})
+        return du
+
+
+def changes(graph: Graph, inputs: Sequence[str], by: Sequence[str]) -> dict[str, Tangents]:
+    """That inputs change as variables of these names."""
+    return {x: {CHANGE: graph.variable(s)} for x, s in zip(inputs, by, strict=True)}
+
+
+def unchanged(outputs: Sequence[Value]) -> list[Value]:
+    """The slopes of the outputs by the change of a number, where it is none yet."""
+    return substituted(slopes_by(outputs, [CHANGE]), {CHANGE: 0.0})
 
 
 def by_numbers(
@@ -67,7 +86,7 @@ def by_numbers(
             slopes.append(0.0)
         else:
             named = with_variable(mechanism, name, Graph().variable(CHANGE))
-            slopes += substituted(slopes_by([of(named.description)], [CHANGE]), {CHANGE: 0.0})
+            slopes += unchanged([of(named.description)])
     return np.asarray(np.array(slopes, float) * sizes)
 
 
@@ -85,12 +104,10 @@ def holding(
     for k, (name, size) in enumerate(zip((*names, None), (*sizes, 0.0), strict=True)):
         own = [f"s{k}_{i}" for i in range(3 * n)]
         inputs += own
-        by: dict[str, Tangents] = {
-            x: {CHANGE: varied.graph.variable(s)} for x, s in zip(state.inputs, own, strict=True)
-        }
+        by = changes(state.graph, state.inputs, own)
         if name is None:
             by["t"] = {CHANGE: 1.0}
-        du = varied.along(name, size, by)
+        du = varied.by(name, size, by)
         outputs += [moving.rows[r].arm * du[n + r] for r in moving.held]
     return compile_floats(Formula(tuple(inputs), tuple(outputs), ()), "holding")
 
@@ -112,13 +129,8 @@ def thrown_back(
 
     def after(moving: Mechanism) -> list[Value]:
         state = Recorded(moving, KINDS[1:], True, graph=graph)
-        series, _, _, R = residuals(state)
-        factors = series.factorise()
-        assert isinstance(factors, Factors)
-        columns = []
-        for joint in joints:
-            right = [-slope for slope in slopes_by(R, [f"tau{joint}"])]
-            columns.append(relative(moving, factors.solve(right)[:n]))
+        solved = Solved(state)
+        columns = [relative(moving, du[:n]) for du in solved.along([f"tau{j}" for j in joints])]
         q, qd = state.relative["q"], state.relative["qd"]
         v = []
         for joint, e in impulses:
@@ -137,9 +149,7 @@ def thrown_back(
     for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
         own = [f"s{k}_{i}" for i in range(2 * n)]
         inputs += own
-        by: dict[str, Tangents] = {
-            x: {CHANGE: graph.variable(s)} for x, s in zip(state, own, strict=True)
-        }
+        by = changes(graph, state, own)
         named = in_mode(mechanism, Mode())
         if not is_start(mechanism, name):
             named = with_variable(mechanism, name, graph.variable(CHANGE), Mode())
@@ -187,3 +197,48 @@ def torque_slopes(mechanism: Mechanism, actuation: Actuation) -> FloatFunction:
     names = [f"{x}{i}" for x in ("q", "qd") for i in range(mechanism.n)] + ["t"]
     nodes = torque_nodes(mechanism, torque_lines(actuation), Graph(), timed=True)
     return compile_floats(Formula(tuple(names), tuple(slopes_by(nodes, names)), ()), "slopes")
+
+
+def start_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> Array:
+    """d(q, qd)/d(name) (2n) at the start: the actuated joints' values are what is given."""
+    n, driven = mechanism.n, list(mechanism.actuated)
+    moved, turned = np.zeros(n), np.zeros(n)
+    match = _START.fullmatch(name)
+    joint = None if match is None else int(match[2]) - 1
+    if match is not None and joint is not None:
+        unit = np.eye(n)[joint]
+        if mechanism.rows:
+            if joint not in driven:
+                limit = f"joint {mechanism.link_names[joint]} follows the actuated ones"
+                raise InputError(name, where=mechanism.source, limit=limit)
+            unit = closing_rates(mechanism, q, unit[driven], 0.0)
+        if match[1] == "qd":
+            return np.concatenate([moved, unit])
+        moved = unit
+    elif mechanism.rows:
+        none = np.zeros((2, len(driven)))
+        moved, turned = closing_rates(mechanism, q, none, _gap_slopes(mechanism, name, q, qd))
+    if mechanism.rows and np.any(moved) and np.any(qd):
+        # the bias is a quadratic form in the rates: this is its part between qd and the change
+        both = np.stack([qd + moved, qd - moved])
+        ahead, behind = loop_accelerations(mechanism, q, both, np.zeros((2, len(driven))))
+        turned = turned + 0.25 * (ahead - behind)
+    return np.concatenate([moved, turned])
+
+
+def _gap_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> Array:
+    """The derivatives of the gap and of its rate (2, r) by a number, with q and qd held."""
+    found = np.array(_gap_function(mechanism, name)(*q.tolist(), *qd.tolist(), 0.0))
+    return found.reshape(2, -1)
+
+
+@lru_cache(maxsize=256)
+def _gap_function(mechanism: Mechanism, name: str) -> FloatFunction:
+    graph = Graph()
+    named = with_variable(mechanism, name, graph.variable(CHANGE))
+    state = Recorded(named, ("qd",), True, graph=graph)
+    series = state.series([0.0] * mechanism.n)
+    series.residuals(0)
+    rows = [series.real[slot] for slot in series.program.named["gap"]]
+    outputs = unchanged([row[p] for p in (0, 1) for row in rows])
+    return compile_floats(Formula((*state.inputs, "t"), tuple(outputs), ()), "gaps")

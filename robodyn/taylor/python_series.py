@@ -19,7 +19,6 @@ from robodyn.engines.expansion import (
     MotionProgram,
     end_of_step,
     horner,
-    longest_formula,
     longest_step,
 )
 from robodyn.engines.expression import Expression, Value
@@ -46,8 +45,9 @@ def step_text(
     motion, n = MotionProgram(mechanism, actuation, work, held), mechanism.n
     start = motion.start()
     found = motion.expand(RECORDED, start.numbers, order, start.state)
-    longest = longest_formula(start.graph, found, start.state.w, slides=mechanism.slides)
-    state = end_of_step(mechanism, found, start.steady, work, start.graph.variable)
+    variable, w = start.graph.variable, start.state.w
+    longest = longest_step(found, w, variable("rtol"), variable("atol"), slides=mechanism.slides)
+    state = end_of_step(mechanism, found, start.steady, work, variable)
     series = _parts(found)
     lines, shown = source_text.float_source(
         [longest, *state, *(x for each in series for x in each)]

@@ -29,6 +29,7 @@ from robodyn.tables.arrays import Array
 
 SMALL = 1e-100  # of what stands before i
 KEPT = 64  # texts
+COMPARED = "{2} if ({0}).real < ({1}).real else {3}"  # numbers are x + dx i, and the x compare
 # numbers that pass through numpy while one goes through Python; and that a call there costs besides
 PER_NUMBER, CALL = 15, 300
 BLOCK = 4096  # numbers, or rows, at once
@@ -226,7 +227,7 @@ def _text(order: int, group: Group) -> tuple[Expand, Expand | None]:
     ends = end_of_step(mechanism, found, (), False, variable)
     series = [*found.rho, *found.theta]
     every = [*ends, *(x for each in series for x in each)]
-    lines, shown = source_text.float_source(every, beside=True)
+    lines, shown = source_text.float_source(every, conditional=COMPARED)
     bounds = [2 * n, *accumulate((len(each) for each in series), initial=2 * n)][1:]
     tuples = [f"({', '.join(shown[a:b])},)" for a, b in pairwise(bounds)]
     body = [f"{', '.join(f'{name}{j}' for name in ('q', 'qd') for j in range(n))}, = y"]
