@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.errors import InputError
 from robodyn.loops.closing import half_turn
 from robodyn.tables.arrays import Array
 
@@ -47,6 +48,8 @@ class Problem:
         exact: float = EXACT,
         finished: int = FINISHED,
     ) -> None:
+        if not vary:
+            raise InputError("--vary", limit="names no number")
         self.exact, self.finished = exact, finished
         self.states, self.own, self.names = states, own, tuple(vary)
         self.low, self.high = np.array(list(vary.values()), float).T
