@@ -12,7 +12,7 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.files import output_file, rows_argument, rows_file
-from robodyn.cli.fit_table import FitRows, rows_given
+from robodyn.cli.fit_table import FitRows, FitTable
 from robodyn.cli.options import (
     Model,
     OutputStructured,
@@ -90,11 +90,10 @@ class FitOptions:
         """The rows at which columns are met, or become least."""
         wanted = [name for text in self.minimize or () for name in _names(text, "--minimize")]
         chosen = None if self.columns is None else _names(self.columns, "--columns")
-        table = self.match if self.match is not None else states
         given = {"q": self.q, "qd": self.qd, "qdd": self.qdd}
-        matched, moving = self.match is not None, self.simulate
-        of = self.of or ()
-        return rows_given(mechanism, table, matched, wanted, chosen, of, given, moving)
+        matched, of, moving = self.match is not None, self.of or (), self.simulate
+        read = FitTable(mechanism, matched, wanted, chosen, of, given, moving)
+        return read.rows(self.match if matched else states)
 
     def found(self, mechanism: Mechanism, bounds: Bounds, rows: FitRows, tell: Tell) -> Fit:
         """The numbers within their bounds."""

@@ -7,7 +7,7 @@ actuated ones only (the rest is assembled).  An option stands for its columns in
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -24,7 +24,8 @@ from robodyn.tables.csv_fields import shown
 from robodyn.tables.delimited import columns_told
 
 if TYPE_CHECKING:
-    from robodyn.tables.table import Array
+    from robodyn.tables.table import Array, Chunk
+    from robodyn.tables.table_writer import Writer
 
 
 @dataclass(eq=False, repr=False)
@@ -215,41 +216,20 @@ def evaluate(
     given, the first where none is.  Where it `adds` columns, none of the table is replaced, and a
     table without rows is refused, as it is where there is a `summary` in place of the rows.
     """
-    import numpy as np
-
-    units = scene_units(mechanism)
 
     def wanted(header: Sequence[str]) -> list[Quantity]:
         there, joints = set(header), range(mechanism.n)
         given = [x for x in either if x.option is not None or there & set(x.columns(joints))]
         return [*quantities, *(given or either[:1])]
 
-    def results(used: Sequence[Quantity], motion: list[Array], t: Array) -> Array:
-        given = {x.name: vector for x, vector in zip(used, motion, strict=True)}
-        if mechanism.timed:
-            given["t"] = t
-        with np.errstate(all="ignore"):
-            values = compute(**given)
-        if not np.isfinite(values).all():
-            raise overflow()
-        return values
-
-    def results_of(values: Array) -> Array:
-        given, begin = [], 0
-        for source in sources:
-            part = values[:, begin : begin + len(source.columns)]
-            given.append(part if source.columns else np.tile(source.values, (len(values), 1)))
-            begin += len(source.columns)
-        t = values[:, begin] if times else np.zeros(len(values))
-        return results(used, complete(mechanism, sources, given), t)
-
+    units = scene_units(mechanism)
     if options.states is None:
         if options.differentiate:
             raise InputError("--differentiate", limit="needs STATES with t: rows to go through")
         with remarks():
             used = wanted([])
-            state = [x[None] for x in single_state(mechanism, used)]
-            row = results(used, state, np.zeros(1))[0].tolist()
+            sources = [option_source(mechanism, quantity) for quantity in used]
+            row = _Computed(mechanism, sources, compute).at([[]])[0].tolist()
         with options.writer(columns, units=units) as writer:
             writer.write_row(row)
         return
@@ -263,29 +243,62 @@ def evaluate(
         if there is not None:
             limit = "is in the table already; give the point another name, --of NAME=POINT"
             raise InputError(f"column {there}", where=name, limit=limit)
-        used = wanted(reader.names)
-        sources = [table_source(mechanism, x, reader.names, name) for x in used]
-        times = ["t"] if mechanism.timed and "t" in reader.names else []
+        sources = [table_source(mechanism, x, reader.names, name) for x in wanted(reader.names)]
+        timed = mechanism.timed and "t" in reader.names
         if options.differentiate:
-            sources, chunks = found_rates(mechanism, reader, sources, bool(times))
+            sources, chunks = found_rates(mechanism, reader, sources, timed)
         else:
-            taken = [x for source in sources for x in source.columns]
-            chunks = taken_at_rest(reader, sources, reader.chunks([*taken, *times]))
-        rows_to = options.writer(columns, reader.header, units, summary)
-        with remarks(), rows_to as writer:
-            rows = 0
-            for chunk in chunks:
-                rows += len(chunk.lines)
-                try:
-                    writer.write_rows(chunk.lines, results_of(chunk.values))
-                except RobodynError:
-                    # find the row, with those before it written: again, one by one
-                    for k, line in enumerate(chunk.lines):
-                        with at_place(f"{name}: line {chunk.line_numbers[k]}"):
-                            computed = results_of(chunk.values[k : k + 1])
-                        writer.write_rows([line], computed)
-            if (adds or writer.needs_rows) and not rows:
+            taken = [x for source in sources for x in source.columns] + ["t"] * timed
+            chunks = taken_at_rest(reader, sources, reader.chunks(taken))
+        computed = _Computed(mechanism, sources, compute)
+        with remarks(), options.writer(columns, reader.header, units, summary) as writer:
+            if not computed.write(chunks, writer, name) and (adds or writer.needs_rows):
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
+
+
+@dataclass(eq=False, repr=False)
+class _Computed:
+    """What is computed of rows, which hold the columns of the sources, and perhaps t behind."""
+
+    mechanism: Mechanism
+    sources: Sequence[Source]
+    compute: Callable[..., Array]
+
+    def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
+        """The results (T, k) at rows (T, columns)."""
+        import numpy as np
+
+        values, parts, begin = np.asarray(rows, float), [], 0
+        for source in self.sources:
+            end = begin + len(source.columns)
+            own = values[:, begin:end]
+            parts.append(own if source.columns else np.tile(source.values, (len(values), 1)))
+            begin = end
+        motion = complete(self.mechanism, self.sources, parts)
+        given = {x.quantity.name: each for x, each in zip(self.sources, motion, strict=True)}
+        if self.mechanism.timed:
+            timed = values.shape[1] > begin
+            given["t"] = values[:, begin] if timed else np.zeros(len(values))
+        with np.errstate(all="ignore"):
+            found = self.compute(**given)
+        if not np.isfinite(found).all():
+            raise overflow()
+        return found
+
+    def write(self, chunks: Iterable[Chunk], writer: Writer, name: str) -> int:
+        """Write the results behind the rows of a table; how many there are."""
+        rows = 0
+        for chunk in chunks:
+            rows += len(chunk.lines)
+            try:
+                writer.write_rows(chunk.lines, self.at(chunk.values))
+            except RobodynError:
+                # find the row, with those before it written: again, one by one
+                for k, line in enumerate(chunk.lines):
+                    with at_place(f"{name}: line {chunk.line_numbers[k]}"):
+                        computed = self.at(chunk.values[k : k + 1])
+                    writer.write_rows([line], computed)
+        return rows
 
 
 def overflow() -> RobodynError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import MISSING, dataclass
 from typing import Any, Literal
 
@@ -241,7 +242,7 @@ def _axes(scene: SceneValues, given: SweepOptions) -> tuple[Axis, ...]:
         if any(axis.name == name for axis in axes):
             raise InputError("--vary", value=shown(name), limit="is given twice")
         unit = unit_of(name, units) if name in joints else scene.unit(name)
-        axes.append(_axis(name, values.strip(), sample is not None, unit))
+        axes.append(_Values(name, values.strip(), sample is not None, unit).axis())
     clash = scene.clash(axis.name for axis in axes if axis.name in scene)
     if clash is not None:
         raise InputError("--vary", value=" and ".join(clash), limit="are one number of the scene")
@@ -275,51 +276,64 @@ def _count(text: str) -> int | None:
     return int(value.total) if whole and value.total >= 0.0 else None
 
 
-def _axis(name: str, text: str, drawn: bool, unit: str) -> Axis:
-    """One --vary: a list, a grid, or an interval to draw from."""
-    where = f"--vary {name}"
+@dataclass
+class _Values:
+    """The values of one --vary, as they are written: a list, a grid, or what to draw from."""
 
-    def number(part: str) -> float:
-        return value_from(part, unit, where)
+    name: str
+    text: str
+    drawn: bool  # whether they are drawn, for --sample
+    unit: str
 
-    def wrong(limit: str) -> InputError:
-        return InputError(where, value=shown(text), limit=limit)
+    def axis(self) -> Axis:
+        """The axis that they make; InputError, naming --vary, for what is none."""
+        called = re.match(r"(normal|uniform)\b", self.text)
+        drawing = re.fullmatch(r"(normal|uniform)\(([^,()]+),([^,()]+)\)", self.text)
+        if called and not drawing:
+            raise self._wrong(f"needs two numbers: {DRAWN[called[1]]}")
+        if drawing and not self.drawn:
+            raise self._wrong(f"{drawing[1]} is for --sample")
+        if drawing and drawing[1] == "normal":
+            return self._normal(*drawing.groups()[1:])
+        parts = drawing.groups()[1:] if drawing else self.text.split(":")
+        ways: dict[int, Callable[..., Axis]] = {1: self._list, 2: self._between, 3: self._grid}
+        if len(parts) not in ways:
+            raise self._wrong("write first:last:count, first:last:step or a,b,c")
+        return ways[len(parts)](*parts)
 
-    called = re.match(r"(normal|uniform)\b", text)
-    drawing = re.fullmatch(r"(normal|uniform)\(([^,()]+),([^,()]+)\)", text)
-    if called and not drawing:
-        raise wrong(f"needs two numbers: {DRAWN[called[1]]}")
-    if drawing:
-        if not drawn:
-            raise wrong(f"{drawing[1]} is for --sample")
-        if drawing[1] == "uniform":
-            text = f"{drawing[2]}:{drawing[3]}"
-        else:
-            mean, deviation = number(drawing[2]), number(drawing[3])
-            if not deviation > 0.0:
-                raise wrong("the deviation must be > 0")
-            return Axis(name, low=mean, deviation=deviation)
-    parts = text.split(":")
-    if len(parts) == 1:
-        return Axis(name, tuple(number(part) for part in text.split(",")))
-    if len(parts) == 2:
-        low, high = map(number, parts)
-        if not drawn:
-            raise wrong("write first:last:count or first:last:step; low:high is for --sample")
+    def _number(self, part: str) -> float:
+        return value_from(part, self.unit, f"--vary {self.name}")
+
+    def _wrong(self, limit: str) -> InputError:
+        return InputError(f"--vary {self.name}", value=shown(self.text), limit=limit)
+
+    def _normal(self, *parts: str) -> Axis:
+        mean, deviation = map(self._number, parts)
+        if not deviation > 0.0:
+            raise self._wrong("the deviation must be > 0")
+        return Axis(self.name, low=mean, deviation=deviation)
+
+    def _list(self, text: str) -> Axis:
+        return Axis(self.name, tuple(map(self._number, text.split(","))))
+
+    def _between(self, *ends: str) -> Axis:
+        low, high = map(self._number, ends)
+        if not self.drawn:
+            raise self._wrong("write first:last:count or first:last:step; low:high is for --sample")
         if not low < high:
-            raise wrong("the first must be below the second")
-        return Axis(name, low=low, high=high)
-    if len(parts) != 3:
-        raise wrong("write first:last:count, first:last:step or a,b,c")
-    first, last = map(number, parts[:2])
-    if (count := _count(parts[2])) is not None:
-        if not 1 <= count <= MOST_VALUES:
-            raise wrong(f"the count must be in [1, {MOST_VALUES}]")
-        return Axis(name, spaced(first, last, count))
-    step = number(parts[2])
-    if step != 0.0 and abs((last - first) / step) > MOST_VALUES:
-        raise wrong(f"makes more than {MOST_VALUES} values")
-    try:
-        return Axis(name, stepped(first, last, step))
-    except ValueError as error:
-        raise wrong(str(error)) from None
+            raise self._wrong("the first must be below the second")
+        return Axis(self.name, low=low, high=high)
+
+    def _grid(self, begin: str, end: str, third: str) -> Axis:
+        first, last = self._number(begin), self._number(end)
+        if (count := _count(third)) is not None:
+            if not 1 <= count <= MOST_VALUES:
+                raise self._wrong(f"the count must be in [1, {MOST_VALUES}]")
+            return Axis(self.name, spaced(first, last, count))
+        step = self._number(third)
+        if step != 0.0 and abs((last - first) / step) > MOST_VALUES:
+            raise self._wrong(f"makes more than {MOST_VALUES} values")
+        try:
+            return Axis(self.name, stepped(first, last, step))
+        except ValueError as error:
+            raise self._wrong(str(error)) from None

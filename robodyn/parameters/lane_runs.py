@@ -332,15 +332,16 @@ class _Lanes(NamedTuple):
 
     def chosen(self, which: Truth) -> _Lanes:
         """Some of them."""
-        return self._make(x[which] for x in self)
+        chosen: list[Any] = [x[which] for x in self]
+        return _Lanes(*chosen)
 
 
 def _first_steps(y: Array, f: Array) -> Array:
     size = 1.0 + np.abs(y)
     h = 0.01 * np.linalg.norm(y / size, axis=1) / (np.linalg.norm(f / size, axis=1) + 1e-10)
-    return np.maximum(h, 1e-6)
+    return np.asarray(np.maximum(h, 1e-6))
 
 
 def _along(weights: Array, K: Array) -> Array:
     """The sum of weights K, over the first stages."""
-    return np.tensordot(weights, K[: len(weights)], 1)
+    return np.asarray(np.tensordot(weights, K[: len(weights)], 1))
