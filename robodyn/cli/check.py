@@ -218,6 +218,7 @@ def _span(values: np.ndarray) -> list[float | None]:
 
 def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identity]) -> list[Grid]:
     facts = [["gravity", "({:g}, {:g}) m/s²".format(*content["gravity"])]]
+    facts.append(["actuated", ", ".join(content["actuated"]) or "no joint"])
     facts.append(["mobility", str(content["mobility"])])
     for k, coupling in enumerate(mechanism.description.couplings, start=1):
         facts.append([f"coupling {k}", _equation(mechanism, coupling, 6)])
@@ -235,13 +236,9 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
             verdict = [f"{item.residual:.1e}", "holds" if item.holds else "FAILS"]
         proof.append([item.name, *verdict])
     title = f"identities at {content['states']} random states (bound {BOUND:g})"
-    links = [
-        link | {"actuated": "yes" if k in mechanism.actuated else ""}
-        for k, link in enumerate(content["links"])
-    ]
     forces = [_listed(kind, content.get(f"{kind}s", [])) for kind in ("spring", "load")]
     return [
-        _listed("link", links)._replace(title=mechanism.name),
+        _listed("link", content["links"])._replace(title=mechanism.name),
         *(table for table in forces if table.rows),
         Grid(["", ""], facts),
         Grid(["identity", "residual", ""], proof, title),
