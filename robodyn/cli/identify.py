@@ -18,7 +18,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.identification import Identification, predicted
 from robodyn.parameters.identification import identify as identified
 from robodyn.parameters.regression_matrix import balanced_joints
-from robodyn.parameters.scene_numbers import changes, places
+from robodyn.parameters.scene_numbers import changes, numbers
 from robodyn.pictures.column_units import scene_units
 from robodyn.scene.rewrite import write_scene
 
@@ -70,7 +70,7 @@ def identify(
     names = [] if of is None else [x.strip() for x in of.split(",")]
     if "" in names:
         raise InputError("--of", value=of, limit="a name is missing at a comma")
-    linear, values = places(mechanism.description), model.values()
+    linear, values = numbers(mechanism.description), model.values()
     for name in names:
         if name in values and name not in linear:
             torques = ",".join(f"tau{k + 1}" for k in mechanism.actuated)

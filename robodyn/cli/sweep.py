@@ -143,7 +143,7 @@ def sweep(
 
 def _tell_what_matters(plan: Plan, seen: list[Any]) -> None:
     """The numbers that each result of a sample goes with most, by rank correlations."""
-    from robodyn.tables.rank_correlations import correlations
+    from robodyn.tables.summaries import correlations
 
     names = [axis.name for axis in plan.variation.axes]
     for column, row in correlations(plan.columns()[:-1], len(names), seen).items():
@@ -179,8 +179,7 @@ def _go_on(
 
 
 def _correlations(*given: Any, varied: int) -> Writer:
-    from robodyn.tables.rank_correlations import correlations
-    from robodyn.tables.summaries import KeptRows
+    from robodyn.tables.summaries import KeptRows, correlations
 
     def told(header: Sequence[str], rows: Any, _: Any) -> tuple[Sequence[str], Any]:
         found = correlations(header, varied, [rows])

@@ -18,8 +18,7 @@ from robodyn.kinematics.named_points import named_points
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly import assemble
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.notebook.inline import opened
-from robodyn.notebook.own_settings import named_as_arguments, own_settings
+from robodyn.notebook.inline import named_as_arguments, opened, own_settings
 from robodyn.pictures.animation_files import (
     check_animation,
     check_programs,

@@ -14,7 +14,7 @@ from robodyn.cli.simulate_options import ControlOptions
 from robodyn.cli.sweep_options import Kind, SweepOptions, plan_of
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.notebook.own_settings import named_as_arguments
+from robodyn.notebook.inline import named_as_arguments
 from robodyn.scene.scene import Written
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_tree import Scalar

@@ -1,7 +1,7 @@
 """Numbers of a scene such that columns follow a table, or have a least sum of squares.
 
 Residual vectors and their exact derivatives go from many starts, as lanes, through Levenberg and
-Marquardt's method (`lane_least_squares.py`); the best are finished by scipy's `least_squares`.
+Marquardt's method (`fit_problem.py`); the best are finished by scipy's `least_squares`.
 Where loops do not close, ten times what is missing is among the residuals (positions alone; rates
 have no values there, and such steps are refused), and results that do not close are thrown away.
 """
@@ -21,8 +21,7 @@ from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.base_parameters import EXCITED, dependence
 from robodyn.parameters.column_formulas import ColumnFormulas
-from robodyn.parameters.fit_problem import Problem, Search, finished
-from robodyn.parameters.lane_least_squares import lane_least_squares
+from robodyn.parameters.fit_problem import Problem, Search, finished, lane_least_squares
 from robodyn.parameters.lane_states import LaneStates, Rows
 from robodyn.scene.scene_values import SceneValues
 from robodyn.tables.arrays import Array

@@ -201,7 +201,7 @@ def _base(mechanism: Mechanism, data: _Data, physical: bool) -> Identification:
     solve()
     made = scene_numbers.from_parameters(scene, data.names, data.now + change)
     if physical and scene_numbers.checked(made)[1]:
-        sought = _Numbers(data, scene, list(scene_numbers.all_places(scene).values()))
+        sought = _Numbers(data, scene, list(scene_numbers.own_numbers(scene).values()))
         made = sought.described(sought.bounded(sought.before, hold=True))
         change = scene_numbers.values_of(made) - data.now
     errors, condition = data.errors(data.R[:, columns], change)
@@ -223,7 +223,8 @@ def _base(mechanism: Mechanism, data: _Data, physical: bool) -> Identification:
 def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool) -> Identification:
     """Numbers of the scene."""
     scene = mechanism.description
-    where = [scene_numbers.place_of(scene, name) for name in of]
+    numbers = [scene_numbers.number_called(scene, name) for name in of]
+    where = [number.place for number in numbers]
     if len(set(where)) < len(of):
         raise InputError(", ".join(of), limit="name one number twice")
     data.enough(len(of))
@@ -232,7 +233,7 @@ def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool)
     found = dependence(data.R @ slopes / np.where(usual > 0.0, usual, 1.0), of, EXCITED)
     if not found.kept:
         raise _nothing(mechanism, of)
-    sought = _Numbers(data, scene, [where[k] for k in found.kept])
+    sought = _Numbers(data, scene, [numbers[k] for k in found.kept])
     x = sought.before
     for _ in range(2):
         x = sought.free(x)
@@ -243,7 +244,7 @@ def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool)
     change = sought.change(x)
     errors, condition = data.errors(data.R @ sought.slopes(x), change)
     estimates = tuple(
-        Estimate(of[k], value, error, before, scene_numbers.unit_of(scene, where[k]))
+        Estimate(of[k], value, error, before, numbers[k].unit)
         for k, value, error, before in zip(
             found.kept, x.tolist(), errors.tolist(), sought.before.tolist(), strict=True
         )
@@ -256,11 +257,11 @@ class _Numbers:
     """Numbers x at places of a scene, and what fits the data best."""
 
     def __init__(
-        self, data: _Data, scene: Description, where: Sequence[scene_numbers.Place]
+        self, data: _Data, scene: Description, numbers: Sequence[scene_numbers.Number]
     ) -> None:
-        self.data, self.scene, self.where = data, scene, where
-        self.before = np.array([scene_numbers.number_at(scene, x) for x in where])
-        self.least = np.array([scene_numbers.least_of(scene, x) for x in where])
+        self.data, self.scene, self.where = data, scene, [x.place for x in numbers]
+        self.before = np.array([scene_numbers.number_at(scene, x) for x in self.where])
+        self.least = np.array([x.least for x in numbers])
 
     def described(self, x: Array) -> Description:
         """The scene with them."""

@@ -7,8 +7,8 @@ description: names and indices that lead to it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,71 +17,77 @@ from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import InputError
 from robodyn.parameters.linear_parameters import linear_parameters, with_formulas
-from robodyn.scene.scene import Description, Spring
+from robodyn.scene.scene import Description, JointSpring, Spring
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
 
 Place = tuple[str | int, ...]
 
-POSITIVE = ("m", "I")  # of a body; all others but r are not negative
 ROUNDED = 1e-12  # that numbers without noise are off by
 LEAST = 1e-9  # of a mass or an inertia, beside the scene's largest, that counts as positive
 
 
-def places(description: Description) -> dict[str, Place]:
+class Number(NamedTuple):
+    """A number of a scene: where it stands, its unit, and the least that a body can have there.
+
+    Those that are `alone` make up pi: they are fitted where no names are given.
+    """
+
+    place: Place
+    unit: str
+    least: float = 0.0
+    alone: bool = True
+
+
+def numbers(description: Description) -> dict[str, Number]:
     """All of them by name."""
-    return dict(_places(description))
-
-
-def _places(description: Description) -> Iterator[tuple[str, Place]]:
+    found: dict[str, Number] = {}
+    most = {key: max(getattr(x, key) for x in description.links) or 1.0 for key in ("m", "I")}
     for k, link in enumerate(description.links):
+        at: Place = ("links", k)
+        force, damping = ("N", "N s/m") if link.slides else ("N m", "N m s/rad")
+        own = {
+            "m": Number((*at, "m"), "kg", LEAST * most["m"]),
+            "I": Number((*at, "I"), "kg m²", LEAST * most["I"]),
+            "payload": Number((*at, "payload"), "kg", alone=False),
+            "damping": Number((*at, "damping"), damping),
+            "r": Number((*at, "r", "real"), "m", -np.inf, alone=False),
+            "r[0]": Number((*at, "r", "real"), "m", -np.inf),
+            "r[1]": Number((*at, "r", "imag"), "m", -np.inf),
+        }
+        if link.friction is not None:
+            key = "friction.force" if link.slides else "friction.torque"
+            own[key] = Number((*at, "friction", "torque"), force)
+        if hasattr(link.friction, "static"):
+            own["friction.static"] = Number((*at, "friction", "static"), force)
+        if link.motor is not None:
+            own["motor.inertia"] = Number((*at, "motor", "inertia"), "kg m²")
+            own["motor.damping"] = Number((*at, "motor", "damping"), "N m s/rad", alone=False)
         for prefix in (f"links.{link.name}", f"links[{k}]"):
-            at: Place = ("links", k)
-            for key in ("m", "I", "payload", "damping"):
-                yield f"{prefix}.{key}", (*at, key)
-            yield f"{prefix}.r", (*at, "r", "real")
-            yield f"{prefix}.r[0]", (*at, "r", "real")
-            yield f"{prefix}.r[1]", (*at, "r", "imag")
-            if link.friction is not None:
-                key = "force" if link.slides else "torque"
-                yield f"{prefix}.friction.{key}", (*at, "friction", "torque")
-                if hasattr(link.friction, "static"):
-                    yield f"{prefix}.friction.static", (*at, "friction", "static")
-            if link.motor is not None:
-                yield f"{prefix}.motor.inertia", (*at, "motor", "inertia")
-                yield f"{prefix}.motor.damping", (*at, "motor", "damping")
+            found |= {f"{prefix}.{key}": number for key, number in own.items()}
     for i, spring in enumerate(description.springs):
+        turns = not isinstance(spring, Spring)
+        where, metre = ("springs", i), "m"
+        if isinstance(spring, JointSpring) and not description.links[spring.joint].slides:
+            metre = "rad"
+        force = "N m" if metre == "rad" else "N"
         if spring.law is None:
-            yield f"springs[{i}].stiffness", ("springs", i, "stiffness")
-        if spring.damping or (spring.law is None and not isinstance(spring, Spring)):
-            yield f"springs[{i}].damping", ("springs", i, "damping")
+            found[f"springs[{i}].stiffness"] = Number((*where, "stiffness"), f"{force}/{metre}")
+        if spring.damping or (spring.law is None and turns):
+            damper = Number((*where, "damping"), f"{force} s/{metre}", alone=not turns)
+            found[f"springs[{i}].damping"] = damper
+    return found
 
 
-def place_of(description: Description, name: str) -> Place:
-    """The place of the number of this name; InputError for one that torques do not tell."""
-    known = places(description)
+def number_called(description: Description, name: str) -> Number:
+    """The number of this name; InputError for one that torques do not tell."""
+    known = numbers(description)
     if name not in known:
         named = [x for x in known if not x.startswith("links[")]
         limit = "is no mass, moment, damping, friction or stiffness of the scene"
         raise InputError(name, where=description.source, limit=limit + nearest(name, named))
     return known[name]
-
-
-def unit_of(description: Description, place: Place) -> str:
-    """The unit of the number there."""
-    key, units = place[-1], {x.name: x.unit for x in linear_parameters(description)}
-    if key in ("real", "imag"):
-        return "m"
-    i = int(place[1]) + 1
-    if place[0] == "springs":
-        letter = "k" if key == "stiffness" else "ds"
-        return units.get(f"{letter}{i}", "N m s/rad")
-    if place[-2:] == ("motor", "damping"):
-        return "N m s/rad"
-    names = {"I": "J", "payload": "m", "inertia": "Jr", "damping": "d"}
-    names |= dict.fromkeys(("torque", "static"), "f")
-    return units[f"{names.get(str(key), str(key))}{i}"]
 
 
 def number_at(value: Any, place: Place) -> float:
@@ -127,27 +133,10 @@ def slopes(description: Description, where: Sequence[Place]) -> Array:
     return np.array(found, float).reshape(len(pi), len(where))
 
 
-def least_of(description: Description, place: Place) -> float:
-    """The least that a body can have there: more than nothing of mass and inertia."""
-    if place[-1] in ("real", "imag"):
-        return -np.inf
-    if place[-1] not in POSITIVE or len(place) > 3:
-        return 0.0
-    most = max(number_at(link, place[2:]) for link in description.links)
-    return LEAST * (most or 1.0)
-
-
-def all_places(description: Description) -> dict[str, Place]:
+def own_numbers(description: Description) -> dict[str, Number]:
     """Those that make up pi, each once: what is fitted where no names are given."""
-    found: dict[Place, str] = {}
-    for name, place in _places(description):
-        doubled = place[-1] == "payload" or place[-2:] == ("motor", "damping")
-        turned = place[0] == "springs" and place[-1] == "damping"
-        if turned and not isinstance(description.springs[int(place[1])], Spring):
-            doubled = True
-        if not doubled and not name.startswith("links[") and not name.endswith(".r"):
-            found.setdefault(place, name)
-    return {name: place for place, name in found.items()}
+    known = numbers(description).items()
+    return {name: x for name, x in known if x.alone and not name.startswith("links[")}
 
 
 def from_parameters(description: Description, names: Sequence[str], pi: Array) -> Description:
@@ -189,7 +178,7 @@ def from_parameters(description: Description, names: Sequence[str], pi: Array) -
 def checked(description: Description) -> tuple[Description, tuple[str, ...]]:
     """The description without what rounding made negative; why it is no scene, if it is none."""
     faults = []
-    for name, place in all_places(description).items():
+    for name, (place, *_) in own_numbers(description).items():
         number = number_at(description, place)
         if place[-1] in ("real", "imag") or number >= 0.0:
             continue
@@ -205,7 +194,7 @@ def changes(
 ) -> dict[str, float | Sequence[float]]:
     """What must be written in the file, whose numbers are `known`, to make `after` of `before`."""
     found: dict[str, float | Sequence[float]] = {}
-    for name, place in _places(before):
+    for name, (place, *_) in numbers(before).items():
         if name.startswith("links[") or name.endswith("]"):
             continue
         number = number_at(after, place)
