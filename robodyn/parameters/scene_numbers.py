@@ -16,7 +16,7 @@ from robodyn.engines.expression import Graph
 from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import InputError
-from robodyn.parameters.linear_parameters import linear_parameters, with_formulas
+from robodyn.parameters.linear_parameters import INERTIAL, linear_parameters, with_formulas
 from robodyn.scene.scene import Description, JointSpring, Spring
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
@@ -31,13 +31,15 @@ LEAST = 1e-9  # of a mass or an inertia, beside the scene's largest, that counts
 class Number(NamedTuple):
     """A number of a scene: where it stands, its unit, and the least that a body can have there.
 
-    Those that are `alone` make up pi: they are fitted where no names are given.
+    Those that are `alone` make up pi: they are fitted where no names are given.  One that adds to
+    a `parameter`, as it is, names that.
     """
 
     place: Place
     unit: str
     least: float = 0.0
     alone: bool = True
+    parameter: str = ""
 
 
 def numbers(description: Description) -> dict[str, Number]:
@@ -46,23 +48,26 @@ def numbers(description: Description) -> dict[str, Number]:
     most = {key: max(getattr(x, key) for x in description.links) or 1.0 for key in ("m", "I")}
     for k, link in enumerate(description.links):
         at: Place = ("links", k)
+        i = k + 1
         force, damping = ("N", "N s/m") if link.slides else ("N m", "N m s/rad")
         own = {
             "m": Number((*at, "m"), "kg", LEAST * most["m"]),
             "I": Number((*at, "I"), "kg m²", LEAST * most["I"]),
             "payload": Number((*at, "payload"), "kg", alone=False),
-            "damping": Number((*at, "damping"), damping),
+            "damping": Number((*at, "damping"), damping, parameter=f"d{i}"),
             "r": Number((*at, "r", "real"), "m", -np.inf, alone=False),
             "r[0]": Number((*at, "r", "real"), "m", -np.inf),
             "r[1]": Number((*at, "r", "imag"), "m", -np.inf),
         }
         if link.friction is not None:
             key = "friction.force" if link.slides else "friction.torque"
-            own[key] = Number((*at, "friction", "torque"), force)
+            own[key] = Number((*at, "friction", "torque"), force, parameter=f"f{i}")
         if hasattr(link.friction, "static"):
-            own["friction.static"] = Number((*at, "friction", "static"), force)
+            static = (*at, "friction", "static")
+            own["friction.static"] = Number(static, force, parameter=f"fs{i}")
         if link.motor is not None:
-            own["motor.inertia"] = Number((*at, "motor", "inertia"), "kg m²")
+            rotor = (*at, "motor", "inertia")
+            own["motor.inertia"] = Number(rotor, "kg m²", parameter=f"Jr{i}")
             own["motor.damping"] = Number((*at, "motor", "damping"), "N m s/rad", alone=False)
         for prefix in (f"links.{link.name}", f"links[{k}]"):
             found |= {f"{prefix}.{key}": number for key, number in own.items()}
@@ -73,9 +78,12 @@ def numbers(description: Description) -> dict[str, Number]:
             metre = "rad"
         force = "N m" if metre == "rad" else "N"
         if spring.law is None:
-            found[f"springs[{i}].stiffness"] = Number((*where, "stiffness"), f"{force}/{metre}")
+            pull = (*where, "stiffness")
+            name = f"springs[{i}].stiffness"
+            found[name] = Number(pull, f"{force}/{metre}", parameter=f"k{i + 1}")
         if spring.damping or (spring.law is None and turns):
-            damper = Number((*where, "damping"), f"{force} s/{metre}", alone=not turns)
+            unit, name = f"{force} s/{metre}", "" if turns else f"ds{i + 1}"
+            damper = Number((*where, "damping"), unit, alone=not turns, parameter=name)
             found[f"springs[{i}].damping"] = damper
     return found
 
@@ -147,31 +155,18 @@ def from_parameters(description: Description, names: Sequence[str], pi: Array) -
     now = dict(zip(names, pi.tolist(), strict=True))
     before = {x.name: x.value for x in linear_parameters(description)}
     made = description
-    for k, link in enumerate(description.links):
-        i = k + 1
-        m = now[f"m{i}"] - link.payload
-        first = complex(now[f"mx{i}"], now[f"my{i}"]) - link.l * link.payload
-        r = first / m if m else link.r
-        changed = {
-            "m": m,
-            "r": r,
-            "I": now[f"J{i}"] - link.payload * link.l**2 - m * abs(r) ** 2,
-            "damping": link.damping + now[f"d{i}"] - before[f"d{i}"],
-        }
-        same = all(now[f"{x}{i}"] == before[f"{x}{i}"] for x in ("m", "mx", "my", "J"))
-        if same:
-            changed = {"damping": changed["damping"]}
-        if link.friction is not None:
-            changed["friction"] = link.friction._replace(torque=now[f"f{i}"])
-            if f"fs{i}" in now:
-                changed["friction"] = changed["friction"]._replace(static=now[f"fs{i}"])
-        if link.motor is not None:
-            changed["motor"] = link.motor._replace(inertia=now[f"Jr{i}"])
-        made = replaced(made, ("links", k), link._replace(**changed))
-    for i, spring in enumerate(description.springs, start=1):
-        keys = (("stiffness", f"k{i}"), ("damping", f"ds{i}"))
-        changed = {key: now[name] for key, name in keys if name in now}
-        made = replaced(made, ("springs", i - 1), spring._replace(**changed))
+    for number in own_numbers(description).values():
+        if (name := number.parameter) in now:
+            value = number_at(description, number.place) + (now[name] - before[name])
+            made = replaced(made, number.place, value)
+    for k, link in enumerate(made.links):
+        parts = [f"{x}{k + 1}" for x in INERTIAL]
+        if any(now[name] != before[name] for name in parts):
+            mass, x, y, J = (now[name] for name in parts)
+            m = mass - link.payload
+            r = (complex(x, y) - link.l * link.payload) / m if m else link.r
+            inertia = J - link.payload * link.l**2 - m * abs(r) ** 2
+            made = replaced(made, ("links", k), link._replace(m=m, r=r, I=inertia))
     return made
 
 
