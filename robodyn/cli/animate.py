@@ -9,13 +9,13 @@ import numpy as np
 
 from robodyn.cli.figures import check_directory, parse_size
 from robodyn.cli.files import output_file, rows_argument
-from robodyn.cli.options import HoldingTau, Model, Q, Size, Text, named_options, option
+from robodyn.cli.options import HoldingTau, Model, Q, Size, Text, option
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
 from robodyn.dynamics.placed import placed
-from robodyn.errors import InputError, at_place
+from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.animation_files import check_animation, check_programs, write_animation
 from robodyn.pictures.column_units import scene_units

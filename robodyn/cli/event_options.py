@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -30,7 +29,11 @@ class EventOptions:
 
     def watch(self, mechanism: Mechanism, t_end: float) -> EventWatch | None:
         """What watches the run; InputError naming the option that is none."""
-        given = named_events(mechanism, self.event or [])
+        given: dict[str, str] = {}
+        if self.event:
+            from robodyn.events.functions import named_events
+
+            given = named_events(mechanism, self.event, UNTIL)
         try:
             watch = watched_events(mechanism, given, self.until, t_end)
         except InputError as error:
@@ -44,27 +47,3 @@ class EventOptions:
 
             watch = EventWatch([], t_end)
         return watch
-
-
-def named_events(mechanism: Mechanism, texts: Iterable[str]) -> dict[str, str]:
-    """The expressions of NAME=EXPR by their names; InputError naming the option that is none."""
-    given: dict[str, str] = {}
-    for text in texts:
-        name, sign, expression = (part.strip() for part in text.partition("="))
-        if not (sign and name and expression) or expression.startswith("="):
-            limit = "must be NAME=EXPR, such as apex=qd1 or high='q1 > 90deg'"
-            raise InputError("--event", value=text, limit=limit)
-        if name in given or name == UNTIL:
-            limit = "each event needs a name of its own"
-            raise InputError("--event", value=name, limit=limit)
-        given[name] = expression
-    if not given:
-        return given
-    from robodyn.events.functions import event_functions
-
-    try:
-        event_functions(mechanism, given)
-    except InputError as error:
-        error.where = f"--{error.where}" if error.where else "--event"
-        raise
-    return given

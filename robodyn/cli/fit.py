@@ -21,7 +21,6 @@ from robodyn.cli.options import (
     Qdd,
     Quiet,
     Text,
-    named_options,
     option,
     switch,
 )
@@ -29,7 +28,7 @@ from robodyn.cli.output import Grid, in_told_units, note, row_writer, write_stru
 from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.states import remarks
-from robodyn.errors import InputError
+from robodyn.errors import InputError, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.quantities import parse_quantity

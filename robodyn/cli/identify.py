@@ -10,10 +10,10 @@ import numpy as np
 
 from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.motion_files import MotionFile, read_motion
-from robodyn.cli.options import Model, Number, OutputStructured, Text, named_options, option, switch
+from robodyn.cli.options import Model, Number, OutputStructured, Text, option, switch
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.states import remarks
-from robodyn.errors import InputError, RobodynError, at_place
+from robodyn.errors import InputError, RobodynError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.identification import Identification, predicted
 from robodyn.parameters.identification import identify as identified

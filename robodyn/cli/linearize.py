@@ -16,13 +16,12 @@ from robodyn.cli.options import (
     Out,
     OutputStructured,
     Text,
-    named_options,
     option,
     switch,
 )
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import StateOptions, remarks, single_state
-from robodyn.errors import InputError
+from robodyn.errors import InputError, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.rest.linear_model import LinearModel

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from typer import Option
 
 from robodyn.cli.files import model_argument, output_file, rows_argument
-from robodyn.errors import DescriptionError, InputError, RobodynError
+from robodyn.errors import DescriptionError, InputError
 from robodyn.scene.quantities import is_plain
 from robodyn.tables.csv_fields import shown
 
@@ -165,18 +163,3 @@ Degrees = Annotated[bool, Option("--degrees", help=_DEGREES)]
 _SIZE = "Of the picture, inches, such as 8x5."
 Size = Annotated[Text, Option("--size", metavar="WxH", help=_SIZE)]
 Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
-
-
-@contextmanager
-def named_options(names: Iterable[str], **others: str) -> Iterator[None]:
-    """An argument of the numerics that is refused is named as its option.
-
-    `max_qd` among the `names` is --max-qd; `others` have another name there than here.
-    """
-    try:
-        yield
-    except RobodynError as error:
-        name = others.get(error.what, error.what)
-        if name in names or error.what in others:
-            error.what = "--" + name.replace("_", "-")
-        raise

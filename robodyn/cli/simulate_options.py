@@ -12,31 +12,29 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 import numpy as np
 
 from robodyn.cli.files import input_file, model_file, rows_file
-from robodyn.cli.options import EACH, Number, Text, named_options, option, switch
+from robodyn.cli.options import EACH, Number, Text, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_file, read_columns
 from robodyn.cli.states import (
     Quantity,
     Source,
     complete,
-    joint_values,
     option_source,
     remarks,
 )
-from robodyn.cli.times import value_from
-from robodyn.errors import InputError, at_place
+from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
-from robodyn.pictures.column_units import scene_units
-from robodyn.scene.quantities import parse_vector
+from robodyn.pictures.column_units import joint_values, scene_units
+from robodyn.scene.quantities import parse_vector, value_from
+from robodyn.simulation.even_times import DEFAULT_DURATION
 from robodyn.simulation.settings import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
 
 if TYPE_CHECKING:
     from robodyn.control.state_feedback import StateFeedback
     from robodyn.control.tracking import ReferenceTable
 
-DEFAULT_DURATION = 10.0  # s
 Law = Literal["pd", "pd+g", "computed-torque", "pid", "state-feedback"]
 
 _TAU = "Torques of the actuated joints, N m: numbers, or expressions in t, q1.., qd1.."

@@ -18,9 +18,7 @@ from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.loop_rows import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units, unit_of
-from robodyn.scene.quantities import parse_vector
-from robodyn.tables.csv_fields import shown
+from robodyn.pictures.column_units import scene_units, vector_of_joints
 from robodyn.tables.delimited import columns_told
 
 if TYPE_CHECKING:
@@ -90,37 +88,9 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
             limit += ", or a CSV of states (- for stdin)" if quantity.tabled else ""
             raise InputError(f"--{quantity.name}", limit=limit)
         return Source(quantity, [0.0] * len(mechanism.actuated), [], False)
-    n, actuated = mechanism.n, len(mechanism.actuated)
-    flag = f"--{quantity.name}"
     kind = quantity.name if quantity.name in ("qd", "qdd", "tau") else "q"
-    values = joint_values(mechanism, quantity.option, kind, flag)
-    if len(values) not in (n, actuated):
-        wanted = f"{n} values, one a joint ({', '.join(mechanism.link_names)})"
-        if 0 < actuated < n:
-            names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
-            wanted += f", or {actuated}, one an actuated joint ({names})"
-        count = "1 value" if len(values) == 1 else f"{len(values)} values"
-        shown_values = f"{shown(quantity.option)} ({count})"
-        raise InputError(flag, value=shown_values, limit=f"needs {wanted}")
-    return Source(quantity, values, [], len(values) == n)
-
-
-def joint_values(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[float]:
-    """An option's q, qd, qdd or tau of all joints, the actuated ones or the first of these."""
-
-    def units(count: int) -> list[str]:
-        joints = [*range(mechanism.n)] if count == mechanism.n else [*mechanism.actuated]
-        known = scene_units(mechanism)
-        each = [unit_of(f"{kind}{k + 1}", known) for k in joints]
-        return [*each, *[""] * count][:count]
-
-    try:
-        return parse_vector(text, where=flag, unit=units)
-    except InputError as error:
-        if mechanism.slides:
-            sliding = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.slides)
-            error.limit = f"{error.limit}; {sliding} slides"
-        raise
+    values = vector_of_joints(mechanism, quantity.option, kind, f"--{quantity.name}")
+    return Source(quantity, values, [], len(values) == mechanism.n)
 
 
 def table_source(

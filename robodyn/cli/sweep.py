@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from robodyn.cli.files import named, output_file
-from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, named_options, option, switch
+from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, option, switch
 from robodyn.cli.output import RowOptions, note, told
 from robodyn.cli.progress import progress
 from robodyn.cli.simulate_options import ControlOptions
 from robodyn.cli.sweep_options import SweepOptions, plan_of
-from robodyn.errors import InputError
+from robodyn.errors import InputError, named_options
 from robodyn.pictures.column_units import scene_units
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.sweep_chunks import Rows

@@ -14,12 +14,13 @@ from robodyn.cli.options import Model, Text, option
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
-from robodyn.cli.times import Points, output_times, value_from
+from robodyn.cli.times import Points, output_times
 from robodyn.cli.trajectory_options import TrajectoryOptions, refuse
 from robodyn.dynamics.switching import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
+from robodyn.scene.quantities import value_from
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.trajectories import time_scaling
 from robodyn.trajectories.continuation import Watch

@@ -11,15 +11,14 @@ from typing import Annotated, Literal
 import numpy as np
 
 from robodyn.cli.files import rows_file
-from robodyn.cli.options import EACH, Number, Text, named_options, option
+from robodyn.cli.options import EACH, Number, Text, option
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.states import Quantity, joint_values, option_source, table_source
-from robodyn.cli.times import value_from
-from robodyn.errors import InputError
+from robodyn.cli.states import Quantity, option_source, table_source
+from robodyn.errors import InputError, named_options
 from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units
-from robodyn.scene.quantities import parse_vector
+from robodyn.pictures.column_units import joint_values, scene_units
+from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Sweep

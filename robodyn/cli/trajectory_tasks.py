@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.times import value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, refuse
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.kinematics.named_points import named_point
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
+from robodyn.scene.quantities import value_from
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import FURTHEST, Watch
 from robodyn.trajectories.inverse_kinematics import along_branch
