@@ -14,14 +14,11 @@ from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
-from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.animation_files import check_animation, check_programs, write_animation
+from robodyn.pictures.animation_files import Animation, check_animation, check_programs
 from robodyn.pictures.column_units import scene_units
-from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames
-from robodyn.pictures.outlines import at
 from robodyn.tables.table import Reader
 
 SHOWN = 2.0  # s that a mode is watched at least
@@ -77,11 +74,8 @@ def animate(
             shown_frames = _read(mechanism, states, fps, speed)
         else:
             shown_frames = _of_mode(mechanism, mode or 0, q, tau, fps, speed)
-    drawn = drawing(mechanism, shown_frames.q)
-    X = placed(mechanism, shown_frames.fine).X
-    traces = [at(each.point, X) for each in traced]
     watched = partial(progress, "drawing", silent=0.0)
-    write_animation(drawn, shown_frames, speed, traces, extent, out, watched)
+    Animation.of(mechanism, shown_frames, speed, traced, extent).write(out, watched)
 
 
 def _of_mode(
