@@ -87,12 +87,7 @@ class FitOptions:
 
     def rows(self, mechanism: Mechanism, states: str | None) -> FitRows:
         """The rows at which columns are met, or become least."""
-        wanted = [name for text in self.minimize or () for name in _names(text, "--minimize")]
-        chosen = None if self.columns is None else _names(self.columns, "--columns")
-        given = {"q": self.q, "qd": self.qd, "qdd": self.qdd}
-        matched, of, moving = self.match is not None, self.of or (), self.simulate
-        read = FitTable(mechanism, matched, wanted, chosen, of, given, moving)
-        return read.rows(self.match if matched else states)
+        return FitTable(mechanism, self).rows(states if self.match is None else self.match)
 
     def found(self, mechanism: Mechanism, bounds: Bounds, rows: FitRows, tell: Tell) -> Fit:
         """The numbers within their bounds."""
@@ -204,13 +199,6 @@ def _bounds(mechanism: Mechanism, values: SceneValues, vary: Sequence[str]) -> B
             raise InputError("--vary", value=shown(text), limit=str(error)) from None
         if not found[name][0] < found[name][1]:
             raise InputError("--vary", value=shown(text), limit="needs LOW < HIGH")
-    return found
-
-
-def _names(text: str, where: str) -> list[str]:
-    found = [name.strip() for name in text.split(",")]
-    if not all(found) or len(set(found)) < len(found):
-        raise InputError(where, value=shown(text), limit="needs names of columns, each once: A,B")
     return found
 
 

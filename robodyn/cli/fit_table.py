@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,9 +15,11 @@ from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.tables.arrays import Array
+from robodyn.tables.csv_fields import shown
 from robodyn.tables.delimited import columns_told
 
 if TYPE_CHECKING:
+    from robodyn.cli.fit import FitOptions
     from robodyn.parameters.column_formulas import ColumnFormulas
 
 KINDS = ("q", "qd", "qdd")
@@ -43,26 +45,20 @@ class FitRows(NamedTuple):
 class FitTable:
     """Reads the rows of a fit: states of the actuated joints, and, to `match`, what is to be met.
 
-    The columns are those `wanted`; to `match` the `chosen` ones, or all that can be fitted.  Of
-    motions (`moving`) q and qd begin it, by `options` or by the first row.
+    Columns are those to minimize; to match the ones that are named, or all that can be fitted.  Of
+    motions (`moving`) q and qd begin it, by options or by the first row.
     """
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        match: bool,
-        wanted: list[str],
-        chosen: list[str] | None,
-        of: Sequence[str],
-        options: Mapping[str, str | None],
-        moving: bool,
-    ) -> None:
+    def __init__(self, mechanism: Mechanism, options: FitOptions) -> None:
         from robodyn.parameters.column_formulas import ColumnFormulas
 
-        self.mechanism, self.match, self.columns, self.chosen = mechanism, match, wanted, chosen
-        self.options, self.moving = options, moving
-        self.formulas = ColumnFormulas(mechanism, [], of)
-        free = moving and len(mechanism.passive) > len(mechanism.rows)
+        self.mechanism, self.moving = mechanism, options.simulate
+        self.match, named = options.match is not None, options.columns
+        self.columns = [x for text in options.minimize or () for x in _names(text, "--minimize")]
+        self.chosen = None if named is None else _names(named, "--columns")
+        self.options = {kind: getattr(options, kind) for kind in KINDS}
+        self.formulas = ColumnFormulas(mechanism, [], options.of or ())
+        free = self.moving and len(mechanism.passive) > len(mechanism.rows)
         joints = range(mechanism.n) if free else mechanism.actuated  # that a motion begins with
         self.driven = {kind: [f"{kind}{k + 1}" for k in joints] for kind in KINDS}
         self.states: dict[str, list[str]] = {}  # the columns of states that the table has
@@ -91,8 +87,8 @@ class FitTable:
         at_rest = not self.moving and np.ptp(t) and given == {"q"}
         if at_rest and _moves(self.formulas, self.columns):
             tell_at_rest(name, ("qd", "qdd"))
-        T, count = len(values), len(self.columns)
-        target = taken(self.columns) if self.match else np.zeros((T, count))
+        count = len(self.columns)
+        target = taken(self.columns) if self.match else np.zeros((len(values), count))
         shown = [x for x in names if x not in self.columns or not self.match or x == "t"]
         known = taken(shown)
         if table is None:
@@ -147,6 +143,13 @@ class FitTable:
         if left:
             note(f"{name}: {', '.join(left)}: not fitted, as these are no columns of a state")
         return found
+
+
+def _names(text: str, where: str) -> list[str]:
+    found = [name.strip() for name in text.split(",")]
+    if not all(found) or len(set(found)) < len(found):
+        raise InputError(where, value=shown(text), limit="needs names of columns, each once: A,B")
+    return found
 
 
 def _missing(what: str, header: Sequence[str], column: str, name: str) -> InputError:

@@ -102,7 +102,7 @@ def fit(
     own = np.array([wanted.numbers[name] for name in vary])
     alone = wanted.alone(formulas.inputs[: -len(vary)])
     problem = Problem(states, own, vary, to, turning, wanted.equal, alone)
-    return solved(mechanism, wanted.values, problem, columns, subject_to, starts, seed, tell)
+    return solved(wanted, problem, starts, seed, tell)
 
 
 class Wanted:
@@ -120,7 +120,9 @@ class Wanted:
         of: Sequence[str],
         subject_to: Sequence[str],
     ) -> None:
-        self.values, self.names = checked(mechanism, vary), [*columns, *subject_to]
+        self.mechanism, self.values = mechanism, checked(mechanism, vary)
+        self.columns, self.subject_to = tuple(columns), tuple(subject_to)
+        self.names = [*columns, *subject_to]
         self.formulas = ColumnFormulas(mechanism, list(vary), of)
         nodes = [self.formulas.column(name) for name in columns]
         self.numbers = {name: self.values.number(name) for name in (*self.values.names, *vary)}
@@ -184,16 +186,10 @@ def _rows(mechanism: Mechanism, q: ArrayLike, *others: ArrayLike | None) -> Rows
 
 
 def solved(
-    mechanism: Mechanism,
-    values: SceneValues,
-    problem: Problem,
-    columns: Sequence[str],
-    subject_to: Sequence[str],
-    starts: int,
-    seed: int,
-    tell: Callable[[float], object],
+    wanted: Wanted, problem: Problem, starts: int, seed: int, tell: Callable[[float], object]
 ) -> Fit:
     """The best of a problem from many starts."""
+    mechanism, values, subject_to = wanted.mechanism, wanted.values, wanted.subject_to
     if starts < 1:
         raise InputError("--starts", value=starts, limit="must be >= 1")
     if seed < 0:
@@ -251,7 +247,7 @@ def solved(
         mechanism=build(values.replaced({x: y for x, y in found.items() if x in values})),
         numbers=found,
         before=dict(zip(problem.names, problem.own.tolist(), strict=True)),
-        columns=tuple(columns),
+        columns=wanted.columns,
         residuals=left,
         rms=np.sqrt(np.mean(left**2, axis=0)),
         rms_before=np.where(

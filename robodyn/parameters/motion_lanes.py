@@ -78,7 +78,7 @@ def fit_motion(
     problem = Problem(
         motions, motions.own, vary, to, turning, wanted.equal, alone, TOLERANCE, finished=1
     )
-    return solved(mechanism, wanted.values, problem, columns, subject_to, starts, seed, tell)
+    return solved(wanted, problem, starts, seed, tell)
 
 
 class _Begin:
