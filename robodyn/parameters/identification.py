@@ -75,6 +75,10 @@ class Identification(NamedTuple):
     faults: tuple[str, ...]  # why that is no scene, if it is none
 
 
+# estimates, what is kept, the condition, the change of pi, and the scene with it
+_Found = tuple[tuple[Estimate, ...], tuple[str, ...], float, Array, Description]
+
+
 def identify(
     mechanism: Mechanism,
     q: ArrayLike,
@@ -104,7 +108,12 @@ def identify(
     torques = np.zeros((len(given), len(joints)))
     torques[:, [joints.index(k) for k in mechanism.actuated]] = given
     data = _Data(mechanism, states, torques, np.broadcast_to(np.asarray(t, float), len(torques)))
-    return _named(mechanism, data, of, physical) if of else _base(mechanism, data, physical)
+    found = _named(mechanism, data, of, physical) if of else _base(mechanism, data, physical)
+    estimates, kept, condition, change, made = found
+    made, faults = scene_numbers.checked(made)
+    left, pi = data.left(change), data.now + change
+    rows, usual = data.rows, data.rms_torque
+    return Identification(estimates, kept, condition, rows, left, usual, made, pi, faults)
 
 
 def predicted(
@@ -182,7 +191,7 @@ def _nothing(mechanism: Mechanism, names: Sequence[str]) -> InputError:
     return InputError("no excitation", where=mechanism.source, limit=limit)
 
 
-def _base(mechanism: Mechanism, data: _Data, physical: bool) -> Identification:
+def _base(mechanism: Mechanism, data: _Data, physical: bool) -> _Found:
     """Base parameters: of what others make, and of what the motion does not tell, nothing moves."""
     kept, scene = structural(mechanism).kept, mechanism.description
     data.enough(len(kept))
@@ -207,20 +216,16 @@ def _base(mechanism: Mechanism, data: _Data, physical: bool) -> Identification:
     errors, condition = data.errors(data.R[:, columns], change)
     structure, base = structural(mechanism), base_parameters(mechanism)
     combined = change[kept] + structure.beta @ change[structure.dropped]
+    told, moved = [base[k] for k in found.kept], combined[found.kept].tolist()
     estimates = tuple(
-        Estimate(x.text, x.value + moved, error, x.value, x.unit)
-        for x, moved, error in zip(
-            (base[k] for k in found.kept),
-            combined[found.kept].tolist(),
-            errors.tolist(),
-            strict=True,
-        )
+        Estimate(x.text, x.value + more, error, x.value, x.unit)
+        for x, more, error in zip(told, moved, errors.tolist(), strict=True)
     )
     untold = tuple(base[k].text for k in found.dropped)
-    return _result(data, estimates, untold, condition, change, made)
+    return estimates, untold, condition, change, made
 
 
-def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool) -> Identification:
+def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool) -> _Found:
     """Numbers of the scene."""
     scene = mechanism.description
     numbers = [scene_numbers.number_called(scene, name) for name in of]
@@ -250,7 +255,7 @@ def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool)
         )
     )
     untold = tuple(of[k] for k in found.dropped)
-    return _result(data, estimates, untold, condition, change, sought.described(x))
+    return estimates, untold, condition, change, sought.described(x)
 
 
 class _Numbers:
@@ -313,25 +318,3 @@ class _Numbers:
             gtol=TIGHT,
         )
         return np.where(found.active_mask < 0, least, found.x)
-
-
-def _result(
-    data: _Data,
-    estimates: tuple[Estimate, ...],
-    kept: tuple[str, ...],
-    condition: float,
-    change: Array,
-    described: Description,
-) -> Identification:
-    described, faults = scene_numbers.checked(described)
-    return Identification(
-        estimates,
-        kept,
-        condition,
-        data.rows,
-        data.left(change),
-        data.rms_torque,
-        described,
-        data.now + change,
-        faults,
-    )
