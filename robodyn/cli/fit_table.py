@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from robodyn.cli.found_rates import tell_at_rest
+from robodyn.cli.motion_files import tell_at_rest
 from robodyn.cli.output import note
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source

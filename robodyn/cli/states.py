@@ -204,7 +204,7 @@ def evaluate(
             writer.write_row(row)
         return
 
-    from robodyn.cli.found_rates import found_rates, taken_at_rest
+    from robodyn.cli.motion_files import found_rates, taken_at_rest
     from robodyn.tables.table import Reader
 
     with open_input(options.states) as (stream, name):
