@@ -11,14 +11,23 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import numpy as np
 
-from robodyn.cli.event_options import EventOptions
 from robodyn.cli.files import output_file
-from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Extremes, Format, Model, Number, Quiet, Text, option
+from robodyn.cli.options import (
+    Extremes,
+    Force,
+    Format,
+    Model,
+    Number,
+    Quiet,
+    Text,
+    load_with,
+    option,
+)
 from robodyn.cli.output import default_format, extremes_writer, maker, note, told
 from robodyn.cli.signals import watching
 from robodyn.cli.simulate_options import (
     ControlOptions,
+    EventOptions,
     RunOptions,
     TorqueOptions,
     named,

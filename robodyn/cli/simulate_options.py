@@ -1,4 +1,4 @@
-"""The options of `robodyn simulate`: where torque comes from, and how to integrate."""
+"""The options of `robodyn simulate`: where torque comes from, how to integrate, what to watch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
 
-from robodyn.cli.files import input_file, model_file, rows_file
+from robodyn.cli.files import input_file, model_file, output_file, rows_file
 from robodyn.cli.options import EACH, Number, Text, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_file, read_columns
@@ -30,10 +30,12 @@ from robodyn.pictures.column_units import joint_values, scene_units
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.simulation.even_times import DEFAULT_DURATION
 from robodyn.simulation.settings import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
+from robodyn.simulation.simulation import UNTIL, watched_events
 
 if TYPE_CHECKING:
     from robodyn.control.state_feedback import StateFeedback
     from robodyn.control.tracking import ReferenceTable
+    from robodyn.events.watch import EventWatch
 
 Law = Literal["pd", "pd+g", "computed-torque", "pid", "state-feedback"]
 
@@ -126,6 +128,41 @@ class RunOptions:
         with named():
             settings.check()
         return settings
+
+
+_UNTIL = "Ends the run when this becomes true, as q1 > 90deg, or passes zero."
+EVENT = "Tells when EXPR passes zero, or becomes true; may be repeated."
+_EVENTS = "Writes event,t,q1..,qd1.. of each event as CSV."
+
+
+@dataclass(eq=False, repr=False)
+class EventOptions:
+    """What to look for on the way."""
+
+    until: Text = option(_UNTIL, "EXPR")
+    event: list[str] | None = option(EVENT, "NAME=EXPR")
+    events: Annotated[Text, output_file("--events", help=_EVENTS)] = None
+
+    def watch(self, mechanism: Mechanism, t_end: float) -> EventWatch | None:
+        """What watches the run; InputError naming the option that is none."""
+        given: dict[str, str] = {}
+        if self.event:
+            from robodyn.events.functions import named_events
+
+            given = named_events(mechanism, self.event, UNTIL)
+        try:
+            watch = watched_events(mechanism, given, self.until, t_end)
+        except InputError as error:
+            if error.where:
+                error.where = f"--{error.where}"
+            raise
+        if watch is None and self.events is not None:
+            if not mechanism.switches:
+                raise InputError("--events", limit="there are none: give --event or --until")
+            from robodyn.events.watch import EventWatch
+
+            watch = EventWatch([], t_end)
+        return watch
 
 
 _GROUPS = (TorqueOptions, ControlOptions, RunOptions)

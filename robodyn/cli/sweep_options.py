@@ -6,9 +6,9 @@ import re
 from dataclasses import MISSING, dataclass
 from functools import partial
 
-from robodyn.cli.event_options import EVENT
 from robodyn.cli.options import Model, Number, Text, option
 from robodyn.cli.simulate_options import (
+    EVENT,
     ControlOptions,
     check_no_control,
     controlled,

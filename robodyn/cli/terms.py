@@ -128,17 +128,14 @@ def _derivatives(
 def _table(mechanism: Mechanism, name: str, unit: str, value: np.ndarray) -> Grid:
     """A term with its unit, or with those of each joint where some slide."""
     other = {**SLIDING, "m": "1"}.get(unit) if name in OF_JOINTS else None
-    title, told = (
-        name.replace("_", " "),
-        in_told_units({name: value.tolist()}, scene_units(mechanism)),
-    )
-    ((name, rows),) = told.items()
+    title, units = name.replace("_", " "), scene_units(mechanism)
+    ((name, rows),) = in_told_units({name: value.tolist()}, units).items()
     unit = DEGREES[unit] if name.endswith(IN_DEGREES) else unit
     matrix = np.atleast_2d(rows).tolist()
     columns = [str(k + 1) for k in range(len(matrix[0]))]
     if mechanism.slides and other is not None:
-        units = [other if k in mechanism.slides else unit for k in range(mechanism.n)]
-        columns = [f"{column} [{own}]" for column, own in zip(columns, units, strict=True)]
+        own = [other if k in mechanism.slides else unit for k in range(mechanism.n)]
+        columns = [f"{column} [{x}]" for column, x in zip(columns, own, strict=True)]
         return Grid(columns, matrix, title)
     if mechanism.slides and name in MIXED:
         one, both = MIXED[name]

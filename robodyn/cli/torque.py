@@ -6,8 +6,7 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 
-from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model, Number, Qdd, option, switch
+from robodyn.cli.options import Force, Model, Number, Qdd, load_with, option, switch
 from robodyn.cli.states import Quantity, TableOptions, evaluate, option_source, overflow
 from robodyn.engines.formulas import MAX_GENERATED
 from robodyn.errors import InputError
