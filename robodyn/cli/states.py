@@ -6,6 +6,7 @@ actuated ones only (the rest is assembled).  An option stands for its columns in
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -59,6 +60,13 @@ class TableOptions(StateOptions, RowOptions):
 
     states: States = None
     differentiate: Differentiate = False
+
+    def write_one(self, mechanism: Mechanism, columns: Sequence[str], row: Sequence[float]) -> None:
+        """Write the one row of a state by options, if all of it is finite."""
+        if not all(map(math.isfinite, row)):
+            raise overflow()
+        with self.writer(columns, units=scene_units(mechanism)) as writer:
+            writer.write_row(row)
 
 
 @dataclass(eq=False, repr=False)
@@ -192,7 +200,6 @@ def evaluate(
         given = [x for x in either if x.option is not None or there & set(x.columns(joints))]
         return [*quantities, *(given or either[:1])]
 
-    units = scene_units(mechanism)
     if options.states is None:
         if options.differentiate:
             raise InputError("--differentiate", limit="needs STATES with t: rows to go through")
@@ -200,13 +207,13 @@ def evaluate(
             used = wanted([])
             sources = [option_source(mechanism, quantity) for quantity in used]
             row = _Computed(mechanism, sources, compute).at([[]])[0].tolist()
-        with options.writer(columns, units=units) as writer:
-            writer.write_row(row)
+        options.write_one(mechanism, columns, row)
         return
 
     from robodyn.cli.motion_files import found_rates, taken_at_rest
     from robodyn.tables.table import Reader
 
+    units = scene_units(mechanism)
     with open_input(options.states) as (stream, name):
         reader = Reader(stream, name, units)
         there = next((x for x in columns if adds and x in reader.header), None)
