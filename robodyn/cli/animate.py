@@ -9,7 +9,7 @@ import numpy as np
 
 from robodyn.cli.figures import check_directory, parse_size
 from robodyn.cli.files import output_file, rows_argument
-from robodyn.cli.options import HoldingTau, Model, Q, Size, Text, option
+from robodyn.cli.options import HoldingTau, Model, Q, Size, Text, option, refuse
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import open_input
@@ -59,9 +59,8 @@ def animate(
     with named_options(["out", "fps", "speed"]):
         check_animation(out, fps, speed)
     extent = parse_size(size)
-    for flag, value in (("--q", q), ("--tau", tau)):
-        if value is not None and mode is None:
-            raise InputError(flag, value=value, limit="is of a natural mode: give --mode K")
+    if mode is None:
+        refuse("is of a natural mode: give --mode K", q=q, tau=tau)
     if (states is None) == (mode is None):
         limit = "give rows, or --mode K and --q" + (", not both" if states else "")
         raise InputError("CSV", value=states, limit=limit)

@@ -22,6 +22,7 @@ from robodyn.cli.options import (
     Quiet,
     Text,
     option,
+    refuse,
     switch,
 )
 from robodyn.cli.output import Grid, in_told_units, note, row_writer, write_structure
@@ -78,12 +79,12 @@ class FitOptions:
         if self.match is not None and states is not None:
             limit = "is for --minimize; --match has rows itself"
             raise InputError("STATES", value=states, limit=limit)
-        if self.columns is not None and self.match is None:
-            raise InputError("--columns", limit="is for --match")
+        if self.match is None:
+            refuse("is for --match", columns=self.columns)
         if self.simulate and self.match is None and states is None:
             raise InputError("--simulate", limit="needs --match or STATES, for its times")
-        if self.tau is not None and not self.simulate:
-            raise InputError("--tau", limit="is for --simulate")
+        if not self.simulate:
+            refuse("is for --simulate", tau=self.tau)
 
     def rows(self, mechanism: Mechanism, states: str | None) -> FitRows:
         """The rows at which columns are met, or become least."""

@@ -42,6 +42,15 @@ def switch(help: str) -> Any:
     return option(help, default=False)
 
 
+def refuse(limit: str, **given: object) -> None:
+    """InputError, which says why, for an option that is given: max_qd is --max-qd."""
+    for name, value in given.items():
+        if value is not None:
+            flag = "--" + name.strip("_").replace("_", "-")
+            told = ", ".join(value) if isinstance(value, list) else value
+            raise InputError(flag, value=shown(str(told)), limit=limit)
+
+
 @dataclass(eq=False, repr=False)
 class Model:
     """The scene that a command is about."""

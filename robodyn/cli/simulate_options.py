@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 import numpy as np
 
 from robodyn.cli.files import input_file, model_file, output_file, rows_file
-from robodyn.cli.options import EACH, Number, Text, option, switch
+from robodyn.cli.options import EACH, Number, Text, option, refuse, switch
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_file, read_columns
 from robodyn.cli.states import (
@@ -83,9 +83,8 @@ def given_of(options: object, *names: str) -> list[str]:
 
 def check_no_control(options: ControlOptions, *but: str) -> None:
     """Raise InputError for an option of a controller where there is none."""
-    names = [field.name for field in fields(options) if field.name not in but]
-    for flag in given_of(options, *names):
-        raise InputError(flag, limit=f"needs --control: one of {', '.join(get_args(Law))}")
+    given = {x.name: getattr(options, x.name) for x in fields(options) if x.name not in but}
+    refuse(f"needs --control: one of {', '.join(get_args(Law))}", **given)
 
 
 _STEP = "No step is longer, s. Default: none."
@@ -212,8 +211,7 @@ def controlled(
     assert law is not None
     tracks, feeds = ["track", "hold"], ["gain", "at"]
     aims, others = (feeds[:1], tracks) if law == "state-feedback" else (tracks, feeds)
-    for flag in given_of(options, *others):
-        raise InputError(flag, limit=f"is not for --control {law}")
+    refuse(f"is not for --control {law}", **{name: getattr(options, name) for name in others})
     given = given_of(options, *aims)
     if len(given) > 1:
         raise InputError(" and ".join(given), limit="exclude each other")

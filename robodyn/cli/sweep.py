@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from robodyn.cli.files import named, output_file
-from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, option, switch
+from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, option, refuse, switch
 from robodyn.cli.output import RowOptions, note, told
 from robodyn.cli.progress import progress
 from robodyn.cli.simulate_options import ControlOptions
@@ -49,8 +49,8 @@ class WorkOptions:
             raise InputError("--workers", value=self.workers, limit="must be >= 1")
         if self.workers is not None and self.scheduler is not None:
             raise InputError("--workers and --scheduler", limit="exclude each other")
-        if self.patience is not None and self.scheduler is None:
-            raise InputError("--patience", value=self.patience, limit="is for --scheduler")
+        if self.scheduler is None:
+            refuse("is for --scheduler", patience=self.patience)
         if self.patience is not None and not self.patience >= 0.0:
             raise InputError("--patience", value=self.patience, limit="must be >= 0, s")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.cli.options import Model, Out, OutputStructured, Qdd, Tau, option, switch
+from robodyn.cli.options import Model, Out, OutputStructured, Qdd, Tau, option, refuse, switch
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import StateOptions, overflow, remarks, single_state
 from robodyn.dynamics import closed_form
@@ -49,10 +49,8 @@ def terms(
       robodyn terms 2r --q 30deg,45deg --qd 1,0.5 --tau 3,1 --derivatives
     """
     mechanism = model.load()
-    for name, given in (("--by", by), ("--qdd", qdd), ("--tau", tau)):
-        if given is not None and not derivatives:
-            value = given if isinstance(given, str) else ", ".join(given)
-            raise InputError(name, value=value, limit="is for --derivatives: give that too")
+    if not derivatives:
+        refuse("is for --derivatives: give that too", by=by, qdd=qdd, tau=tau)
     if mechanism.switches:
         note("Note: dry friction and ends of joints are left out of D, G and Q")
     q_, qd_ = single_state(mechanism, state.quantities())

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from robodyn.cli.files import rows_file
-from robodyn.cli.options import EACH, Number, Text, option
+from robodyn.cli.options import EACH, Number, Text, option, refuse
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source, table_source
 from robodyn.errors import InputError, named_options
@@ -127,7 +127,7 @@ def points_from(mechanism: Mechanism, given: TrajectoryOptions) -> Points:
         joints = _joints(mechanism, len(names) - timed == mechanism.n)
         rows[:, joints] = values[:, : len(joints)]
         if timed:
-            refuse(f"the times (t) in {source}", **ends)
+            refuse(f"does not go with the times (t) in {source}", **ends)
             times = values[:, -1]
     first, last = (
         np.zeros((0, mechanism.n)) if text is None else given_angles(mechanism, text, name)[None]
@@ -207,13 +207,6 @@ def turning_from(
     if duration is None or math.isnan(duration):
         raise InputError("--speed", limit="needs --turns, or --time in seconds")
     return ConstantSpeed(start, rate * duration), duration
-
-
-def refuse(what: str, **options: object) -> None:
-    for name, value in options.items():
-        if value is not None:
-            flag = "--" + name.replace("_", "-")
-            raise InputError(flag, limit=f"does not go with {what}")
 
 
 @contextmanager
