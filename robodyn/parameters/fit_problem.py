@@ -17,6 +17,7 @@ step to where residuals are not finite is refused like one that gains nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,24 +185,10 @@ def finished(
                 seen[key] = r[0], np.ascontiguousarray(J[0][:, free])
             return seen[key]
 
-        def residuals(x: Array) -> Array:
-            return there(x)[0]
-
-        def slopes(x: Array) -> Array:
-            return there(x)[1]
-
+        how: dict[str, Any] = {"jac": lambda x: there(x)[1], "bounds": (0.0, 1.0), "x_scale": "jac"}
+        how |= dict.fromkeys(("ftol", "xtol", "gtol"), problem.exact)
         try:
-            done = least_squares(
-                residuals,
-                at[free],
-                jac=slopes,
-                bounds=(0.0, 1.0),
-                x_scale="jac",
-                ftol=problem.exact,
-                xtol=problem.exact,
-                gtol=problem.exact,
-                max_nfev=100,
-            )
+            done = least_squares(lambda x: there(x)[0], at[free], max_nfev=100, **how)
         except ValueError:  # it begins a little within the bounds, where there may be no values
             return start, np.array([cost])
         if done.cost < cost:

@@ -15,8 +15,8 @@ noise of each joint's torque.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,7 +32,7 @@ from robodyn.parameters.base_parameters import (
     structural,
 )
 from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import balanced_joints, regressor
+from robodyn.parameters.regression_matrix import Regressor, balanced_joints, regressor
 from robodyn.scene.scene import Description
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
@@ -120,12 +120,13 @@ def predicted(
     mechanism: Mechanism, found: Identification, states: Sequence[Array], t: Array
 ) -> Array:
     """The torques (T, a) that the parameters found give along q, qd, qdd (T, n)."""
-    blocks = []
+    return np.concatenate([Y.Y @ found.pi + Y.known for Y in _regressors(mechanism, states, t)])
+
+
+def _regressors(mechanism: Mechanism, states: Sequence[Array], t: Array) -> Iterator[Regressor]:
+    """The regressors of blocks of the states."""
     for begin in range(0, len(t), BLOCK):
-        q, qd, qdd, now = (x[begin : begin + BLOCK] for x in (*states, t))
-        Y = regressor(mechanism, q, qd, qdd, now)
-        blocks.append(Y.Y @ found.pi + Y.known)
-    return np.concatenate(blocks)
+        yield regressor(mechanism, *(x[begin : begin + BLOCK] for x in (*states, t)))
 
 
 class _Data:
@@ -139,10 +140,9 @@ class _Data:
         self.now = np.array([x.value for x in parameters])
         p = len(parameters)
         triangles: list[Array] = [np.zeros((0, p + 1))] * self.joints
-        for begin in range(0, len(tau), BLOCK):
-            q, qd, qdd, now = (x[begin : begin + BLOCK] for x in (*states, t))
-            found = regressor(mechanism, q, qd, qdd, now)
-            left = tau[begin : begin + BLOCK] - found.Y @ self.now - found.known
+        for block, found in enumerate(_regressors(mechanism, states, t)):
+            measured = tau[block * BLOCK : (block + 1) * BLOCK]
+            left = measured - found.Y @ self.now - found.known
             for i, triangle in enumerate(triangles):
                 rows = np.column_stack([found.Y[:, i], left[:, i]])
                 triangle = np.linalg.qr(np.concatenate([triangle, rows]), mode="r")  # type: ignore
@@ -307,14 +307,7 @@ class _Numbers:
         def slopes(x: Array) -> Array:
             return np.concatenate([self.data.R @ self.slopes(x), np.diag(weight)])
 
-        found = least_squares(
-            left,
-            np.maximum(x, least),
-            slopes,
-            bounds=(least, np.inf),
-            x_scale="jac",
-            ftol=TIGHT,
-            xtol=TIGHT,
-            gtol=TIGHT,
-        )
+        tight: Any = dict.fromkeys(("ftol", "xtol", "gtol"), TIGHT)
+        begin, bounds = np.maximum(x, least), (least, np.inf)
+        found = least_squares(left, begin, slopes, bounds=bounds, x_scale="jac", **tight)
         return np.where(found.active_mask < 0, least, found.x)
