@@ -185,10 +185,13 @@ def finished(
                 seen[key] = r[0], np.ascontiguousarray(J[0][:, free])
             return seen[key]
 
+        def residuals(x: Array) -> Array:
+            return there(x)[0]
+
         how: dict[str, Any] = {"jac": lambda x: there(x)[1], "bounds": (0.0, 1.0), "x_scale": "jac"}
         how |= dict.fromkeys(("ftol", "xtol", "gtol"), problem.exact)
         try:
-            done = least_squares(lambda x: there(x)[0], at[free], max_nfev=100, **how)
+            done = least_squares(residuals, at[free], max_nfev=100, **how)
         except ValueError:  # it begins a little within the bounds, where there may be no values
             return start, np.array([cost])
         if done.cost < cost:
