@@ -103,16 +103,14 @@ def identify(
         note(f"Note: the data do not tell, and the scene's stay: {', '.join(found.kept)}")
     if residuals is not None:
         _write_residuals(mechanism, found, motion, residuals)
-    content = {
+    content: dict[str, object] = {
         "rows": found.rows,
         "condition": found.condition,
         "parameters": [x._asdict() for x in found.estimates],
         "kept": list(found.kept),
-        "rms": {f"tau{k}": x for k, x in zip(joints, found.rms.tolist(), strict=True)},
-        "rms_torque": {
-            f"tau{k}": x for k, x in zip(joints, found.rms_torque.tolist(), strict=True)
-        },
     }
+    for name, left in (("rms", found.rms), ("rms_torque", found.rms_torque)):
+        content[name] = dict(zip((f"tau{k}" for k in joints), left.tolist(), strict=True))
     if fitted is not None:
         _write_scene(mechanism, model, found, fitted)
     if "-" in (fitted, residuals):  # which took the place of the results
