@@ -233,13 +233,13 @@ def evaluate(
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
 
 
-@dataclass(eq=False, repr=False)
 class _Computed:
     """What is computed of rows, which hold the columns of the sources, and perhaps t behind."""
 
-    mechanism: Mechanism
-    sources: Sequence[Source]
-    compute: Callable[..., Array]
+    def __init__(
+        self, mechanism: Mechanism, sources: Sequence[Source], compute: Callable[..., Array]
+    ) -> None:
+        self.mechanism, self.sources, self.compute = mechanism, sources, compute
 
     def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
         """The results (T, k) at rows (T, columns)."""
