@@ -6,7 +6,7 @@ numerics raise them; only the command line turns them into text and an exit code
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -50,6 +50,21 @@ def at_place(place: str, *of: str) -> Iterator[None]:
     except RobodynError as error:
         if not of or error.what.startswith(of):
             error.add_place(place)
+        raise
+
+
+@contextmanager
+def named_options(names: Collection[str], **others: str) -> Iterator[None]:
+    """An argument of the numerics that is refused is named as its option.
+
+    `max_qd` among the `names` is --max-qd; `others` have another name there than here.
+    """
+    try:
+        yield
+    except RobodynError as error:
+        name = others.get(error.what, error.what)
+        if name in names or error.what in others:
+            error.what = "--" + name.replace("_", "-")
         raise
 
 

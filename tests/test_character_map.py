@@ -158,3 +158,12 @@ def test_names_cannot_command_the_terminal() -> None:
     content = value_map(("a\x1b[2J", "b", "c\x07"), t, t, np.zeros(3), ("w\x1b]0;",))
     text = "\n".join(map_lines(content, 60, 12))
     assert text.replace("\n", "").isprintable()
+
+
+def test_a_joint_that_slides_has_no_ticks_of_angles() -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid([0.0, 1.0], [0.0, 4.0]))
+    content = value_map(("q1", "q2", "c"), x, y, x + y)
+    assert any("π/2 ┤" in line for line in map_lines(content, 60, 24))
+    lines = map_lines(content._replace(units={"q2": "m"}), 60, 24)
+    assert "q2 [m]" in lines[0]
+    assert not any("π" in line for line in lines)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, RP_ARM, TWO_LINK, Outcome
+from terminals import on_terminal
 
 import oracles
 
@@ -237,6 +238,12 @@ def test_the_table(robodyn: Run) -> None:
         assert word in given
     assert "FAILS" not in given
     assert "\x1b" not in given
+
+
+def test_the_table_fits_a_terminal() -> None:
+    lines = on_terminal("check", "robots/2r.yaml").splitlines()
+    assert max(len(re.sub(r"\x1b\[[0-9;]*m", "", line)) for line in lines) <= 80
+    assert any(re.fullmatch(r" *actuated +upper arm, forearm", line) for line in lines)
 
 
 def test_the_table_shows_payload_and_damping_where_there_are_any(robodyn: Run) -> None:

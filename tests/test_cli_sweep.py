@@ -134,7 +134,7 @@ def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     def plan(**options: object) -> sweep_plan.Plan:
         return small(**{**options, "chunk": 100})  # type: ignore[arg-type]
 
-    monkeypatch.setattr("robodyn.cli.sweep_options.Plan", plan)
+    monkeypatch.setattr("robodyn.sweeps.sweep_request.Plan", plan)
 
 
 @pytest.mark.usefixtures("_small_chunks")

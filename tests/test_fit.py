@@ -485,7 +485,7 @@ def test_numbers_of_a_motion() -> None:
 
 def test_derivatives_of_motions_are_differences(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a mass, a length and a start value, of angles and points, central differences of runs."""
-    monkeypatch.setattr(motion_lanes, "solved", lambda mech, values, problem, *rest: problem)
+    monkeypatch.setattr(motion_lanes, "solved", lambda wanted, problem, *rest: problem)
     vary = {"links.coupler.m": (0.5, 2.0), "links.rocker.l": (0.7, 0.9), "qd1": (0.0, 6.0)}
     columns, t = ["q1", "qd3", "P_x", "P_vy"], np.linspace(0.0, 0.5, 6)
     problem = robodyn.fit_motion(
@@ -503,7 +503,7 @@ def test_derivatives_of_motions_are_differences(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize("machine", [True, False])
 def test_starts_advance_as_lanes(machine: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """All starts in one sweep of lanes, which are the runs of each alone."""
-    monkeypatch.setattr(motion_lanes, "solved", lambda mech, values, problem, *rest: problem)
+    monkeypatch.setattr(motion_lanes, "solved", lambda wanted, problem, *rest: problem)
     if not machine:
         monkeypatch.setattr(lane_runs.Rows, "compile", lambda self: None)
         monkeypatch.setattr(motion_lanes, "FEW", 1)

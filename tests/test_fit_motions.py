@@ -32,7 +32,7 @@ actuated: [crank]
 @pytest.fixture
 def problem(monkeypatch: pytest.MonkeyPatch):
     """The problem of a fit, none of whose runs are taken alone."""
-    monkeypatch.setattr(motion_lanes, "solved", lambda mech, values, problem, *rest: problem)
+    monkeypatch.setattr(motion_lanes, "solved", lambda wanted, problem, *rest: problem)
     monkeypatch.setattr(motion_lanes, "simulate", None)
     monkeypatch.setattr(motion_lanes, "FEW", 1)
     return robodyn.fit_motion

@@ -29,7 +29,7 @@ ARM = "robots/2r.yaml"
 def other(mech: Mechanism, seed: int = 0) -> Mechanism:
     """The mechanism with masses, centres, inertias, dampers and springs changed by up to 20 %."""
     rng, scene = np.random.default_rng(seed), mech.description
-    for name, place in scene_numbers.all_places(scene).items():
+    for name, (place, *_) in scene_numbers.own_numbers(scene).items():
         number = scene_numbers.number_at(scene, place) * (1.0 + rng.uniform(-0.2, 0.2))
         if name.startswith("links") and name.endswith("damping"):
             number += 0.05
@@ -69,7 +69,7 @@ def test_named_numbers_are_found_without_noise() -> None:
     mech = rd.load(ARM)
     names = ["links.forearm.m", "links.forearm.r", "links.forearm.I", "links.upper arm.damping"]
     wanted = [1.3, 0.31, 0.05, 0.4]
-    where = [scene_numbers.place_of(mech.description, name) for name in names]
+    where = [scene_numbers.number_called(mech.description, name).place for name in names]
     true = build(scene_numbers.with_numbers(mech.description, where, np.array(wanted)))
     states = random_states(mech, 60, seed=3)
     found = identify(mech, *states, torques(true, states), of=names)
@@ -107,7 +107,7 @@ def test_standard_errors_cover_the_truth_as_often_as_they_say() -> None:
     true, states = other(mech), random_states(mech, 150, seed=4)
     plain, expected = torques(true, states), values(true)
     names = ["links.forearm.m", "links.forearm.r"]
-    where = [scene_numbers.place_of(mech.description, name) for name in names]
+    where = [scene_numbers.number_called(mech.description, name).place for name in names]
     half = scene_numbers.with_numbers(mech.description, where, np.array([1.1, 0.22]))
     half_torques = torques(build(half), states)
     inside: list[bool] = []
@@ -144,7 +144,7 @@ def test_named_numbers_are_physical_too() -> None:
     states = [x[:12] for x in random_states(mech, 40, seed=5)]
     true = scene_numbers.with_numbers(
         mech.description,
-        [scene_numbers.place_of(mech.description, "links.forearm.damping")],
+        [scene_numbers.number_called(mech.description, "links.forearm.damping").place],
         np.array([-0.5]),  # as no scene has it
     )
     tau, names = torques(build(true), states), ["links.forearm.damping", "links.forearm.m"]

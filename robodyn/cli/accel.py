@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model, Tau
+from robodyn.cli.options import Force, Model, Tau, load_with
 from robodyn.cli.states import TableOptions, evaluate, loop_columns
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.loops.loop_rates import check_way_on

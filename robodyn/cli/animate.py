@@ -9,19 +9,16 @@ import numpy as np
 
 from robodyn.cli.figures import check_directory, parse_size
 from robodyn.cli.files import output_file, rows_argument
-from robodyn.cli.options import HoldingTau, Model, Q, Size, Text, named_options, option
+from robodyn.cli.options import HoldingTau, Model, Q, Size, Text, option, refuse
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
-from robodyn.dynamics.placed import placed
-from robodyn.errors import InputError, at_place
+from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.animation_files import check_animation, check_programs, write_animation
+from robodyn.pictures.animation_files import Animation, check_animation, check_programs
 from robodyn.pictures.column_units import scene_units
-from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames
-from robodyn.pictures.outlines import at
 from robodyn.tables.table import Reader
 
 SHOWN = 2.0  # s that a mode is watched at least
@@ -62,9 +59,8 @@ def animate(
     with named_options(["out", "fps", "speed"]):
         check_animation(out, fps, speed)
     extent = parse_size(size)
-    for flag, value in (("--q", q), ("--tau", tau)):
-        if value is not None and mode is None:
-            raise InputError(flag, value=value, limit="is of a natural mode: give --mode K")
+    if mode is None:
+        refuse("is of a natural mode: give --mode K", q=q, tau=tau)
     if (states is None) == (mode is None):
         limit = "give rows, or --mode K and --q" + (", not both" if states else "")
         raise InputError("CSV", value=states, limit=limit)
@@ -77,11 +73,8 @@ def animate(
             shown_frames = _read(mechanism, states, fps, speed)
         else:
             shown_frames = _of_mode(mechanism, mode or 0, q, tau, fps, speed)
-    drawn = drawing(mechanism, shown_frames.q)
-    X = placed(mechanism, shown_frames.fine).X
-    traces = [at(each.point, X) for each in traced]
     watched = partial(progress, "drawing", silent=0.0)
-    write_animation(drawn, shown_frames, speed, traces, extent, out, watched)
+    Animation.of(mechanism, shown_frames, speed, traced, extent).write(out, watched)
 
 
 def _of_mode(

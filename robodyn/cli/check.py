@@ -106,37 +106,32 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
 def _link(mechanism: Mechanism, k: int) -> dict[str, Any]:
     """A link, key by key."""
     link = mechanism.description.links[k]
-    axis: dict[str, Any] = {}
-    if link.axis is not None:
-        axis = {"joint": JOINTS[1], "axis": [link.axis.real, link.axis.imag]}
-    return {
-        "name": link.name,
-        **axis,
-        "m": link.m,
-        "l": link.l,
-        "r": [link.r.real, link.r.imag],
-        "I": link.I,
-        "from": _place(mechanism, link.hangs_from),
-        "payload": link.payload,
-        "damping": link.damping,
-        **in_told_units(
-            {x: _as_written(getattr(link, x), link.slides) for x in ("friction", "limits")},
-            TURNING if link.slides else OF_JOINTS,
-        ),
-        **(
-            {}
-            if link.motor is None
-            else in_told_units({"motor": _as_written(link.motor)}, OF_JOINTS)
-        ),
-    }
+    found = _as_written(mechanism, link, link.slides)
+    first = {"name": found.pop("name")}
+    if link.slides:
+        first |= {"joint": JOINTS[1], "axis": found.pop("axis")}
+    units = TURNING if link.slides else OF_JOINTS
+    inner = {x: found.pop(x, None) for x in ("friction", "limits")}
+    motor = {"motor": found.pop("motor")} if link.motor is not None else {}
+    return {**first, **found, **in_told_units(inner, units), **in_told_units(motor, OF_JOINTS)}
 
 
-def _as_written(item: Any, slides: bool = False) -> dict[str, Any] | None:
-    """What a joint has, key by key, as its scene writes it."""
-    if item is None:
-        return None
-    keys = {"low": "min", "high": "max"} | ({"torque": "force"} if slides else {})
-    return {keys.get(name, name): x for name, x in item._asdict().items() if x is not None}
+def _as_written(mechanism: Mechanism, item: Any, slides: bool = False) -> dict[str, Any]:
+    """What a link or its joint has, key by key, as its scene writes it."""
+    keys = {"low": "min", "high": "max", "hangs_from": "from"}
+    keys |= {"torque": "force"} if slides else {}
+    found: dict[str, Any] = {}
+    for name, x in item._asdict().items():
+        match x:
+            case Point():
+                x = _place(mechanism, x)
+            case complex():
+                x = [x.real, x.imag]
+            case tuple():
+                x = _as_written(mechanism, x, slides)
+        if x is not None:
+            found[keys.get(name, name)] = x
+    return found
 
 
 def _shown(number: float, signal: Signal | None) -> Any:
@@ -218,6 +213,7 @@ def _span(values: np.ndarray) -> list[float | None]:
 
 def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identity]) -> list[Grid]:
     facts = [["gravity", "({:g}, {:g}) m/s²".format(*content["gravity"])]]
+    facts.append(["actuated", ", ".join(content["actuated"]) or "no joint"])
     facts.append(["mobility", str(content["mobility"])])
     for k, coupling in enumerate(mechanism.description.couplings, start=1):
         facts.append([f"coupling {k}", _equation(mechanism, coupling, 6)])
@@ -235,13 +231,9 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
             verdict = [f"{item.residual:.1e}", "holds" if item.holds else "FAILS"]
         proof.append([item.name, *verdict])
     title = f"identities at {content['states']} random states (bound {BOUND:g})"
-    links = [
-        link | {"actuated": "yes" if k in mechanism.actuated else ""}
-        for k, link in enumerate(content["links"])
-    ]
     forces = [_listed(kind, content.get(f"{kind}s", [])) for kind in ("spring", "load")]
     return [
-        _listed("link", links)._replace(title=mechanism.name),
+        _listed("link", content["links"])._replace(title=mechanism.name),
         *(table for table in forces if table.rows),
         Grid(["", ""], facts),
         Grid(["identity", "residual", ""], proof, title),

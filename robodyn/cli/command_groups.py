@@ -137,9 +137,23 @@ class Command(TyperCommand):
         try:
             return super().parse_args(ctx, given)
         except USAGE_ERROR as error:
+            error.message += self._negative(getattr(error, "option_name", ""), args)
             if not meant or "unexpected extra" not in error.message:
                 raise
         return super().parse_args(ctx, args)  # the option tells what is wrong
+
+    def _negative(self, unknown: str, words: Iterable[str]) -> str:
+        """How a negative number is given, where the unknown option is the beginning of one."""
+        from robodyn.scene.unit_arithmetic import read_value
+
+        word = next((x for x in words if unknown and x.startswith(unknown)), "")
+        try:
+            read_value(word.partition(",")[0])
+        except ValueError:
+            return ""
+        flags = [flag for parameter in self.params for flag in parameter.opts]
+        flag = "--q" if "--q" in flags else "--OPTION"
+        return f"; give a negative number with its option and =, as {flag}={word}"
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         order = ["Arguments", OWN, *_OPTIONS.get(self.name or "", _OTHERS)]

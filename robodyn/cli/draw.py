@@ -9,7 +9,7 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.figures import PictureOptions
-from robodyn.cli.options import Model, Q, Qd, Qdd, States, option, switch
+from robodyn.cli.options import Model, Q, Qd, Qdd, States, option, refuse, switch
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.row_files import read_columns
@@ -77,7 +77,7 @@ def draw(
     """
     mechanism = model.load()
     chosen = picture.checked()
-    _check(states, q, {"--qd": qd, "--qdd": qdd, "--tau": tau}, forces, poses, chosen)
+    _check(states, q, {"qd": qd, "qdd": qdd, "tau": tau}, forces, poses, chosen)
     marked = points_given(mechanism, of)
     found: list[Force] = []
     traces: list[Trace] = []
@@ -127,12 +127,10 @@ def _check(
     format: str,
 ) -> None:
     """InputError for options that do not go together; `loads` are those of --forces."""
-    if loads["--qdd"] is not None and loads["--tau"] is not None:
+    if loads["qdd"] is not None and loads["tau"] is not None:
         raise InputError("--qdd and --tau", limit="exclude each other")
     if not forces:
-        for name, value in loads.items():
-            if value is not None:
-                raise InputError(name, value=value, limit="is for --forces: give that too")
+        refuse("is for --forces: give that too", **loads)
     if states is not None and (forces or q is not None):
         raise InputError("STATES", limit="are drawn without --q and --forces")
     if not 1 <= poses <= MOST_POSES:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model
+from robodyn.cli.options import Force, Model, load_with
 from robodyn.cli.states import TableOptions, evaluate
 from robodyn.dynamics.closed_form import kinetic_energy, potential_energy
 

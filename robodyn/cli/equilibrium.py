@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.cli.options import Model, Q, Tau, named_options, option, switch
+from robodyn.cli.options import Model, Q, Tau, option, switch
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.states import Quantity, option_source, remarks, single_state
+from robodyn.errors import named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.rest.poses_at_rest import equilibria

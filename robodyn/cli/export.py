@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import MISSING
 from typing import Literal
 
-from robodyn.cli.options import Model, Number, Out, Q, option
+from robodyn.cli.options import Model, Number, Out, Q, option, refuse
 from robodyn.cli.output import note
 from robodyn.errors import InputError
 from robodyn.tables.output_file import write_text
@@ -33,9 +33,7 @@ def export(
     """
     mechanism = model.load()
     if format == "urdf":
-        for option, value in (("--q", q), ("--timestep", timestep)):
-            if value is not None:
-                raise InputError(option, value=value, limit="is for mjcf, urdf has no word for it")
+        refuse("is for mjcf, urdf has no word for it", q=q, timestep=timestep)
         from robodyn.export.model_xml import vector
         from robodyn.export.urdf import urdf, urdf_notes
 

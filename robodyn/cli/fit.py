@@ -12,7 +12,7 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.files import output_file, rows_argument, rows_file
-from robodyn.cli.fit_table import FitRows, rows_given
+from robodyn.cli.fit_table import FitRows, FitTable
 from robodyn.cli.options import (
     Model,
     OutputStructured,
@@ -21,15 +21,15 @@ from robodyn.cli.options import (
     Qdd,
     Quiet,
     Text,
-    named_options,
     option,
+    refuse,
     switch,
 )
 from robodyn.cli.output import Grid, in_told_units, note, row_writer, write_structure
 from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.states import remarks
-from robodyn.errors import InputError
+from robodyn.errors import InputError, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.quantities import parse_quantity
@@ -79,22 +79,16 @@ class FitOptions:
         if self.match is not None and states is not None:
             limit = "is for --minimize; --match has rows itself"
             raise InputError("STATES", value=states, limit=limit)
-        if self.columns is not None and self.match is None:
-            raise InputError("--columns", limit="is for --match")
+        if self.match is None:
+            refuse("is for --match", columns=self.columns)
         if self.simulate and self.match is None and states is None:
             raise InputError("--simulate", limit="needs --match or STATES, for its times")
-        if self.tau is not None and not self.simulate:
-            raise InputError("--tau", limit="is for --simulate")
+        if not self.simulate:
+            refuse("is for --simulate", tau=self.tau)
 
     def rows(self, mechanism: Mechanism, states: str | None) -> FitRows:
         """The rows at which columns are met, or become least."""
-        wanted = [name for text in self.minimize or () for name in _names(text, "--minimize")]
-        chosen = None if self.columns is None else _names(self.columns, "--columns")
-        table = self.match if self.match is not None else states
-        given = {"q": self.q, "qd": self.qd, "qdd": self.qdd}
-        matched, moving = self.match is not None, self.simulate
-        of = self.of or ()
-        return rows_given(mechanism, table, matched, wanted, chosen, of, given, moving)
+        return FitTable(mechanism, self).rows(states if self.match is None else self.match)
 
     def found(self, mechanism: Mechanism, bounds: Bounds, rows: FitRows, tell: Tell) -> Fit:
         """The numbers within their bounds."""
@@ -206,13 +200,6 @@ def _bounds(mechanism: Mechanism, values: SceneValues, vary: Sequence[str]) -> B
             raise InputError("--vary", value=shown(text), limit=str(error)) from None
         if not found[name][0] < found[name][1]:
             raise InputError("--vary", value=shown(text), limit="needs LOW < HIGH")
-    return found
-
-
-def _names(text: str, where: str) -> list[str]:
-    found = [name.strip() for name in text.split(",")]
-    if not all(found) or len(set(found)) < len(found):
-        raise InputError(where, value=shown(text), limit="needs names of columns, each once: A,B")
     return found
 
 

@@ -15,7 +15,7 @@ from typing import Annotated, NamedTuple
 
 from typer import Argument
 
-from robodyn.cli.options import OutputFormat, Text
+from robodyn.cli.options import OutputFormat, Text, refuse
 from robodyn.cli.output import row_writer
 from robodyn.errors import InputError
 from robodyn.scene.yaml_values import nearest
@@ -92,8 +92,7 @@ def guide(
             for each in told:
                 writer.write_row([each.name, each.kind, each.summary])
         return
-    if format is not None:
-        raise InputError("--format", value=format, limit="is for the list")
+    refuse("is for the list", format=format)
     texts = {command: each.text for each in told for command in each.commands}
     text = (texts | {each.name: each.text for each in told}).get(page)
     if text is None:

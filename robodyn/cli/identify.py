@@ -10,15 +10,15 @@ import numpy as np
 
 from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.motion_files import MotionFile, read_motion
-from robodyn.cli.options import Model, Number, OutputStructured, Text, named_options, option, switch
+from robodyn.cli.options import Model, Number, OutputStructured, Text, option, switch
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.states import remarks
-from robodyn.errors import InputError, RobodynError, at_place
+from robodyn.errors import InputError, RobodynError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.identification import Identification, predicted
 from robodyn.parameters.identification import identify as identified
 from robodyn.parameters.regression_matrix import balanced_joints
-from robodyn.parameters.scene_numbers import changes, places
+from robodyn.parameters.scene_numbers import changes, numbers
 from robodyn.pictures.column_units import scene_units
 from robodyn.scene.rewrite import write_scene
 
@@ -70,7 +70,7 @@ def identify(
     names = [] if of is None else [x.strip() for x in of.split(",")]
     if "" in names:
         raise InputError("--of", value=of, limit="a name is missing at a comma")
-    linear, values = places(mechanism.description), model.values()
+    linear, values = numbers(mechanism.description), model.values()
     for name in names:
         if name in values and name not in linear:
             torques = ",".join(f"tau{k + 1}" for k in mechanism.actuated)
@@ -103,16 +103,14 @@ def identify(
         note(f"Note: the data do not tell, and the scene's stay: {', '.join(found.kept)}")
     if residuals is not None:
         _write_residuals(mechanism, found, motion, residuals)
-    content = {
+    content: dict[str, object] = {
         "rows": found.rows,
         "condition": found.condition,
         "parameters": [x._asdict() for x in found.estimates],
         "kept": list(found.kept),
-        "rms": {f"tau{k}": x for k, x in zip(joints, found.rms.tolist(), strict=True)},
-        "rms_torque": {
-            f"tau{k}": x for k, x in zip(joints, found.rms_torque.tolist(), strict=True)
-        },
     }
+    for name, left in (("rms", found.rms), ("rms_torque", found.rms_torque)):
+        content[name] = dict(zip((f"tau{k}" for k in joints), left.tolist(), strict=True))
     if fitted is not None:
         _write_scene(mechanism, model, found, fitted)
     if "-" in (fitted, residuals):  # which took the place of the results

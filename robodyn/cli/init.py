@@ -9,7 +9,7 @@ from typing import Annotated
 from typer import Argument
 
 from robodyn.cli.files import output_file
-from robodyn.cli.options import OutputFormat, Text, option, switch
+from robodyn.cli.options import OutputFormat, Text, option, refuse, switch
 from robodyn.cli.output import note, row_writer
 from robodyn.errors import InputError
 from robodyn.scene.example_scenes import example_options, scene_names, scene_text, summary
@@ -45,8 +45,7 @@ def init(
             for each in scene_names():
                 writer.write_row([each, summary(scene_text(each))])
         return
-    if format is not None:
-        raise InputError("--format", value=format, limit="is for the list")
+    refuse("is for the list", format=format)
     text = scene_text(name)
     path = f"{name}.yaml" if out is None else out
     if os.path.isfile(path) and not force:

@@ -16,13 +16,13 @@ from robodyn.cli.options import (
     Out,
     OutputStructured,
     Text,
-    named_options,
     option,
+    refuse,
     switch,
 )
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import StateOptions, remarks, single_state
-from robodyn.errors import InputError
+from robodyn.errors import named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.rest.linear_model import LinearModel
@@ -68,9 +68,9 @@ def linearize(
     """
     mechanism = model.load()
     weigh = {"--weights-x": weights_x, "--weights-u": weights_u}
-    for flag, value in (weigh | {"--gain-out": gain_out}).items():
-        if value is not None and not lqr:
-            raise InputError(flag, value=value, limit="there is no gain without --lqr")
+    if not lqr:
+        without = "there is no gain without --lqr"
+        refuse(without, weights_x=weights_x, weights_u=weights_u, gain_out=gain_out)
     weights = [parse_vector("1" if x is None else x, where=flag) for flag, x in weigh.items()]
     pose, rates = single_state(mechanism, state.quantities())
     torques = None if tau is None else joint_torques(mechanism, tau)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from typer import Option
 
 from robodyn.cli.files import model_argument, output_file, rows_argument
-from robodyn.errors import DescriptionError, InputError, RobodynError
-from robodyn.scene.quantities import is_plain
+from robodyn.errors import DescriptionError, InputError
+from robodyn.scene.quantities import is_plain, parse_vector
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -41,6 +40,15 @@ def option(
 def switch(help: str) -> Any:
     """An option without a value, as `option`."""
     return option(help, default=False)
+
+
+def refuse(limit: str, **given: object) -> None:
+    """InputError, which says why, for an option that is given: max_qd is --max-qd."""
+    for name, value in given.items():
+        if value is not None:
+            flag = "--" + name.strip("_").replace("_", "-")
+            told = ", ".join(value) if isinstance(value, list) else value
+            raise InputError(flag, value=shown(str(told)), limit=limit)
 
 
 @dataclass(eq=False, repr=False)
@@ -101,12 +109,12 @@ class Model:
 
     def put(self) -> dict[str, float | tuple[float, ...]]:
         """What --set gives, by the names of numbers, as a scene is rewritten with it."""
-        from robodyn.scene.yaml_tree import Sequence
+        from robodyn.scene import yaml_tree
 
         values, found = self.values(), {}
         for name, _ in self.given:
             node = values.place(name)[1]
-            count = len(node.items) if isinstance(node, Sequence) else 0
+            count = len(node.items) if isinstance(node, yaml_tree.Sequence) else 0
             entries = tuple(values.number(f"{name}[{k}]") for k in range(count))
             found[name] = entries or values.number(name)
         return found
@@ -165,18 +173,30 @@ Degrees = Annotated[bool, Option("--degrees", help=_DEGREES)]
 _SIZE = "Of the picture, inches, such as 8x5."
 Size = Annotated[Text, Option("--size", metavar="WxH", help=_SIZE)]
 Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
+_FORCE = "A force, N, ground axes, at a point (coupler@0.5,0.2=10,-5), beside those of the scene; "
+Force = Annotated[
+    list[str] | None, Option("--force", metavar="POINT=FX,FY", help=_FORCE + "repeatable.")
+]
 
 
-@contextmanager
-def named_options(names: Iterable[str], **others: str) -> Iterator[None]:
-    """An argument of the numerics that is refused is named as its option.
+def load_with(model: Model, forces: Sequence[str] | None) -> Mechanism:
+    """The mechanism of a scene file as if its `loads` ended with these forces, POINT=FX,FY."""
+    mechanism = model.load()
+    if not forces:
+        return mechanism
+    from robodyn.kinematics.named_points import named_point
+    from robodyn.mechanics.mechanism import build
+    from robodyn.scene.scene import Load
 
-    `max_qd` among the `names` is --max-qd; `others` have another name there than here.
-    """
-    try:
-        yield
-    except RobodynError as error:
-        name = others.get(error.what, error.what)
-        if name in names or error.what in others:
-            error.what = "--" + name.replace("_", "-")
-        raise
+    loads = list(mechanism.description.loads)
+    for text in forces:
+        point, _, force = text.rpartition("=")
+        if not point:
+            limit = "must be POINT=FX,FY, such as coupler@0.5,0.2=10,-5 (N)"
+            raise InputError("--force", value=shown(text), limit=limit)
+        where = f"--force {shown(point)}"
+        values = parse_vector(force, where=where, unit="N")
+        if len(values) != 2:
+            raise InputError(where, value=shown(force), limit="must be FX,FY (N, ground axes)")
+        loads.append(Load(named_point(mechanism, point, "--force").own, complex(*values)))
+    return build(mechanism.description._replace(loads=tuple(loads)))

@@ -23,7 +23,7 @@ from robodyn.pictures.column_units import TURNING, in_degrees, structure_in_degr
 from robodyn.tables.csv_fields import finite, unquoted
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.records import Record
-from robodyn.tables.table_writer import WRITERS, Writer
+from robodyn.tables.table_writer import WRITERS, ScaledWriter, Writer
 
 if TYPE_CHECKING:
     from robodyn.tables.table import Array
@@ -112,8 +112,6 @@ def told(
     make = make if summary is None else functools.partial(summary, make)
     if not degrees.get():
         return make(columns, header)
-    from robodyn.tables.scaled import ScaledWriter
-
     return ScaledWriter(make, lambda name: in_degrees(name, units), columns, header)
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from robodyn.cli.options import Model, Qdd, option, switch
-from robodyn.cli.states import Quantity, TableOptions, evaluate, option_source, overflow
+from robodyn.cli.states import TableOptions, evaluate, option_source, overflow
 from robodyn.errors import InputError
 from robodyn.kinematics.named_points import (
     NamedPoint,
@@ -15,7 +14,6 @@ from robodyn.kinematics.named_points import (
     values_of_points,
 )
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units
 
 if TYPE_CHECKING:
     import numpy as np
@@ -60,9 +58,12 @@ def points(
     quantities = given.quantities(qdd=qdd)
     more = jacobian or links or transmission or ratio or given.differentiate
     if given.states is None and not (more or mechanism.rows or mechanism.passive):
-        row = _single_row(mechanism, named, quantities)
-        with given.writer(columns, units=scene_units(mechanism)) as writer:
-            writer.write_row(row)
+        motion = [option_source(mechanism, quantity).values for quantity in quantities]
+        try:
+            row = values_of_points(mechanism, [point.point for point in named], *motion)
+        except ValueError:
+            raise overflow() from None
+        given.write_one(mechanism, columns, row)
         return
 
     import numpy as np
@@ -110,20 +111,6 @@ def _loops(mechanism: Mechanism) -> list[str]:
         limit = "no loop of this scene is closed by three pairs in a row"
         raise InputError("--transmission", where=mechanism.source, limit=limit)
     return loops
-
-
-def _single_row(
-    mechanism: Mechanism, named: list[NamedPoint], quantities: list[Quantity]
-) -> list[float]:
-    """The values of all columns at the one state that the options give."""
-    motion = [option_source(mechanism, quantity).values for quantity in quantities]
-    try:
-        row = values_of_points(mechanism, [point.point for point in named], *motion)
-    except ValueError:
-        raise overflow() from None
-    if not all(map(math.isfinite, row)):
-        raise overflow()
-    return row
 
 
 def points_given(

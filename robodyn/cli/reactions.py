@@ -8,8 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model, Qdd, Text, option, vector
+from robodyn.cli.options import Force, Model, Qdd, Text, load_with, option, vector
 from robodyn.cli.states import Quantity, TableOptions, evaluate, overflow
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.state_columns import reaction_columns, reaction_values

@@ -73,11 +73,10 @@ def regressor(
 def _tell_base(mechanism: Mechanism, rows: TableOptions) -> None:
     with remarks():
         found = base_parameters(mechanism)
-    columns = ["name", "text", "value", "unit"]
     content = [{"name": x.name, "text": x.text, "value": x.value, "unit": x.unit} for x in found]
-    content_rows = [[x.text, f"{x.value:.6g}", x.unit] for x in found]
+    table = Grid(["text", "value", "unit"], [[x.text, x.value, x.unit] for x in found])
     format = "json" if rows.format == "csv" else rows.format
-    write_structure(format, rows.out, {"base": content}, lambda: [Grid(columns[1:], content_rows)])
+    write_structure(format, rows.out, {"base": content}, lambda: [table])
 
 
 def _tell_condition(mechanism: Mechanism, rows: TableOptions, quantities: list[Quantity]) -> None:
@@ -101,13 +100,7 @@ def _tell_condition(mechanism: Mechanism, rows: TableOptions, quantities: list[Q
     untold = [base[k].text for k in alike.dropped]
     content = {"rows": len(motion.t), "condition": value, "not_excited": untold}
     words = [str(len(motion.t)), "none" if value is None else f"{value:.6g}"]
+    tables = [Grid(["rows", "condition"], [words])]
+    tables += [Grid(["not excited"], [[x] for x in untold])] if untold else []
     format = "json" if rows.format == "csv" else rows.format
-    write_structure(
-        format,
-        rows.out,
-        content,
-        lambda: (
-            [Grid(["rows", "condition"], [words])]
-            + ([Grid(["not excited"], [[x] for x in untold])] if untold else [])
-        ),
-    )
+    write_structure(format, rows.out, content, lambda: tables)

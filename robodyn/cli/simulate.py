@@ -11,14 +11,23 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import numpy as np
 
-from robodyn.cli.event_options import EventOptions
 from robodyn.cli.files import output_file
-from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Extremes, Format, Model, Number, Quiet, Text, option
+from robodyn.cli.options import (
+    Extremes,
+    Force,
+    Format,
+    Model,
+    Number,
+    Quiet,
+    Text,
+    load_with,
+    option,
+)
 from robodyn.cli.output import default_format, extremes_writer, maker, note, told
 from robodyn.cli.signals import watching
 from robodyn.cli.simulate_options import (
     ControlOptions,
+    EventOptions,
     RunOptions,
     TorqueOptions,
     named,
@@ -36,12 +45,12 @@ from robodyn.cli.times import Points, output_times
 from robodyn.errors import AssemblyError, RobodynError, at_place
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units
+from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.simulation.motion_columns import motion_columns, motion_values
 from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.run_torques import applied_torques, over_run
 from robodyn.simulation.settings import Settings
-from robodyn.simulation.simulation import run
+from robodyn.simulation.simulation import UNTIL, run
 from robodyn.tables.output_file import open_output
 from robodyn.tables.table_writer import Writer
 
@@ -51,6 +60,7 @@ if TYPE_CHECKING:
 
 _TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
 _OUT = "Write here, all or nothing."
+AT_REST = 1e-13  # part of the energy at the start below which nothing moves
 
 
 class UnfinishedError(RobodynError):
@@ -156,9 +166,7 @@ def simulate(
         given = mechanism, begin, duration, acting, settings, rows.write, times, watch, watched
         outcome, facts = _told(given, rows, estimate, results, events)
         if not results.quiet:
-            from robodyn.cli.run_summary import tell_run
-
-            tell_run(mechanism, facts, events.until)
+            _summary(mechanism, facts, events.until)
             if how.estimate_error and facts.error_estimate is None:
                 note("error of q and qd: not estimated, as no tighter run finishes")
         if outcome not in (Outcome.FINISHED, Outcome.EVENT):
@@ -284,3 +292,55 @@ def _write_events(stream: BinaryIO, mechanism: Mechanism, found: Sequence[Event]
     writer = Writer(stream, ["event", "t", *(f"{name}{k}" for name in ("q", "qd") for k in joints)])
     for event in found:
         writer.write_row([event.name, event.t, *event.y[: 2 * mechanism.n].tolist()])
+
+
+def _summary(mechanism: Mechanism, facts: Report, until: str | None) -> None:
+    """The summary on stderr."""
+    moving = facts.energy_in_motion
+    drift = f"{facts.energy_drift:.2g} of the {moving:.4g} J in motion"
+    if moving <= AT_REST * max(abs(facts.energy_start), moving):
+        drift = f"{facts.energy_drift * moving:.2g} J, at rest"
+    drift = f"energy {'balance' if facts.work else 'drift'}: {drift}"
+    lines = [
+        f"{facts.outcome}: t = {facts.t_reached:.6g} s, {facts.method} (rtol {facts.rtol:g}, "
+        f"atol {facts.atol:g}), {facts.steps} steps, {facts.evaluations} evaluations, "
+        f"{facts.seconds:.3g} s",
+        drift + (f"; work done {facts.work:.6g} J" if facts.work else ""),
+    ]
+    if mechanism.rows:
+        lines.append(
+            f"largest gap: {facts.largest_gap:.2g} m, {facts.largest_gap_rate:.2g} m/s "
+            f"({facts.stabilize})"
+        )
+    if until is not None:
+        way = "ended by" if facts.ended_by == UNTIL else "not met up to the end:"
+        lines.append(f"{way} --until {until}")
+    counts = {name: count for name, count in facts.events.items() if name != UNTIL}
+    if counts:
+        lines.append(f"events: {', '.join(f'{name} {count}' for name, count in counts.items())}")
+    lines += facts.remarks
+    if facts.error_estimate is not None:
+        lines.append(f"error of q and qd: about {facts.error_estimate:.2g}, by a tighter run")
+    if facts.tracking:
+        errors, torques, units = [], [], scene_units(mechanism)
+        for k, x in zip(mechanism.actuated, facts.tracking, strict=True):
+            unit, of_torque = (unit_of(f"{name}{k + 1}", units) for name in ("e", "tau"))
+            size = f"{x.rms:.3g} {unit} rms, {x.largest:.3g} {unit} at most"
+            errors.append(f"{x.joint} {size}, at t = {x.at:.6g} s")
+            torques.append(f"{x.joint} {x.largest_torque:.6g} {of_torque}")
+        lines.append(f"tracking error: {'; '.join(errors)}")
+        lines.append(f"largest torque: {', '.join(torques)}")
+    if facts.hint:
+        lines.append(facts.hint)
+    if (
+        mechanism.rows
+        and facts.nearest_singular is not None
+        and facts.nearest_singular_time is not None
+    ):
+        lines.append(
+            f"nearest to singular: {facts.nearest_singular:.3g} at "
+            f"t = {facts.nearest_singular_time:.6g} s (least singular value of Psi, relative)"
+        )
+    if facts.missed:
+        lines.append(facts.missed)
+    note("\n".join(lines))

@@ -1,4 +1,4 @@
-"""The options of `robodyn simulate`: where torque comes from, and how to integrate."""
+"""The options of `robodyn simulate`: where torque comes from, how to integrate, what to watch."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
 
-from robodyn.cli.files import input_file, model_file, rows_file
-from robodyn.cli.options import EACH, Number, Text, named_options, option, switch
+from robodyn.cli.files import input_file, model_file, output_file, rows_file
+from robodyn.cli.options import EACH, Number, Text, option, refuse, switch
 from robodyn.cli.output import note
 from robodyn.cli.states import (
     Quantity,
     Source,
     complete,
-    joint_values,
     option_source,
     remarks,
 )
-from robodyn.cli.times import value_from
-from robodyn.errors import InputError, at_place
+from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
-from robodyn.pictures.column_units import scene_units
-from robodyn.scene.quantities import parse_vector
+from robodyn.pictures.column_units import joint_values, scene_units
+from robodyn.scene.quantities import parse_vector, value_from
+from robodyn.simulation.even_times import DEFAULT_DURATION
 from robodyn.simulation.settings import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
+from robodyn.simulation.simulation import UNTIL, watched_events
 
 if TYPE_CHECKING:
     from robodyn.control.state_feedback import StateFeedback
     from robodyn.control.tracking import ReferenceTable
+    from robodyn.events.watch import EventWatch
 
-DEFAULT_DURATION = 10.0  # s
 Law = Literal["pd", "pd+g", "computed-torque", "pid", "state-feedback"]
 
 _TAU = "Torques of the actuated joints, N m: numbers, or expressions in t, q1.., qd1.."
@@ -82,9 +82,8 @@ def given_of(options: object, *names: str) -> list[str]:
 
 def check_no_control(options: ControlOptions, *but: str) -> None:
     """Raise InputError for an option of a controller where there is none."""
-    names = [field.name for field in fields(options) if field.name not in but]
-    for flag in given_of(options, *names):
-        raise InputError(flag, limit=f"needs --control: one of {', '.join(get_args(Law))}")
+    given = {x.name: getattr(options, x.name) for x in fields(options) if x.name not in but}
+    refuse(f"needs --control: one of {', '.join(get_args(Law))}", **given)
 
 
 _STEP = "No step is longer, s. Default: none."
@@ -127,6 +126,41 @@ class RunOptions:
         with named():
             settings.check()
         return settings
+
+
+_UNTIL = "Ends the run when this becomes true, as q1 > 90deg, or passes zero."
+EVENT = "Tells when EXPR passes zero, or becomes true; may be repeated."
+_EVENTS = "Writes event,t,q1..,qd1.. of each event as CSV."
+
+
+@dataclass(eq=False, repr=False)
+class EventOptions:
+    """What to look for on the way."""
+
+    until: Text = option(_UNTIL, "EXPR")
+    event: list[str] | None = option(EVENT, "NAME=EXPR")
+    events: Annotated[Text, output_file("--events", help=_EVENTS)] = None
+
+    def watch(self, mechanism: Mechanism, t_end: float) -> EventWatch | None:
+        """What watches the run; InputError naming the option that is none."""
+        given: dict[str, str] = {}
+        if self.event:
+            from robodyn.events.functions import named_events
+
+            given = named_events(mechanism, self.event, UNTIL)
+        try:
+            watch = watched_events(mechanism, given, self.until, t_end)
+        except InputError as error:
+            if error.where:
+                error.where = f"--{error.where}"
+            raise
+        if watch is None and self.events is not None:
+            if not mechanism.switches:
+                raise InputError("--events", limit="there are none: give --event or --until")
+            from robodyn.events.watch import EventWatch
+
+            watch = EventWatch([], t_end)
+        return watch
 
 
 _GROUPS = (TorqueOptions, ControlOptions, RunOptions)
@@ -178,8 +212,7 @@ def controlled(
     assert law is not None
     tracks, feeds = ["track", "hold"], ["gain", "at"]
     aims, others = (feeds[:1], tracks) if law == "state-feedback" else (tracks, feeds)
-    for flag in given_of(options, *others):
-        raise InputError(flag, limit=f"is not for --control {law}")
+    refuse(f"is not for --control {law}", **{name: getattr(options, name) for name in others})
     given = given_of(options, *aims)
     if len(given) > 1:
         raise InputError(" and ".join(given), limit="exclude each other")

@@ -6,8 +6,9 @@ actuated ones only (the rest is assembled).  An option stands for its columns in
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -17,13 +18,12 @@ from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_si
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.loop_rows import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units, unit_of
-from robodyn.scene.quantities import parse_vector
-from robodyn.tables.csv_fields import shown
+from robodyn.pictures.column_units import scene_units, vector_of_joints
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
-    from robodyn.tables.table import Array
+    from robodyn.tables.table import Array, Chunk
+    from robodyn.tables.table_writer import Writer
 
 
 class Quantity(Record):
@@ -59,6 +59,13 @@ class TableOptions(StateOptions, RowOptions):
     states: States = None
     differentiate: Differentiate = False
 
+    def write_one(self, mechanism: Mechanism, columns: Sequence[str], row: Sequence[float]) -> None:
+        """Write the one row of a state by options, if all of it is finite."""
+        if not all(map(math.isfinite, row)):
+            raise overflow()
+        with self.writer(columns, units=scene_units(mechanism)) as writer:
+            writer.write_row(row)
+
 
 class Source(Record):
     """Where a quantity comes from: an option's values, or columns; for all joints or actuated."""
@@ -86,37 +93,9 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
             limit += ", or a CSV of states (- for stdin)" if quantity.tabled else ""
             raise InputError(f"--{quantity.name}", limit=limit)
         return Source(quantity, [0.0] * len(mechanism.actuated), [], False)
-    n, actuated = mechanism.n, len(mechanism.actuated)
-    flag = f"--{quantity.name}"
     kind = quantity.name if quantity.name in ("qd", "qdd", "tau") else "q"
-    values = joint_values(mechanism, quantity.option, kind, flag)
-    if len(values) not in (n, actuated):
-        wanted = f"{n} values, one a joint ({', '.join(mechanism.link_names)})"
-        if 0 < actuated < n:
-            names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
-            wanted += f", or {actuated}, one an actuated joint ({names})"
-        count = "1 value" if len(values) == 1 else f"{len(values)} values"
-        shown_values = f"{shown(quantity.option)} ({count})"
-        raise InputError(flag, value=shown_values, limit=f"needs {wanted}")
-    return Source(quantity, values, [], len(values) == n)
-
-
-def joint_values(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[float]:
-    """An option's q, qd, qdd or tau of all joints, the actuated ones or the first of these."""
-
-    def units(count: int) -> list[str]:
-        joints = [*range(mechanism.n)] if count == mechanism.n else [*mechanism.actuated]
-        known = scene_units(mechanism)
-        each = [unit_of(f"{kind}{k + 1}", known) for k in joints]
-        return [*each, *[""] * count][:count]
-
-    try:
-        return parse_vector(text, where=flag, unit=units)
-    except InputError as error:
-        if mechanism.slides:
-            sliding = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.slides)
-            error.limit = f"{error.limit}; {sliding} slides"
-        raise
+    values = vector_of_joints(mechanism, quantity.option, kind, f"--{quantity.name}")
+    return Source(quantity, values, [], len(values) == mechanism.n)
 
 
 def table_source(
@@ -214,78 +193,89 @@ def evaluate(
     given, the first where none is.  Where it `adds` columns, none of the table is replaced, and a
     table without rows is refused, as it is where there is a `summary` in place of the rows.
     """
-    import numpy as np
-
-    units = scene_units(mechanism)
 
     def wanted(header: Sequence[str]) -> list[Quantity]:
         there, joints = set(header), range(mechanism.n)
         given = [x for x in either if x.option is not None or there & set(x.columns(joints))]
         return [*quantities, *(given or either[:1])]
 
-    def results(used: Sequence[Quantity], motion: list[Array], t: Array) -> Array:
-        given = {x.name: vector for x, vector in zip(used, motion, strict=True)}
-        if mechanism.timed:
-            given["t"] = t
-        with np.errstate(all="ignore"):
-            values = compute(**given)
-        if not np.isfinite(values).all():
-            raise overflow()
-        return values
-
-    def results_of(values: Array) -> Array:
-        given, begin = [], 0
-        for source in sources:
-            part = values[:, begin : begin + len(source.columns)]
-            given.append(part if source.columns else np.tile(source.values, (len(values), 1)))
-            begin += len(source.columns)
-        t = values[:, begin] if times else np.zeros(len(values))
-        return results(used, complete(mechanism, sources, given), t)
-
     if options.states is None:
         if options.differentiate:
             raise InputError("--differentiate", limit="needs STATES with t: rows to go through")
         with remarks():
             used = wanted([])
-            state = [x[None] for x in single_state(mechanism, used)]
-            row = results(used, state, np.zeros(1))[0].tolist()
-        with options.writer(columns, units=units) as writer:
-            writer.write_row(row)
+            sources = [option_source(mechanism, quantity) for quantity in used]
+            row = _Computed(mechanism, sources, compute).at([[]])[0].tolist()
+        options.write_one(mechanism, columns, row)
         return
 
-    from robodyn.cli.found_rates import found_rates, taken_at_rest
+    from robodyn.cli.motion_files import found_rates, taken_at_rest
     from robodyn.cli.row_files import open_input
     from robodyn.tables.table import Reader
 
+    units = scene_units(mechanism)
     with open_input(options.states) as (stream, name):
         reader = Reader(stream, name, units)
         there = next((x for x in columns if adds and x in reader.header), None)
         if there is not None:
             limit = "is in the table already; give the point another name, --of NAME=POINT"
             raise InputError(f"column {there}", where=name, limit=limit)
-        used = wanted(reader.names)
-        sources = [table_source(mechanism, x, reader.names, name) for x in used]
-        times = ["t"] if mechanism.timed and "t" in reader.names else []
+        sources = [table_source(mechanism, x, reader.names, name) for x in wanted(reader.names)]
+        timed = mechanism.timed and "t" in reader.names
         if options.differentiate:
-            sources, chunks = found_rates(mechanism, reader, sources, bool(times))
+            sources, chunks = found_rates(mechanism, reader, sources, timed)
         else:
-            taken = [x for source in sources for x in source.columns]
-            chunks = taken_at_rest(reader, sources, reader.chunks([*taken, *times]))
-        rows_to = options.writer(columns, reader.header, units, summary)
-        with remarks(), rows_to as writer:
-            rows = 0
-            for chunk in chunks:
-                rows += len(chunk.lines)
-                try:
-                    writer.write_rows(chunk.lines, results_of(chunk.values))
-                except RobodynError:
-                    # find the row, with those before it written: again, one by one
-                    for k, line in enumerate(chunk.lines):
-                        with at_place(f"{name}: line {chunk.line_numbers[k]}"):
-                            computed = results_of(chunk.values[k : k + 1])
-                        writer.write_rows([line], computed)
-            if (adds or writer.needs_rows) and not rows:
+            taken = [x for source in sources for x in source.columns] + ["t"] * timed
+            chunks = taken_at_rest(reader, sources, reader.chunks(taken))
+        computed = _Computed(mechanism, sources, compute)
+        with remarks(), options.writer(columns, reader.header, units, summary) as writer:
+            if not computed.write(chunks, writer, name) and (adds or writer.needs_rows):
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
+
+
+class _Computed:
+    """What is computed of rows, which hold the columns of the sources, and perhaps t behind."""
+
+    def __init__(
+        self, mechanism: Mechanism, sources: Sequence[Source], compute: Callable[..., Array]
+    ) -> None:
+        self.mechanism, self.sources, self.compute = mechanism, sources, compute
+
+    def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
+        """The results (T, k) at rows (T, columns)."""
+        import numpy as np
+
+        values, parts, begin = np.asarray(rows, float), [], 0
+        for source in self.sources:
+            end = begin + len(source.columns)
+            own = values[:, begin:end]
+            parts.append(own if source.columns else np.tile(source.values, (len(values), 1)))
+            begin = end
+        motion = complete(self.mechanism, self.sources, parts)
+        given = {x.quantity.name: each for x, each in zip(self.sources, motion, strict=True)}
+        if self.mechanism.timed:
+            timed = values.shape[1] > begin
+            given["t"] = values[:, begin] if timed else np.zeros(len(values))
+        with np.errstate(all="ignore"):
+            found = self.compute(**given)
+        if not np.isfinite(found).all():
+            raise overflow()
+        return found
+
+    def write(self, chunks: Iterable[Chunk], writer: Writer, name: str) -> int:
+        """Write the results behind the rows of a table; how many there are."""
+        rows = 0
+        for chunk in chunks:
+            rows += len(chunk.lines)
+            try:
+                writer.write_rows(chunk.lines, self.at(chunk.values))
+            except RobodynError:
+                # find the row, with those before it written: again, one by one
+                for k, line in enumerate(chunk.lines):
+                    with at_place(f"{name}: line {chunk.line_numbers[k]}"):
+                        computed = self.at(chunk.values[k : k + 1])
+                    writer.write_rows([line], computed)
+        return rows
 
 
 def overflow() -> RobodynError:

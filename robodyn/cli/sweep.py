@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from robodyn.cli.files import named, output_file
-from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, named_options, option, switch
+from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, option, refuse, switch
 from robodyn.cli.output import RowOptions, note, told
 from robodyn.cli.progress import progress
 from robodyn.cli.simulate_options import ControlOptions
 from robodyn.cli.sweep_options import SweepOptions, plan_of
-from robodyn.errors import InputError
+from robodyn.errors import InputError, named_options
 from robodyn.pictures.column_units import scene_units
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.sweep_chunks import Rows
@@ -49,8 +49,8 @@ class WorkOptions:
             raise InputError("--workers", value=self.workers, limit="must be >= 1")
         if self.workers is not None and self.scheduler is not None:
             raise InputError("--workers and --scheduler", limit="exclude each other")
-        if self.patience is not None and self.scheduler is None:
-            raise InputError("--patience", value=self.patience, limit="is for --scheduler")
+        if self.scheduler is None:
+            refuse("is for --scheduler", patience=self.patience)
         if self.patience is not None and not self.patience >= 0.0:
             raise InputError("--patience", value=self.patience, limit="must be >= 0, s")
 
@@ -143,7 +143,7 @@ def sweep(
 
 def _tell_what_matters(plan: Plan, seen: list[Any]) -> None:
     """The numbers that each result of a sample goes with most, by rank correlations."""
-    from robodyn.tables.rank_correlations import correlations
+    from robodyn.tables.summaries import correlations
 
     names = [axis.name for axis in plan.variation.axes]
     for column, row in correlations(plan.columns()[:-1], len(names), seen).items():
@@ -179,8 +179,7 @@ def _go_on(
 
 
 def _correlations(*given: Any, varied: int) -> Writer:
-    from robodyn.tables.rank_correlations import correlations
-    from robodyn.tables.summaries import KeptRows
+    from robodyn.tables.summaries import KeptRows, correlations
 
     def told(header: Sequence[str], rows: Any, _: Any) -> tuple[Sequence[str], Any]:
         found = correlations(header, varied, [rows])

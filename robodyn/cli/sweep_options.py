@@ -1,16 +1,14 @@
-"""What the options of `robodyn sweep` say."""
+"""The options of `robodyn sweep`."""
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import MISSING, dataclass
-from typing import Any, Literal
+from functools import partial
 
-from robodyn.cli.event_options import EVENT, named_events
-from robodyn.cli.options import Model, Number, Text, named_options, option
+from robodyn.cli.options import Model, Number, Text, option
 from robodyn.cli.simulate_options import (
-    DEFAULT_DURATION,
+    EVENT,
     ControlOptions,
     check_no_control,
     controlled,
@@ -18,38 +16,29 @@ from robodyn.cli.simulate_options import (
     named,
     reference_from,
 )
-from robodyn.cli.states import Quantity, option_source
-from robodyn.cli.times import DEFAULT_POINTS, value_from
 from robodyn.control.laws import controller
-from robodyn.errors import InputError, nearest_first
-from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.pictures.column_units import scene_units, unit_of
-from robodyn.scene.scene_values import SceneValues
-from robodyn.scene.unit_arithmetic import read_value
-from robodyn.scene.yaml_values import nearest
-from robodyn.simulation.settings import Engine, Settings
+from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.even_times import DEFAULT_POINTS
+from robodyn.simulation.settings import Engine
 from robodyn.simulation.simulation import check_span
-from robodyn.sweeps.row_results import TAKEN, check_results
-from robodyn.sweeps.sweep_plan import CHUNKS, EVENTS, ONE_BY_ONE, RESULTS, Plan, best_engine
-from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
-from robodyn.tables.csv_fields import shown
+from robodyn.sweeps import sweep_request
+from robodyn.sweeps.row_results import TAKEN
+from robodyn.sweeps.sweep_plan import EVENTS, RESULTS, Plan
+from robodyn.sweeps.sweep_request import Acting, Kind, SweepRequest
+from robodyn.sweeps.variation import Axis
 
-MOST_VALUES = 10_000_000  # of one --vary
-MOST_POINTS = 10**12
-MOST_NAMED = 60  # names that a message lists
-DRAWN = {"normal": "normal(mean, deviation)", "uniform": "uniform(low, high)"}
-
-Kind = Literal["motion", "torque"]  # what is computed at each point
 _Q = "Angles of the actuated joints, rad, or 30deg (the rest is assembled). Default: zero."
 _QDD = "Accelerations of the actuated joints, rad/s^2, for torques. Default: zero."
 _TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
 _OF = "The points of such columns, as `points` has them; repeatable."
 _ROWS = f"Even rows of a motion that columns are taken of. Default: {DEFAULT_POINTS}."
 _ENGINE = "auto: compiled, with the extra `fast`, from 200 points on."
+_STEPS = "A motion gives up after so many."
 
 
 @dataclass(frozen=True)
-class SweepOptions:
+class SweepOptions(SweepRequest):
     """What is computed, and at which points."""
 
     vary: list[str] = option(
@@ -60,8 +49,8 @@ class SweepOptions:
         default=MISSING,
     )
     sample: int | None = option("Draw N points at random; no grid.", "N")
-    seed: int = option("Of the random sample.", "S", default=0)
-    kind: Kind = option("Motions, or torques at states.", default="motion")
+    seed: int = option("Of the random sample.", "S", default=SweepRequest.seed)
+    kind: Kind = option("Motions, or torques at states.", default=SweepRequest.kind)
     q: Text = option(_Q, "VECTOR")
     qd: Text = option("Rates of the actuated joints, rad/s or 30deg. Default: zero.", "VECTOR")
     qdd: Text = option(_QDD, "VECTOR")
@@ -77,83 +66,26 @@ class SweepOptions:
     points: int | None = option(_ROWS, "N")
     event: list[str] | None = option(EVENT, "NAME=EXPR")
     flip: Text = option("The link whose flip is told. Default: the last.", "LINK")
-    rtol: float = option("Relative tolerance of a step.", default=1e-9)
-    atol: float = option("Absolute one, rad, rad/s.", default=1e-9)
-    max_steps: int = option("A motion gives up after so many.", "N", default=100_000)
-    engine: Engine = option(_ENGINE, default="auto")
+    rtol: float = option("Relative tolerance of a step.", default=SweepRequest.rtol)
+    atol: float = option("Absolute one, rad, rad/s.", default=SweepRequest.atol)
+    max_steps: int = option(_STEPS, "N", default=SweepRequest.max_steps)
+    engine: Engine = option(_ENGINE, default=SweepRequest.engine)
 
 
-def plan_of(model: Model, given: SweepOptions, control: ControlOptions) -> Plan:
+def plan_of(model: Model, given: SweepRequest, control: ControlOptions) -> Plan:
     """What the options say; InputError naming the option that is wrong."""
-    scene = model.values()
-    mechanism = build(scene.base)
-    axes = _axes(scene, given)
-    if given.seed < 0:
-        raise InputError("--seed", value=given.seed, limit="must be >= 0")
-    variation = Variation(axes, given.sample, given.seed if given.sample is not None else 0)
-    if given.time is not None and not (math.isfinite(given.time) and given.time != 0.0):
-        raise InputError("--time", value=given.time, limit="must be finite and not zero")
-    with named_options(("rtol", "atol"), max_evals="max_steps"):
-        Settings("taylor", given.rtol, given.atol, max_evaluations=given.max_steps).check()
-    if given.kind == "torque" and given.tau is not None:
-        raise InputError("--tau", limit="is what --kind torque computes")
-    if given.kind == "motion" and given.qdd is not None:
-        raise InputError("--qdd", limit="is for --kind torque")
-    vectors: dict[str, Any] = {
-        name: _values(mechanism, name, getattr(given, name)) for name in ("q", "qd", "qdd", "tau")
-    }
-    acting, end = _acting(mechanism, given, control, axes)
-    reference = acting["track"] or dict(acting["control"]).get("reference")
-    if reference is not None:
-        begin = reference.at(0.0 if acting["control"] else reference.times[0])
-        for name, values in zip(("q", "qd"), begin, strict=True):
-            if getattr(given, name) is None:
-                vectors[name] = tuple(values.tolist())
-    chosen, told = _results(mechanism, given, acting)
-    events = _events(mechanism, given, EVENTS in chosen)
-    alone, engine = given.kind == "motion" and bool(events or told or acting["control"]), "python"
-    if alone and given.engine == "compiled":
-        limit = "events, columns and controllers take one motion at a time, in Python"
-        raise InputError("--engine", value=given.engine, limit=f"{limit}: take auto or python")
-    if given.kind == "motion" and not alone:
-        with named_options(("engine",)):
-            engine = best_engine(given.engine, variation.size, mechanism)
-    names = list(mechanism.link_names)
-    if given.flip is not None and given.flip not in names:
-        limit = f"names no link{nearest(given.flip, names)}"
-        raise InputError("--flip", value=shown(given.flip), limit=limit)
-    return Plan(
-        scene=model.text(),
-        source=model.model,
-        numbers=model.given,
-        variation=variation,
-        **vectors,
-        **acting,
-        kind=given.kind,
-        t_end=end,
-        results=tuple(name for name in RESULTS if name in chosen),
-        told=told,
-        of=tuple(given.of or ()),
-        rows=(given.points or DEFAULT_POINTS) if told and given.kind == "motion" else 0,
-        link=-1 if given.flip is None else names.index(given.flip),
-        rtol=given.rtol,
-        atol=given.atol,
-        most=given.max_steps,
-        engine=engine,
-        chunk=ONE_BY_ONE if alone or acting["track"] else CHUNKS[engine],
-        events=events,
-    )
+    scene, acts = model.values(), partial(_acting, given, control)
+    return sweep_request.plan_of(scene, model.text(), model.given, given, acts)
 
 
 def _acting(
-    mechanism: Mechanism, given: SweepOptions, options: ControlOptions, axes: tuple[Axis, ...]
-) -> tuple[dict[str, Any], float]:
+    given: SweepRequest, options: ControlOptions, mechanism: Mechanism, axes: tuple[Axis, ...]
+) -> Acting:
     """The reference of torques, or the controller of motions, and the end time."""
     if options.control is None:
         check_no_control(options, "track")
-        end = DEFAULT_DURATION if given.time is None else given.time
         if options.track is None:
-            return {"track": None, "control": ()}, end
+            return Acting(given.duration)
         if given.kind == "motion":
             raise InputError("--track", limit="needs --control, or --kind torque")
         for flag in given_of(given, "time", "q", "qd", "qdd"):
@@ -161,7 +93,7 @@ def _acting(
         joints = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
         for axis in (axis for axis in axes if axis.name in joints):
             raise InputError("--vary", value=axis.name, limit="is told by --track")
-        return {"track": reference_from(mechanism, options.track), "control": ()}, end
+        return Acting(given.duration, reference_from(mechanism, options.track))
     if given.kind == "torque":
         raise InputError("--control", limit="is for --kind motion")
     if given.tau is not None:
@@ -173,153 +105,4 @@ def _acting(
         arguments["control_model"] = mechanism  # which does not vary
     with named():
         check_span(controller(mechanism, **arguments), end)
-    return {"track": None, "control": tuple(arguments.items())}, end
-
-
-def _results(
-    mechanism: Mechanism, given: SweepOptions, acting: dict[str, Any]
-) -> tuple[list[str], tuple[str, ...]]:
-    """The words of --result that are results of motions, and the columns."""
-    known = (*RESULTS, EVENTS)
-    words = [] if given.result is None else [word.strip() for word in given.result.split(",")]
-    chosen = [word for word in words if word in known]
-    told = tuple(word for word in words if word not in known)
-    rows = given.kind == "motion" or acting["track"] is not None
-    if given.points is not None and not (told and given.kind == "motion"):
-        limit = "is for motions with --result of columns, such as max(tau1)"
-        raise InputError("--points", value=given.points, limit=limit)
-    if given.points is not None and not 2 <= given.points <= MOST_VALUES:
-        raise InputError("--points", value=given.points, limit=f"must be in [2, {MOST_VALUES}]")
-    if given.of and not told:
-        raise InputError("--of", limit="is for --result with columns of points")
-    if given.kind == "torque" and chosen:
-        raise InputError("--result", value=chosen[0], limit="is for --kind motion")
-    if acting["track"] is not None and not told:
-        raise InputError("--result", limit="missing: --track needs it, such as max(tau1)")
-    for word in (word for k, word in enumerate(words) if word in words[:k]):
-        raise InputError("--result", value=shown(word), limit="is given twice")
-    with named_options(("result", "of")):
-        check_results(mechanism, told, given.of or (), bool(acting["control"]), rows, known)
-    if given.result is None and given.kind == "motion":
-        chosen = list(RESULTS)
-    return chosen, told
-
-
-def _events(mechanism: Mechanism, given: SweepOptions, wanted: bool) -> tuple[tuple[str, str], ...]:
-    """The events of each motion, which go with --result events alone."""
-    events = tuple(named_events(mechanism, given.event or []).items())
-    if wanted != bool(events):
-        missing = "--event NAME=EXPR" if wanted else f"--result {EVENTS}"
-        option = "--result" if wanted else "--event"
-        raise InputError(option, value=EVENTS if wanted else None, limit=f"needs {missing}")
-    return events
-
-
-def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, ...]:
-    """The values of the actuated joints; zero where they are not given."""
-    return tuple(option_source(mechanism, Quantity(name, text)).driven(mechanism))
-
-
-def _axes(scene: SceneValues, given: SweepOptions) -> tuple[Axis, ...]:
-    """What the --vary options say."""
-    sample = given.sample
-    if sample is not None and not 1 <= sample <= MOST_POINTS:
-        raise InputError("--sample", value=sample, limit=f"must be in [1, {MOST_POINTS}]")
-    mechanism = build(scene.base)
-    last = "tau" if given.kind == "motion" else "qdd"
-    joints = [f"{x}{k + 1}" for x in ("q", "qd", last) for k in mechanism.actuated]
-    axes: list[Axis] = []
-    units = scene_units(mechanism)
-    for text in given.vary:
-        name, equals, values = text.partition("=")
-        name = name.strip()
-        if not equals or not name or not values.strip():
-            raise InputError("--vary", value=shown(text), limit="write NAME=VALUES")
-        if name not in joints and name not in scene:
-            limit = _unknown(mechanism, joints, scene, name)
-            raise InputError("--vary", value=shown(name), limit=limit)
-        if any(axis.name == name for axis in axes):
-            raise InputError("--vary", value=shown(name), limit="is given twice")
-        unit = unit_of(name, units) if name in joints else scene.unit(name)
-        axes.append(_axis(name, values.strip(), sample is not None, unit))
-    clash = scene.clash(axis.name for axis in axes if axis.name in scene)
-    if clash is not None:
-        raise InputError("--vary", value=" and ".join(clash), limit="are one number of the scene")
-    points = 1 if sample is not None else math.prod(len(axis.values) for axis in axes)
-    if points > MOST_POINTS:
-        raise InputError("--vary", value=f"{points} points", limit=f"at most {MOST_POINTS}")
-    return tuple(axes)
-
-
-def _unknown(mechanism: Mechanism, joints: list[str], scene: SceneValues, name: str) -> str:
-    passive = re.fullmatch(r"(?:q|qd|qdd|tau)([1-9][0-9]*)", name)
-    if passive and int(passive[1]) - 1 in mechanism.passive:
-        link = mechanism.link_names[int(passive[1]) - 1]
-        return f"joint {link} is passive: it follows from the actuated ones"
-    known = [*joints, *scene.names]
-    listed = ", ".join(nearest_first(name, known)[:MOST_NAMED]) + (
-        ", ..." if len(known) > MOST_NAMED else ""
-    )
-    return (
-        f"is nothing that can vary{nearest(name, known).partition('; known')[0]}; known: {listed}"
-    )
-
-
-def _count(text: str) -> int | None:
-    """How many values a grid has; None for a step, which has a unit or a decimal point."""
-    try:
-        value = read_value(text)
-    except ValueError:
-        return None
-    whole = not value.of and "." not in text and value.total.is_integer()
-    return int(value.total) if whole and value.total >= 0.0 else None
-
-
-def _axis(name: str, text: str, drawn: bool, unit: str) -> Axis:
-    """One --vary: a list, a grid, or an interval to draw from."""
-    where = f"--vary {name}"
-
-    def number(part: str) -> float:
-        return value_from(part, unit, where)
-
-    def wrong(limit: str) -> InputError:
-        return InputError(where, value=shown(text), limit=limit)
-
-    called = re.match(r"(normal|uniform)\b", text)
-    drawing = re.fullmatch(r"(normal|uniform)\(([^,()]+),([^,()]+)\)", text)
-    if called and not drawing:
-        raise wrong(f"needs two numbers: {DRAWN[called[1]]}")
-    if drawing:
-        if not drawn:
-            raise wrong(f"{drawing[1]} is for --sample")
-        if drawing[1] == "uniform":
-            text = f"{drawing[2]}:{drawing[3]}"
-        else:
-            mean, deviation = number(drawing[2]), number(drawing[3])
-            if not deviation > 0.0:
-                raise wrong("the deviation must be > 0")
-            return Axis(name, low=mean, deviation=deviation)
-    parts = text.split(":")
-    if len(parts) == 1:
-        return Axis(name, tuple(number(part) for part in text.split(",")))
-    if len(parts) == 2:
-        low, high = map(number, parts)
-        if not drawn:
-            raise wrong("write first:last:count or first:last:step; low:high is for --sample")
-        if not low < high:
-            raise wrong("the first must be below the second")
-        return Axis(name, low=low, high=high)
-    if len(parts) != 3:
-        raise wrong("write first:last:count, first:last:step or a,b,c")
-    first, last = map(number, parts[:2])
-    if (count := _count(parts[2])) is not None:
-        if not 1 <= count <= MOST_VALUES:
-            raise wrong(f"the count must be in [1, {MOST_VALUES}]")
-        return Axis(name, spaced(first, last, count))
-    step = number(parts[2])
-    if step != 0.0 and abs((last - first) / step) > MOST_VALUES:
-        raise wrong(f"makes more than {MOST_VALUES} values")
-    try:
-        return Axis(name, stepped(first, last, step))
-    except ValueError as error:
-        raise wrong(str(error)) from None
+    return Acting(end, control=tuple(arguments.items()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.cli.options import Model, Out, OutputStructured, Qdd, Tau, option, switch
+from robodyn.cli.options import Model, Out, OutputStructured, Qdd, Tau, option, refuse, switch
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import StateOptions, overflow, remarks, single_state
 from robodyn.dynamics import closed_form
@@ -49,10 +49,8 @@ def terms(
       robodyn terms 2r --q 30deg,45deg --qd 1,0.5 --tau 3,1 --derivatives
     """
     mechanism = model.load()
-    for name, given in (("--by", by), ("--qdd", qdd), ("--tau", tau)):
-        if given is not None and not derivatives:
-            value = given if isinstance(given, str) else ", ".join(given)
-            raise InputError(name, value=value, limit="is for --derivatives: give that too")
+    if not derivatives:
+        refuse("is for --derivatives: give that too", by=by, qdd=qdd, tau=tau)
     if mechanism.switches:
         note("Note: dry friction and ends of joints are left out of D, G and Q")
     q_, qd_ = single_state(mechanism, state.quantities())
@@ -128,17 +126,14 @@ def _derivatives(
 def _table(mechanism: Mechanism, name: str, unit: str, value: np.ndarray) -> Grid:
     """A term with its unit, or with those of each joint where some slide."""
     other = {**SLIDING, "m": "1"}.get(unit) if name in OF_JOINTS else None
-    title, told = (
-        name.replace("_", " "),
-        in_told_units({name: value.tolist()}, scene_units(mechanism)),
-    )
-    ((name, rows),) = told.items()
+    title, units = name.replace("_", " "), scene_units(mechanism)
+    ((name, rows),) = in_told_units({name: value.tolist()}, units).items()
     unit = DEGREES[unit] if name.endswith(IN_DEGREES) else unit
     matrix = np.atleast_2d(rows).tolist()
     columns = [str(k + 1) for k in range(len(matrix[0]))]
     if mechanism.slides and other is not None:
-        units = [other if k in mechanism.slides else unit for k in range(mechanism.n)]
-        columns = [f"{column} [{own}]" for column, own in zip(columns, units, strict=True)]
+        own = [other if k in mechanism.slides else unit for k in range(mechanism.n)]
+        columns = [f"{column} [{x}]" for column, x in zip(columns, own, strict=True)]
         return Grid(columns, matrix, title)
     if mechanism.slides and name in MIXED:
         one, both = MIXED[name]

@@ -1,4 +1,4 @@
-"""Options that are times: those of a motion's rows (--time, --every, --points), frequencies."""
+"""Options that are times: those of a motion's rows, --time, --every, --points."""
 
 from __future__ import annotations
 
@@ -8,23 +8,11 @@ from typing import Annotated
 from typer import Option
 
 from robodyn.errors import InputError
-from robodyn.scene.quantities import EXAMPLES, parse_quantity
-from robodyn.simulation.even_times import EvenTimes
-from robodyn.tables.csv_fields import shown
+from robodyn.simulation.even_times import DEFAULT_POINTS, EvenTimes
 
-DEFAULT_POINTS = 1001
 MOST_ROWS = 100_000_000
 _POINTS = f"Number of rows. Default: {DEFAULT_POINTS}."
 Points = Annotated[int | None, Option("--points", metavar="N", help=_POINTS)]
-
-
-def value_from(text: str, unit: str, option: str, example: str = "") -> float:
-    """The number that an option's text writes; InputError, naming the option, if it is none."""
-    try:
-        return parse_quantity(text.strip(), unit)
-    except ValueError as error:
-        limit = f"{error}; write {example or EXAMPLES.get(unit) or EXAMPLES['']}"
-        raise InputError(option, value=shown(text), limit=limit) from None
 
 
 def output_times(duration: float, every: float | None, points: int | None) -> EvenTimes:

@@ -6,14 +6,12 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 
-from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model, Number, Qdd, option, switch
+from robodyn.cli.options import Force, Model, Number, Qdd, load_with, option, switch
 from robodyn.cli.states import Quantity, TableOptions, evaluate, option_source, overflow
 from robodyn.engines.formulas import MAX_GENERATED
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
-from robodyn.pictures.column_units import scene_units
 
 
 def torque(
@@ -73,9 +71,10 @@ def torque(
     powers = [f"power{k + 1}" for k in mechanism.actuated if power]
     plain = given.states is None and not (loops or given.differentiate)
     if plain and mechanism.n <= MAX_GENERATED:
-        row = _single_row(mechanism, quantities, power)
-        with given.writer(columns + motors + powers, units=scene_units(mechanism)) as writer:
-            writer.write_row(row)
+        tau, rates = _single_state(mechanism, quantities)
+        row = [*tau, *motor_values(mechanism, tau, rates)]
+        row += [x * v for x, v in zip(tau, rates, strict=True) if power]
+        given.write_one(mechanism, columns + motors + powers, row)
         return
 
     import numpy as np
@@ -92,16 +91,6 @@ def torque(
         return np.concatenate([found, power_values(mechanism, qd, tau)], axis=-1)
 
     evaluate(mechanism, given, quantities, torque_columns(mechanism) + powers, compute)
-
-
-def _single_row(mechanism: Mechanism, quantities: list[Quantity], power: bool) -> list[float]:
-    """The values of all columns at the one state that the options give."""
-    tau, rates = _single_state(mechanism, quantities)
-    row = [*tau, *motor_values(mechanism, tau, rates)]
-    row += [x * v for x, v in zip(tau, rates, strict=True) if power]
-    if not all(map(math.isfinite, row)):
-        raise overflow()
-    return row
 
 
 def _single_state(

@@ -10,16 +10,17 @@ from contextlib import nullcontext
 import numpy as np
 
 from robodyn.cli import trajectory_options as ways
-from robodyn.cli.options import Model, Text, option
+from robodyn.cli.options import Model, Text, option, refuse
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
-from robodyn.cli.times import Points, output_times, value_from
-from robodyn.cli.trajectory_options import TrajectoryOptions, refuse
+from robodyn.cli.times import Points, output_times
+from robodyn.cli.trajectory_options import TrajectoryOptions
 from robodyn.dynamics.switching import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
+from robodyn.scene.quantities import value_from
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.trajectories import time_scaling
 from robodyn.trajectories.continuation import Watch
@@ -73,11 +74,11 @@ def trajectory(
     duration = given.duration()
     with ways.named(given):
         limits = given.limits(mechanism)
-    if given.acceleration is not None and given.profile != "trapezoidal":
-        raise InputError("--acceleration", limit="is for --profile trapezoidal")
+    if given.profile != "trapezoidal":
+        refuse("is for --profile trapezoidal", acceleration=given.acceleration)
     if given.profile == "sweep":
         others = {"to": given.to, "via": given.via, "speed": given.speed, "turns": given.turns}
-        refuse("a sweep", **others, ends=given.ends, **given.task)
+        refuse("does not go with a sweep", **others, ends=given.ends, **given.task)
     elif given.amplitude is not None or given.frequencies is not None:
         raise InputError("--amplitude and --frequencies", limit="are for --profile sweep")
     step = None if every is None else value_from(every, "s", "--every")
@@ -117,7 +118,7 @@ def _motion(
         return along(path, pose[None], seconds)
     if given.speed is not None or given.turns is not None:
         others = {"to": given.to, "via": given.via, "profile": given.profile, "ends": given.ends}
-        refuse("--speed and --turns", **others)
+        refuse("does not go with --speed and --turns", **others)
         pose = ways.given_angles(mechanism, given.from_, "from", default=True)
         path, seconds = ways.turning_from(mechanism, pose, given, duration)
         return along(path, pose[None], seconds)

@@ -11,15 +11,14 @@ from typing import Annotated, Literal
 import numpy as np
 
 from robodyn.cli.files import rows_file
-from robodyn.cli.options import EACH, Number, Text, named_options, option
+from robodyn.cli.options import EACH, Number, Text, option, refuse
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.states import Quantity, joint_values, option_source, table_source
-from robodyn.cli.times import value_from
-from robodyn.errors import InputError
+from robodyn.cli.states import Quantity, option_source, table_source
+from robodyn.errors import InputError, named_options
 from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units
-from robodyn.scene.quantities import parse_vector
+from robodyn.pictures.column_units import joint_values, scene_units
+from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Sweep
@@ -128,7 +127,7 @@ def points_from(mechanism: Mechanism, given: TrajectoryOptions) -> Points:
         joints = _joints(mechanism, len(names) - timed == mechanism.n)
         rows[:, joints] = values[:, : len(joints)]
         if timed:
-            refuse(f"the times (t) in {source}", **ends)
+            refuse(f"does not go with the times (t) in {source}", **ends)
             times = values[:, -1]
     first, last = (
         np.zeros((0, mechanism.n)) if text is None else given_angles(mechanism, text, name)[None]
@@ -208,13 +207,6 @@ def turning_from(
     if duration is None or math.isnan(duration):
         raise InputError("--speed", limit="needs --turns, or --time in seconds")
     return ConstantSpeed(start, rate * duration), duration
-
-
-def refuse(what: str, **options: object) -> None:
-    for name, value in options.items():
-        if value is not None:
-            flag = "--" + name.replace("_", "-")
-            raise InputError(flag, limit=f"does not go with {what}")
 
 
 @contextmanager

@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robodyn.cli.options import refuse
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.times import value_from
-from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, refuse
+from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.kinematics.named_points import named_point
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
+from robodyn.scene.quantities import value_from
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import FURTHEST, Watch
 from robodyn.trajectories.inverse_kinematics import along_branch
@@ -52,7 +53,8 @@ def task_motion(
         flag = "--" + next(iter(given.task)).replace("_", "-")
         raise InputError(flag, limit="goes with --to-xy, --arc or --path")
     others = (*named[1:], "to", "via", "speed", "turns")
-    refuse("--" + named[0].replace("_", "-"), **{x: getattr(given, x) for x in others})
+    flag = "--" + named[0].replace("_", "-")
+    refuse(f"does not go with {flag}", **{x: getattr(given, x) for x in others})
     for name in ("of", "from_"):
         if getattr(given, name) is None:
             which = "the point that is led" if name == "of" else "the pose that it begins from"
@@ -60,7 +62,7 @@ def task_motion(
     point = named_point(mechanism, given.of or "", "--of")
     file = None if given.path is None else _read(given.path)
     if file is None or file.times is None:
-        refuse("paths without times", ends=given.ends)
+        refuse("does not go with paths without times", ends=given.ends)
     task = task_of(mechanism, point, file is not None and file.points.shape[1] == 3)
     if given.posture is not None and not task.redundant:
         limit = f"is for redundant arms: all freedoms are taken to lead {point.name}"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -202,3 +202,26 @@ def _operated(op: ast.operator, a: Array, b: Array) -> Array | None:
         case ast.Mult() | ast.Div() if not b[1:].any():
             return np.asarray(a * b[0] if isinstance(op, ast.Mult) else a / b[0])
     return None
+
+
+def named_events(mechanism: Mechanism, texts: Iterable[str], taken: str) -> dict[str, str]:
+    """The expressions of NAME=EXPR by their names; InputError, naming --event, for what is none.
+
+    None may have the name that is `taken`.
+    """
+    given: dict[str, str] = {}
+    for text in texts:
+        name, sign, expression = (part.strip() for part in text.partition("="))
+        if not (sign and name and expression) or expression.startswith("="):
+            limit = "must be NAME=EXPR, such as apex=qd1 or high='q1 > 90deg'"
+            raise InputError("--event", value=text, limit=limit)
+        if name in given or name == taken:
+            limit = "each event needs a name of its own"
+            raise InputError("--event", value=name, limit=limit)
+        given[name] = expression
+    try:
+        event_functions(mechanism, given)
+    except InputError as error:
+        error.where = f"--{error.where}" if error.where else "--event"
+        raise
+    return given

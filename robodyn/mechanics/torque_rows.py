@@ -31,7 +31,8 @@ def torque_slots(
         driven = set(equations.mechanism.actuated)
         return [add(Given(f"tau{j}")) if j in driven else None for j in range(n)]
     if actuation.control is not None:
-        raise _refused("a controller that acts continuously")
+        more = ", or --control-rate, whose torques are held from sample to sample"
+        raise _refused("a controller that acts continuously", more)
     import ast
 
     from robodyn.mechanics.expression_rows import ExpressionRows, Slotted
@@ -70,6 +71,6 @@ def linear_piece(
     return [a - s * third for a, s in zip(first, slopes, strict=True)], slopes
 
 
-def _refused(what: str) -> InputError:
+def _refused(what: str, more: str = "") -> InputError:
     limit = "the Taylor series expands arithmetic and smooth functions: take --method DOP853"
-    return InputError(f"torque: {what} has no series", limit=limit)
+    return InputError(f"torque: {what} has no series", limit=limit + more)

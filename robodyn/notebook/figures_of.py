@@ -5,33 +5,26 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from robodyn.dynamics.placed import as_states, placed
+from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError, printable
 from robodyn.kinematics.named_points import named_points
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly import assemble
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.notebook.inline import opened
-from robodyn.notebook.own_settings import named_as_arguments, own_settings
-from robodyn.pictures.animation_files import (
-    check_animation,
-    check_programs,
-    page,
-    write_animation,
-)
+from robodyn.notebook.inline import named_as_arguments, opened, own_settings
+from robodyn.pictures import animation_files
+from robodyn.pictures.animation_files import check_animation, check_programs
 from robodyn.pictures.chart import read_chart
 from robodyn.pictures.chart_figure import chart_figure
 from robodyn.pictures.column_units import TURNING, scene_units
-from robodyn.pictures.drawing import Drawing, drawing, even_rows, first_pose, traced
-from robodyn.pictures.motion_frames import Frames, frames
-from robodyn.pictures.outlines import at
+from robodyn.pictures.drawing import drawing, even_rows, first_pose, traced
+from robodyn.pictures.motion_frames import frames
 from robodyn.pictures.value_map import read_map
 from robodyn.simulation.simulation import Motion
 from robodyn.tables.arrays import Array
@@ -171,15 +164,8 @@ def _closed(mechanism: Mechanism, q: ArrayLike) -> Array:
     return poses
 
 
-@dataclass(frozen=True, repr=False)
-class Animation:
+class Animation(animation_files.Animation):
     """A motion as a moving picture, which a notebook shows; `save` writes it to a file."""
-
-    drawn: Drawing
-    frames: Frames
-    speed: float
-    traces: list[NDArray[np.complex128]]
-    size: Size = None
 
     def __repr__(self) -> str:
         t, name = self.frames.t, printable(self.drawn.mechanism.name)
@@ -188,9 +174,7 @@ class Animation:
     def figure(self, frame: int = -1) -> Figure:
         """One of its frames; without matplotlib RobodynError."""
         with own_settings():
-            from robodyn.pictures.animation_files import Film
-
-            film = Film(self.drawn, self.frames.t, self.traces, self.size)
+            film = animation_files.Film(self)
             film.show(range(film.count)[frame])
             figure: Figure = film.figure
             return figure
@@ -200,21 +184,13 @@ class Animation:
         out = os.fspath(path)
         check_animation(out, self.frames.rate, self.speed)
         check_programs(out)
-        facts = self.drawn, self.frames, self.speed, self.traces, self.size, out
-        if out.lower().endswith(".html"):
-            write_animation(*facts, _unwatched)
-            return
-        with own_settings():
-            write_animation(*facts, _unwatched)
+        with nullcontext() if out.lower().endswith(".html") else own_settings():
+            self.write(out, lambda: nullcontext(lambda part: None))
 
     def _repr_html_(self) -> str:
-        text = page(self.drawn, self.frames, self.speed, self.traces, self.size)
+        text = animation_files.page(self)
         style = "width: 640px; height: 560px; border: 0"
         return f'<iframe srcdoc="{escape(text, quote=True)}" style="{style}"></iframe>'
-
-
-def _unwatched() -> Any:
-    return nullcontext(lambda part: None)
 
 
 def animate(
@@ -252,6 +228,4 @@ def animate(
     check_animation("page.html", fps, speed)
     named = named_points(mechanism, of, "of") if of else []
     moving = frames(mechanism, times, rows, rates, float(fps), float(speed))
-    X = placed(mechanism, moving.fine).X
-    paths = [at(each.point, X) for each in named]
-    return Animation(drawing(mechanism, moving.q), moving, float(speed), paths, size)
+    return Animation.of(mechanism, moving, float(speed), named, size)

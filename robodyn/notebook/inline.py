@@ -1,8 +1,15 @@
-"""How a notebook shows a mechanism and a motion: html with a drawing, or with a small chart."""
+"""How a notebook shows a mechanism and a motion: html with a drawing, or with a small chart.
+
+Figures leave a notebook's own settings as they are, and errors name arguments.
+"""
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+import logging
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from html import escape
 from importlib.util import find_spec
 from io import BytesIO
@@ -10,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 from robodyn.errors import RobodynError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.notebook.own_settings import own_settings
 from robodyn.pictures.chart import read_chart
 from robodyn.pictures.column_units import scene_units
 from robodyn.tables.columns import Columns
@@ -76,3 +82,38 @@ def opened(columns: Columns, name: str) -> Any:
     writer.close()
     stream.seek(0)
     return nullcontext((stream, name))
+
+
+@contextmanager
+def own_settings() -> Iterator[None]:
+    """Within it figures have robodyn's settings, after it all are what they were.
+
+    Raises RobodynError where matplotlib (the extra `plot`) is not there.
+    """
+    from robodyn.pictures.chart_figure import check_matplotlib
+
+    check_matplotlib("a figure")
+    from matplotlib import rc_context
+
+    logger, backend = logging.getLogger("matplotlib"), os.environ.get("MPLBACKEND")
+    level = logger.level
+    with rc_context(), warnings.catch_warnings():
+        try:
+            yield
+        finally:
+            logger.setLevel(level)
+            if backend is None:
+                os.environ.pop("MPLBACKEND", None)
+            else:
+                os.environ["MPLBACKEND"] = backend
+
+
+@contextmanager
+def named_as_arguments() -> Iterator[None]:
+    """`--max-steps` is max_steps where a function is called."""
+    try:
+        yield
+    except RobodynError as error:
+        if error.what.startswith("--"):
+            error.what = error.what[2:].replace("-", "_")
+        raise

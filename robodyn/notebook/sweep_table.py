@@ -4,48 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
 from typing import Any, get_args
 
 import numpy as np
 
-from robodyn.cli.options import Model
-from robodyn.cli.simulate_options import ControlOptions
-from robodyn.cli.sweep_options import Kind, SweepOptions, plan_of
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.notebook.own_settings import named_as_arguments
-from robodyn.scene.scene import Written
+from robodyn.notebook.inline import named_as_arguments
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_tree import Scalar
 from robodyn.scene.yaml_tree import Sequence as ListOf
 from robodyn.simulation.settings import Engine
 from robodyn.sweeps.sweep_plan import check
+from robodyn.sweeps.sweep_request import Kind, SweepRequest, plan_of
 from robodyn.sweeps.sweep_workers import results
 from robodyn.tables.columns import Columns
 
 VECTORS = ("q", "qd", "qdd", "tau")
-
-
-@dataclass(eq=False, repr=False)
-class _Loaded(Model):
-    """The model that a mechanism is, in place of a file."""
-
-    written: Written = field(default_factory=Written)
-
-    def values(self) -> SceneValues:
-        return SceneValues(self.written, self.model)
-
-    def text(self) -> str:
-        return self.written.text
-
-    @property
-    def given(self) -> tuple[tuple[str, str], ...]:
-        """What stands in place of the file's numbers."""
-        values, found = self.values(), {}
-        for put in self.written.put:
-            found.update({values.own_name(name): _written(x) for name, x in put.items()})
-        return tuple(found.items())
 
 
 def sweep(
@@ -64,7 +39,7 @@ def sweep(
     atol, max_steps, engine.  `workers` are threads or processes; None: one a processor.  A point
     without a result has nan.  Raises InputError for what does not fit.
     """
-    known = SweepOptions.__dataclass_fields__
+    known = SweepRequest.__dataclass_fields__
     if not isinstance(vary, Mapping) or not vary:
         raise InputError("vary", limit='must be a mapping, such as {"q1": [0, 0.1, 0.2]}')
     for name in options:
@@ -78,9 +53,13 @@ def sweep(
     for name in ("of", "event"):
         if isinstance(given.get(name), str):
             given[name] = [given[name]]
-    model = _Loaded(mechanism.source, None, mechanism.description.written)
+    written = mechanism.description.written
+    scene, numbers = SceneValues(written, mechanism.source), {}
+    for put in written.put:  # what stands in place of the file's numbers
+        numbers.update({scene.own_name(name): _written(x) for name, x in put.items()})
     with named_as_arguments():
-        plan = plan_of(model, SweepOptions(vary=axes, sample=sample, **given), ControlOptions())
+        request = SweepRequest(vary=axes, sample=sample, **given)
+        plan = plan_of(scene, written.text, tuple(numbers.items()), request)
         check(plan)
     with closing(results(plan, 0, workers)) as chunks:
         rows = list(chunks)

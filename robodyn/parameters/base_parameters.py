@@ -30,7 +30,7 @@ from robodyn.loops.loop_rates import nearest_velocities
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import regressor
-from robodyn.scene.scene import Description, Point, Spring
+from robodyn.scene.scene import Description, Motor, Point, Spring
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
@@ -234,29 +234,26 @@ def _changed(
 
     lengths = [near(link.l) for link in base.links]
 
-    def moved(at: Any) -> Any:
-        if at.link is not None and at.at == base.links[at.link].l:
-            return at._replace(at=complex(lengths[at.link]))
-        return at._replace(at=complex(near(at.at.real), near(at.at.imag)))
+    def moved(value: Any) -> Any:
+        """What a scene holds, points and ratios changed; a tip goes with its link's length."""
+        match value:
+            case Point(link, at):
+                if link is not None and at == base.links[link].l:
+                    return Point(link, complex(lengths[link]))
+                return Point(link, complex(near(at.real), near(at.imag)))
+            case Motor():
+                return value._replace(ratio=near(value.ratio))
+            case (int() as joint, float() as ratio):
+                return joint, near(ratio)
+            case tuple():
+                parts = map(moved, value)
+                return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+        return value
 
-    links = tuple(
-        link._replace(
-            l=length,
-            hangs_from=moved(link.hangs_from),
-            motor=link.motor and link.motor._replace(ratio=near(link.motor.ratio)),
-        )
-        for link, length in zip(base.links, lengths, strict=True)
-    )
-    ends = [x._replace(first=moved(x.first), second=moved(x.second)) for x in base.closures]
-    couplings = tuple(
-        x._replace(terms=tuple((k, near(ratio)) for k, ratio in x.terms)) for x in base.couplings
-    )
-    springs = tuple(
-        x._replace(first=moved(x.first), second=moved(x.second)) if isinstance(x, Spring) else x
-        for x in base.springs
-    )
-    changed = base._replace(links=links, closures=tuple(ends), couplings=couplings, springs=springs)
-    changed = changed._replace(gravity=base.gravity * near(1.0))
+    changed = moved(base)
+    pairs = zip(changed.links, lengths, strict=True)
+    links = tuple(link._replace(l=length) for link, length in pairs)
+    changed = changed._replace(links=links, gravity=base.gravity * near(1.0))
     try:
         other = structural(build(changed))
     except RobodynError:

@@ -1,14 +1,14 @@
 """Numbers of a scene such that columns follow a table, or have a least sum of squares.
 
 Residual vectors and their exact derivatives go from many starts, as lanes, through Levenberg and
-Marquardt's method (`lane_least_squares.py`); the best are finished by scipy's `least_squares`.
+Marquardt's method (`fit_problem.py`); the best are finished by scipy's `least_squares`.
 Where loops do not close, ten times what is missing is among the residuals (positions alone; rates
 have no values there, and such steps are refused), and results that do not close are thrown away.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +21,7 @@ from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.base_parameters import EXCITED, dependence
 from robodyn.parameters.column_formulas import ColumnFormulas
-from robodyn.parameters.fit_problem import Problem, Search, finished
-from robodyn.parameters.lane_least_squares import lane_least_squares
+from robodyn.parameters.fit_problem import Problem, Search, finished, lane_least_squares
 from robodyn.parameters.lane_states import LaneStates, Rows
 from robodyn.scene.scene_values import SceneValues
 from robodyn.tables.arrays import Array
@@ -86,36 +85,59 @@ def fit(
     row where columns are in them.  Raises InputError for what does not fit, for forces of dry
     friction and stops, and for bounds within which the loops never close.
     """
-    values = checked(mechanism, vary)
-    formulas = ColumnFormulas(mechanism, list(vary), of)
-    nodes = [formulas.column(name) for name in columns]
-    rows = _rows(mechanism, q, qd, qdd, t)
-    every = {name: values.number(name) for name in values.names}
-    every |= {name: values.number(name) for name in vary}
-    conditions = [formulas.condition(text, every) for text in subject_to]
-    every_node = [*nodes, *(node for node, _ in conditions)]
+    wanted = Wanted(mechanism, vary, columns, of, subject_to)
+    formulas, rows = wanted.formulas, _rows(mechanism, q, qd, qdd, t)
     if mechanism.switches:
-        forces = [f"f{i}" for i in range(len(formulas.forces))]
-        for name, node in zip([*columns, *subject_to], every_node, strict=True):
-            if _depends(node, forces):
+        forces = {f"f{i}" for i in range(len(formulas.forces))}
+        for name, by in zip(wanted.names, wanted.by, strict=True):
+            if by & forces:
                 limit = "jumps where dry friction or a stop switches: fit columns of points, of"
                 limit += " links and of joints that follow, or motions (--simulate)"
                 raise InputError("column", value=shown(name), where=mechanism.source, limit=limit)
-    states = LaneStates(formulas, every_node, rows)
-    alone = [not _depends(node, formulas.inputs[: -len(vary)]) for node, _ in conditions]
+    states = LaneStates(formulas, wanted.nodes, rows)
     turns = {f"q{k + 1}" for k in range(mechanism.n) if k not in mechanism.slides}
     turns |= {f"angle{k + 1}" for k in range(mechanism.n)}
     turning = [name in turns for name in columns]
-    wanted = as_target(target, len(rows.t), len(columns))
-    own = np.array([values.number(name) for name in vary])
-    problem = Problem(states, own, vary, wanted, turning, [x for _, x in conditions], alone)
-    return solved(mechanism, values, problem, columns, subject_to, starts, seed, tell)
+    to = as_target(target, len(rows.t), len(columns))
+    own = np.array([wanted.numbers[name] for name in vary])
+    alone = wanted.alone(formulas.inputs[: -len(vary)])
+    problem = Problem(states, own, vary, to, turning, wanted.equal, alone)
+    return solved(wanted, problem, starts, seed, tell)
+
+
+class Wanted:
+    """Columns, and conditions behind them, as formulas of a state and of the numbers of `vary`.
+
+    `by` are the inputs that each of `names` depends on; `equal` tells which conditions are
+    equations.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        vary: Mapping[str, tuple[float, float]],
+        columns: Sequence[str],
+        of: Sequence[str],
+        subject_to: Sequence[str],
+    ) -> None:
+        self.mechanism, self.values = mechanism, checked(mechanism, vary)
+        self.columns, self.subject_to = tuple(columns), tuple(subject_to)
+        self.names = [*columns, *subject_to]
+        self.formulas = ColumnFormulas(mechanism, list(vary), of)
+        nodes = [self.formulas.column(name) for name in columns]
+        self.numbers = {name: self.values.number(name) for name in (*self.values.names, *vary)}
+        conditions = [self.formulas.condition(text, self.numbers) for text in subject_to]
+        self.nodes: list[Value] = [*nodes, *(node for node, _ in conditions)]
+        self.equal = [equal for _, equal in conditions]
+        self.by = [set(slope) for slope in tangents(self.nodes, self.formulas.inputs)]
+
+    def alone(self, moving: Collection[str]) -> list[bool]:
+        """Which of the conditions depend on none of the inputs that differ from row to row."""
+        return [by.isdisjoint(moving) for by in self.by[len(self.nodes) - len(self.equal) :]]
 
 
 def checked(mechanism: Mechanism, vary: Mapping[str, tuple[float, float]]) -> SceneValues:
     """The numbers of the scene; InputError for names that are none, and for bounds."""
-    if not vary:
-        raise InputError("--vary", limit="names no number")
     values = named_values(mechanism, *vary)
     if clash := values.clash(vary):
         raise InputError("--vary", value=" and ".join(clash), limit="are one number")
@@ -163,21 +185,11 @@ def _rows(mechanism: Mechanism, q: ArrayLike, *others: ArrayLike | None) -> Rows
     return Rows(*found)
 
 
-def _depends(node: Value, names: Sequence[str]) -> bool:
-    return bool(tangents([node], list(names))[0])
-
-
 def solved(
-    mechanism: Mechanism,
-    values: SceneValues,
-    problem: Problem,
-    columns: Sequence[str],
-    subject_to: Sequence[str],
-    starts: int,
-    seed: int,
-    tell: Callable[[float], object],
+    wanted: Wanted, problem: Problem, starts: int, seed: int, tell: Callable[[float], object]
 ) -> Fit:
     """The best of a problem from many starts."""
+    mechanism, values, subject_to = wanted.mechanism, wanted.values, wanted.subject_to
     if starts < 1:
         raise InputError("--starts", value=starts, limit="must be >= 1")
     if seed < 0:
@@ -235,7 +247,7 @@ def solved(
         mechanism=build(values.replaced({x: y for x, y in found.items() if x in values})),
         numbers=found,
         before=dict(zip(problem.names, problem.own.tolist(), strict=True)),
-        columns=tuple(columns),
+        columns=wanted.columns,
         residuals=left,
         rms=np.sqrt(np.mean(left**2, axis=0)),
         rms_before=np.where(

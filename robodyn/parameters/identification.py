@@ -15,8 +15,8 @@ noise of each joint's torque.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,7 +32,7 @@ from robodyn.parameters.base_parameters import (
     structural,
 )
 from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import balanced_joints, regressor
+from robodyn.parameters.regression_matrix import Regressor, balanced_joints, regressor
 from robodyn.scene.scene import Description
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
@@ -75,6 +75,10 @@ class Identification(NamedTuple):
     faults: tuple[str, ...]  # why that is no scene, if it is none
 
 
+# estimates, what is kept, the condition, the change of pi, and the scene with it
+_Found = tuple[tuple[Estimate, ...], tuple[str, ...], float, Array, Description]
+
+
 def identify(
     mechanism: Mechanism,
     q: ArrayLike,
@@ -104,19 +108,25 @@ def identify(
     torques = np.zeros((len(given), len(joints)))
     torques[:, [joints.index(k) for k in mechanism.actuated]] = given
     data = _Data(mechanism, states, torques, np.broadcast_to(np.asarray(t, float), len(torques)))
-    return _named(mechanism, data, of, physical) if of else _base(mechanism, data, physical)
+    found = _named(mechanism, data, of, physical) if of else _base(mechanism, data, physical)
+    estimates, kept, condition, change, made = found
+    made, faults = scene_numbers.checked(made)
+    left, pi = data.left(change), data.now + change
+    rows, usual = data.rows, data.rms_torque
+    return Identification(estimates, kept, condition, rows, left, usual, made, pi, faults)
 
 
 def predicted(
     mechanism: Mechanism, found: Identification, states: Sequence[Array], t: Array
 ) -> Array:
     """The torques (T, a) that the parameters found give along q, qd, qdd (T, n)."""
-    blocks = []
+    return np.concatenate([Y.Y @ found.pi + Y.known for Y in _regressors(mechanism, states, t)])
+
+
+def _regressors(mechanism: Mechanism, states: Sequence[Array], t: Array) -> Iterator[Regressor]:
+    """The regressors of blocks of the states."""
     for begin in range(0, len(t), BLOCK):
-        q, qd, qdd, now = (x[begin : begin + BLOCK] for x in (*states, t))
-        Y = regressor(mechanism, q, qd, qdd, now)
-        blocks.append(Y.Y @ found.pi + Y.known)
-    return np.concatenate(blocks)
+        yield regressor(mechanism, *(x[begin : begin + BLOCK] for x in (*states, t)))
 
 
 class _Data:
@@ -130,10 +140,9 @@ class _Data:
         self.now = np.array([x.value for x in parameters])
         p = len(parameters)
         triangles: list[Array] = [np.zeros((0, p + 1))] * self.joints
-        for begin in range(0, len(tau), BLOCK):
-            q, qd, qdd, now = (x[begin : begin + BLOCK] for x in (*states, t))
-            found = regressor(mechanism, q, qd, qdd, now)
-            left = tau[begin : begin + BLOCK] - found.Y @ self.now - found.known
+        for block, found in enumerate(_regressors(mechanism, states, t)):
+            measured = tau[block * BLOCK : (block + 1) * BLOCK]
+            left = measured - found.Y @ self.now - found.known
             for i, triangle in enumerate(triangles):
                 rows = np.column_stack([found.Y[:, i], left[:, i]])
                 triangle = np.linalg.qr(np.concatenate([triangle, rows]), mode="r")  # type: ignore
@@ -182,7 +191,7 @@ def _nothing(mechanism: Mechanism, names: Sequence[str]) -> InputError:
     return InputError("no excitation", where=mechanism.source, limit=limit)
 
 
-def _base(mechanism: Mechanism, data: _Data, physical: bool) -> Identification:
+def _base(mechanism: Mechanism, data: _Data, physical: bool) -> _Found:
     """Base parameters: of what others make, and of what the motion does not tell, nothing moves."""
     kept, scene = structural(mechanism).kept, mechanism.description
     data.enough(len(kept))
@@ -201,29 +210,26 @@ def _base(mechanism: Mechanism, data: _Data, physical: bool) -> Identification:
     solve()
     made = scene_numbers.from_parameters(scene, data.names, data.now + change)
     if physical and scene_numbers.checked(made)[1]:
-        sought = _Numbers(data, scene, list(scene_numbers.all_places(scene).values()))
+        sought = _Numbers(data, scene, list(scene_numbers.own_numbers(scene).values()))
         made = sought.described(sought.bounded(sought.before, hold=True))
         change = scene_numbers.values_of(made) - data.now
     errors, condition = data.errors(data.R[:, columns], change)
     structure, base = structural(mechanism), base_parameters(mechanism)
     combined = change[kept] + structure.beta @ change[structure.dropped]
+    told, moved = [base[k] for k in found.kept], combined[found.kept].tolist()
     estimates = tuple(
-        Estimate(x.text, x.value + moved, error, x.value, x.unit)
-        for x, moved, error in zip(
-            (base[k] for k in found.kept),
-            combined[found.kept].tolist(),
-            errors.tolist(),
-            strict=True,
-        )
+        Estimate(x.text, x.value + more, error, x.value, x.unit)
+        for x, more, error in zip(told, moved, errors.tolist(), strict=True)
     )
     untold = tuple(base[k].text for k in found.dropped)
-    return _result(data, estimates, untold, condition, change, made)
+    return estimates, untold, condition, change, made
 
 
-def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool) -> Identification:
+def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool) -> _Found:
     """Numbers of the scene."""
     scene = mechanism.description
-    where = [scene_numbers.place_of(scene, name) for name in of]
+    numbers = [scene_numbers.number_called(scene, name) for name in of]
+    where = [number.place for number in numbers]
     if len(set(where)) < len(of):
         raise InputError(", ".join(of), limit="name one number twice")
     data.enough(len(of))
@@ -232,7 +238,7 @@ def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool)
     found = dependence(data.R @ slopes / np.where(usual > 0.0, usual, 1.0), of, EXCITED)
     if not found.kept:
         raise _nothing(mechanism, of)
-    sought = _Numbers(data, scene, [where[k] for k in found.kept])
+    sought = _Numbers(data, scene, [numbers[k] for k in found.kept])
     x = sought.before
     for _ in range(2):
         x = sought.free(x)
@@ -243,24 +249,24 @@ def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool)
     change = sought.change(x)
     errors, condition = data.errors(data.R @ sought.slopes(x), change)
     estimates = tuple(
-        Estimate(of[k], value, error, before, scene_numbers.unit_of(scene, where[k]))
+        Estimate(of[k], value, error, before, numbers[k].unit)
         for k, value, error, before in zip(
             found.kept, x.tolist(), errors.tolist(), sought.before.tolist(), strict=True
         )
     )
     untold = tuple(of[k] for k in found.dropped)
-    return _result(data, estimates, untold, condition, change, sought.described(x))
+    return estimates, untold, condition, change, sought.described(x)
 
 
 class _Numbers:
     """Numbers x at places of a scene, and what fits the data best."""
 
     def __init__(
-        self, data: _Data, scene: Description, where: Sequence[scene_numbers.Place]
+        self, data: _Data, scene: Description, numbers: Sequence[scene_numbers.Number]
     ) -> None:
-        self.data, self.scene, self.where = data, scene, where
-        self.before = np.array([scene_numbers.number_at(scene, x) for x in where])
-        self.least = np.array([scene_numbers.least_of(scene, x) for x in where])
+        self.data, self.scene, self.where = data, scene, [x.place for x in numbers]
+        self.before = np.array([scene_numbers.number_at(scene, x) for x in self.where])
+        self.least = np.array([x.least for x in numbers])
 
     def described(self, x: Array) -> Description:
         """The scene with them."""
@@ -301,36 +307,7 @@ class _Numbers:
         def slopes(x: Array) -> Array:
             return np.concatenate([self.data.R @ self.slopes(x), np.diag(weight)])
 
-        found = least_squares(
-            left,
-            np.maximum(x, least),
-            slopes,
-            bounds=(least, np.inf),
-            x_scale="jac",
-            ftol=TIGHT,
-            xtol=TIGHT,
-            gtol=TIGHT,
-        )
+        tight: Any = dict.fromkeys(("ftol", "xtol", "gtol"), TIGHT)
+        begin, bounds = np.maximum(x, least), (least, np.inf)
+        found = least_squares(left, begin, slopes, bounds=bounds, x_scale="jac", **tight)
         return np.where(found.active_mask < 0, least, found.x)
-
-
-def _result(
-    data: _Data,
-    estimates: tuple[Estimate, ...],
-    kept: tuple[str, ...],
-    condition: float,
-    change: Array,
-    described: Description,
-) -> Identification:
-    described, faults = scene_numbers.checked(described)
-    return Identification(
-        estimates,
-        kept,
-        condition,
-        data.rows,
-        data.left(change),
-        data.rms_torque,
-        described,
-        data.now + change,
-        faults,
-    )

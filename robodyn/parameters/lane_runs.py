@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate._ivp import dop853_coefficients as dop
 
 from robodyn.dynamics.closed_form import scaled_jacobian
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
@@ -36,7 +37,7 @@ from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import compiled, solved_lanes
 from robodyn.scene.expressions import check_smooth
 from robodyn.simulation.varied_motion import torque_lines, torque_nodes
-from robodyn.tables.arrays import Array
+from robodyn.tables.arrays import Array, Truth
 
 Places = NDArray[np.int64]
 Start = tuple[str, int] | None  # what is varied: q or qd of a joint that is held, or a number
@@ -235,69 +236,112 @@ class LaneRuns:
 
     def _run(self, changes: Array, y: Array) -> Array:
         """y (S, T, N) at the times, from y (S, N) at the first."""
-        from scipy.integrate._ivp import dop853_coefficients as dop
-
         times, (S, N) = self.times, y.shape
-        A, B, C, D, stages = dop.A, dop.B, dop.C, dop.D, dop.N_STAGES
         rows = np.full((S, len(times), N), np.nan)
         rows[:, 0] = y
-        lanes, t, due = np.arange(S), np.full(S, times[0]), np.ones(S, int)
+        t = np.full(S, times[0])
         f, Psi = self._slopes(t, y, changes), self._closed(changes, y)[1]
-        size = 1.0 + np.abs(y)
-        h = 0.01 * np.linalg.norm(y / size, axis=1) / (np.linalg.norm(f / size, axis=1) + 1e-10)
-        h = np.maximum(h, 1e-6)
+        now = _Lanes(np.arange(S), t, np.ones(S, int), _first_steps(y, f), y, f, Psi)
         for _ in range(STEPS):
-            ahead = (due < len(times)) & (h > 1e-14 * (1.0 + np.abs(t)))
-            ahead &= np.isfinite(f).all(axis=1)
+            ahead = (now.due < len(times)) & (now.h > 1e-14 * (1.0 + np.abs(now.t)))
+            ahead &= np.isfinite(now.f).all(axis=1)
             if not ahead.all():
-                lanes, t, due, h = lanes[ahead], t[ahead], due[ahead], h[ahead]
-                y, f, Psi = y[ahead], f[ahead], Psi[ahead]
-            if not len(lanes):
+                now = now.chosen(ahead)
+            if not len(now.lanes):
                 break
-            widest = self.leaves[1][np.searchsorted(self.leaves[0], t, "right")]
-            numbers, step = changes[lanes], np.minimum(np.minimum(h, widest), times[-1] - t)
-            K = np.empty((len(C), len(lanes), N))
-            K[0] = f
-
-            def along(weights: Array, K: Array = K) -> Array:
-                """The sum of weights K, over the first stages."""
-                count = len(weights)
-                return (weights @ K[:count].reshape(count, -1)).reshape(K.shape[1:])
-
-            for s in range(1, stages):
-                there = y + step[:, None] * along(A[s, :s])
-                K[s] = self._slopes(t + C[s] * step, there, numbers)
-            new = y + step[:, None] * along(B)
-            end = np.where(step < times[-1] - t, t + step, times[-1])
-            K[stages] = self._slopes(end, new, numbers)
-            scale = self.tolerance * (1.0 + np.maximum(np.abs(y), np.abs(new)))
-            five, three = (np.sum((along(E) / scale) ** 2, axis=1) for E in (dop.E5, dop.E3))
-            error = step * five / np.sqrt(np.maximum((five + 0.01 * three) * N, 1e-300))
-            error = np.where(np.isfinite(error), error, np.inf)
-            good = error < 1.0
-            factor = 0.9 * np.maximum(error, 1e-12) ** (-1.0 / 8.0)
-            h = step * np.clip(factor, 0.2, np.where(good, 10.0, 1.0))
-            reached = np.where(good, np.searchsorted(times, end, "right"), due)
-            told = np.flatnonzero(reached > due)
-            if len(told):
-                for s in range(stages + 1, len(C)):
-                    there = y + step[:, None] * along(A[s, :s])
-                    K[s] = self._slopes(t + C[s] * step, there, numbers)
-                width, change = step[:, None], new - y
-                F = [change, width * f - change, 2.0 * change - width * (K[stages] + f)]
-                F += [width * along(weights) for weights in D]
-                which = np.repeat(told, (reached - due)[told])
-                place = np.concatenate([np.arange(due[i], reached[i]) for i in told])
-                x = ((times[place] - t[which]) / step[which])[:, None]
-                value = np.zeros((len(x), N))
-                for i, part in enumerate(reversed(F)):
-                    value = (value + part[which]) * (x if i % 2 == 0 else 1.0 - x)
-                rows[lanes[which], place] = value + y[which]
-            due, t = reached, np.where(good, end, t)
-            moved, there = self._closed(numbers, new)
-            leapt = np.linalg.det(there @ np.swapaxes(Psi, 1, 2)) <= 0.0
-            y, Psi = np.where(good[:, None], moved, y), np.where(good[:, None, None], there, Psi)
-            f = np.where(good[:, None], K[stages], f)
-            f[good & leapt] = np.nan  # a loop turned over, or may have: for one run alone
+            now = self._stepped(now, changes[now.lanes], rows)
         rows[~np.isfinite(rows[:, -1]).all(axis=1)] = np.nan
         return rows
+
+    def _stepped(self, now: _Lanes, changes: Array, rows: Array) -> _Lanes:
+        """The lanes after a step of each, or a try; what is due is written into `rows`."""
+        last = self.times[-1]
+        widest = self.leaves[1][np.searchsorted(self.leaves[0], now.t, "right")]
+        step = np.minimum(np.minimum(now.h, widest), last - now.t)
+        K = np.empty((len(dop.C), *now.y.shape))
+        K[0] = now.f
+        self._stages(now, step, changes, K, range(1, dop.N_STAGES))
+        new = now.y + step[:, None] * _along(dop.B, K)
+        end = np.where(step < last - now.t, now.t + step, last)
+        K[dop.N_STAGES] = self._slopes(end, new, changes)
+        error = self._error(now.y, new, step, K)
+        good = error < 1.0
+        factor = 0.9 * np.maximum(error, 1e-12) ** (-1.0 / 8.0)
+        reached = np.where(good, np.searchsorted(self.times, end, "right"), now.due)
+        if (reached > now.due).any():
+            self._stages(now, step, changes, K, range(dop.N_STAGES + 1, len(dop.C)))
+            self._tell(now, new, step, K, reached, rows)
+        moved, there = self._closed(changes, new)
+        leapt = np.linalg.det(there @ np.swapaxes(now.Psi, 1, 2)) <= 0.0
+        f = np.where(good[:, None], K[dop.N_STAGES], now.f)
+        f[good & leapt] = np.nan  # a loop turned over, or may have: for one run alone
+        return _Lanes(
+            now.lanes,
+            t=np.where(good, end, now.t),
+            due=reached,
+            h=step * np.clip(factor, 0.2, np.where(good, 10.0, 1.0)),
+            y=np.where(good[:, None], moved, now.y),
+            f=f,
+            Psi=np.where(good[:, None, None], there, now.Psi),
+        )
+
+    def _stages(self, now: _Lanes, step: Array, changes: Array, K: Array, which: range) -> None:
+        """Write the slopes at these stages of a step into K (stages, S, N)."""
+        for s in which:
+            there = now.y + step[:, None] * _along(dop.A[s, :s], K)
+            K[s] = self._slopes(now.t + dop.C[s] * step, there, changes)
+
+    def _error(self, y: Array, new: Array, step: Array, K: Array) -> Array:
+        """The error of each lane's step, in tolerances."""
+        scale = self.tolerance * (1.0 + np.maximum(np.abs(y), np.abs(new)))
+        five, three = (np.sum((_along(E, K) / scale) ** 2, axis=1) for E in (dop.E5, dop.E3))
+        size = np.sqrt(np.maximum((five + 0.01 * three) * y.shape[1], 1e-300))
+        error = step * five / size
+        return np.where(np.isfinite(error), error, np.inf)
+
+    def _tell(
+        self, now: _Lanes, new: Array, step: Array, K: Array, reached: Places, rows: Array
+    ) -> None:
+        """Write what is due within a step, by its dense output."""
+        told = np.flatnonzero(reached > now.due)
+        width, change = step[:, None], new - now.y
+        F = [change, width * now.f - change, 2.0 * change - width * (K[dop.N_STAGES] + now.f)]
+        F += [width * _along(weights, K) for weights in dop.D]
+        which = np.repeat(told, (reached - now.due)[told])
+        place = np.concatenate([np.arange(now.due[i], reached[i]) for i in told])
+        x = ((self.times[place] - now.t[which]) / step[which])[:, None]
+        value = np.zeros((len(x), now.y.shape[1]))
+        for i, part in enumerate(reversed(F)):
+            value = (value + part[which]) * (x if i % 2 == 0 else 1.0 - x)
+        rows[now.lanes[which], place] = value + now.y[which]
+
+
+class _Lanes(NamedTuple):
+    """The lanes that still run: which of all they are, times, and which time is due next.
+
+    With the steps h to try, y and its slopes f (S, N), and Psi (S, r, n).
+    """
+
+    lanes: Places
+    t: Array
+    due: Places
+    h: Array
+    y: Array
+    f: Array
+    Psi: Array
+
+    def chosen(self, which: Truth) -> _Lanes:
+        """Some of them."""
+        chosen: list[Any] = [x[which] for x in self]
+        return _Lanes(*chosen)
+
+
+def _first_steps(y: Array, f: Array) -> Array:
+    size = 1.0 + np.abs(y)
+    h = 0.01 * np.linalg.norm(y / size, axis=1) / (np.linalg.norm(f / size, axis=1) + 1e-10)
+    return np.asarray(np.maximum(h, 1e-6))
+
+
+def _along(weights: Array, K: Array) -> Array:
+    """The sum of weights K, over the first stages."""
+    return np.asarray(np.tensordot(weights, K[: len(weights)], 1))

@@ -11,10 +11,11 @@ gap . d gap/dp / |gap|.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,8 @@ from robodyn.mechanics.planar_model import ClosureRow
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.tables.arrays import Array
 
-Parts = Sequence[tuple[tuple[int, ...], Sequence[Value]]]  # shapes, and what is in them
+Part = tuple[tuple[int, ...], Sequence[Value]]  # a shape, and what is in it
+Parts = Sequence[Part]
 Group = tuple[tuple[int, ...], tuple[int, ...]]  # rows of closures, and the joints they serve
 
 LANES = 60_000  # states at once
@@ -90,56 +92,32 @@ class LaneStates:
         return self._codes[name]
 
     def _parts(self, name: str) -> Parts:
-        f, n = self.formulas, self.n
+        """What is called so: values, and their slopes by groups of inputs behind one another."""
+        f, n, r = self.formulas, self.n, len(self.formulas.gap)
         q, qd, qdd = (f.state.inputs[i : i + n] for i in (0, n, 2 * n))
         p = [f"p{i}" for i in range(self.k)]
-        r = len(f.gap)
-        Psi: list[Value] = [x for row in f.Psi for x in row]
-        match name:
-            case "rows":
-                found: list[Value] = []
-                for row in f.named.rows:
-                    for _, c in row.P:
-                        found += [c.real, c.imag]
-                    found += [row.ground.real, row.ground.imag, row.offset]
-                    found += [c for _, c in row.angles]
-                return [((len(found),), found)]
-            case "gap":
-                return [((r,), f.gap), ((r, n), Psi)]
-            case "closing":
-                closed, least = self._least
-                parts: list[tuple[tuple[int, ...], Sequence[Value]]] = [
-                    ((r, n), Psi),
-                    ((r, self.k), slopes_by(f.gap, p)),
-                ]
-                for nodes in (closed, least):
-                    parts += [
-                        ((len(nodes), n), slopes_by(nodes, q)),
-                        ((len(nodes), self.k), slopes_by(nodes, p)),
-                    ]
-                return parts
-            case "bend":
-                return [((r,), f.gap_bend)]
-            case "load":
-                return [((n,), f.load)]
-            case "rates":
-                parts = []
-                for nodes, by in (
-                    (f.gap_rate, (q, p)),
-                    (f.gap_bend, (q, qd, p)),
-                    (f.balance, (q, qd, qdd, p)),
-                ):
-                    parts += [((len(nodes), len(x)), slopes_by(nodes, x)) for x in by]
-                return parts
-            case "columns":
-                forces = [f"f{i}" for i in range(len(f.forces))]
-                c = len(self.columns)
-                every: list[Sequence[str]] = [q, qd, qdd, forces, p]
-                return [
-                    ((c,), self.columns),
-                    *(((c, len(x)), slopes_by(self.columns, x)) for x in every),
-                ]
-        raise KeyError(name)
+        forces = [f"f{i}" for i in range(len(f.forces))]
+        if name == "rows":
+            numbers = [x for row in f.named.rows for x in _numbers_of(row)]
+            return [((len(numbers),), numbers)]
+        Psi: Part = ((r, n), [x for row in f.Psi for x in row])
+        # values that are given themselves, and values of which slopes are
+        given: dict[str, list[Part]] = {
+            "gap": [((r,), f.gap), Psi],
+            "closing": [Psi],
+            "bend": [((r,), f.gap_bend)],
+            "load": [((n,), f.load)],
+            "columns": [((len(self.columns),), self.columns)],
+        }
+        closed, least = self._least if name == "closing" else ([], [])
+        sloped: dict[str, list[tuple[Sequence[Value], Sequence[Sequence[str]]]]] = {
+            "closing": [(f.gap, [p]), (closed, [q, p]), (least, [q, p])],
+            "rates": [(f.gap_rate, [q, p]), (f.gap_bend, [q, qd, p]), (f.balance, [q, qd, qdd, p])],
+            "columns": [(self.columns, [q, qd, qdd, forces, p])],
+        }
+        slopes = [(nodes, by) for nodes, every in sloped.get(name, ()) for by in every]
+        own = given.get(name, [])
+        return own + [((len(x), len(by)), slopes_by(x, by)) for x, by in slopes]
 
     @cached_property
     def _least(self) -> tuple[list[Value], list[Value]]:
@@ -169,7 +147,7 @@ class LaneStates:
 
     def _lanes(self, p: Array) -> tuple[Array, Array, Array, Array]:
         mechanism, n, k, T = self.mechanism, self.n, self.k, len(self.rows.t)
-        S, driven = len(p), list(mechanism.actuated)
+        S = len(p)
         given = np.broadcast_to(self.rows.q, (S, *self.rows.q.shape))
         q, missed = self._closed(p, given)
         inputs = np.zeros((S, T, len(self.formulas.inputs)))
@@ -190,10 +168,8 @@ class LaneStates:
                 ends = np.cumsum([0, *(len(joints) for _, joints in self._conditions)])
                 for g, (a, b) in enumerate(pairwise(ends)):
                     here = lost[:, g] > 0.0
-                    closed_q[here, a:b], closed_p[here, a:b] = (
-                        least_q[here, a:b],
-                        least_p[here, a:b],
-                    )
+                    closed_q[here, a:b] = least_q[here, a:b]
+                    closed_p[here, a:b] = least_p[here, a:b]
                 if passive:
                     dq[:, passive] = -solved_lanes(closed_q[..., passive], closed_p)
                 moved = gap_p + Psi @ dq
@@ -205,7 +181,7 @@ class LaneStates:
                     by_missing[:, g] = np.einsum("ni,nik->nk", along, moved[:, own])
             dx = [dq]
             if self.moves:
-                dx += self._moving(x, Psi, dq, driven)
+                dx += self._moving(x, Psi, dq)
             found, *slopes = self._code("columns")(x)
             total = slopes[-1]
             for slope, step in zip(slopes, dx, strict=False):
@@ -220,11 +196,11 @@ class LaneStates:
             by_missing.reshape(S, T, groups, k),
         )
 
-    def _moving(self, x: Array, Psi: Array, dq: Array, driven: list[int]) -> list[Array]:
+    def _moving(self, x: Array, Psi: Array, dq: Array) -> list[Array]:
         """Writes rates, accelerations and forces into inputs x (N, inputs): their derivatives."""
-        n, T = self.n, len(self.rows.t)
+        n, driven = self.n, list(self.mechanism.actuated)
         N, r, a = len(x), Psi.shape[1], len(driven)
-        S = N // T
+        S = N // len(self.rows.t)
         chosen = np.broadcast_to(np.eye(n)[driven], (N, a, n))
         A = np.concatenate([Psi, chosen], axis=1)
         right = np.zeros((N, r + a, 1))
@@ -237,9 +213,8 @@ class LaneStates:
         torques = np.broadcast_to(np.eye(n)[:, driven], (N, n, a))
         shares = np.concatenate([torques, np.swapaxes(Psi, 1, 2)], axis=-1)
         x[:, 3 * n + 1 : 3 * n + 1 + a + r] = solved_lanes(shares, load[..., None])[..., 0]
-        rate_q, rate_p, bend_q, bend_qd, bend_p, load_q, load_qd, load_qdd, load_p = self._code(
-            "rates"
-        )(x)
+        rates = self._code("rates")(x)
+        rate_q, rate_p, bend_q, bend_qd, bend_p, load_q, load_qd, load_qdd, load_p = rates
         none = np.zeros((N, a, self.k))
         dqd = -solved_lanes(A, np.concatenate([rate_p + rate_q @ dq, none], axis=1))
         bent = bend_p + bend_q @ dq + bend_qd @ dqd
@@ -313,6 +288,14 @@ class LaneStates:
             q[..., joints] -= step[..., 0].reshape(*q.shape[:2], -1)
         missing = np.linalg.norm(gap[..., 0], axis=-1)
         return np.where(missing > MISSED * size, missing, 0.0).reshape(q.shape[:2])
+
+
+def _numbers_of(row: Any) -> Iterator[Value]:
+    """The numbers of a row of closures, one after the other."""
+    for c in (*(c for _, c in row.P), row.ground):
+        yield from (c.real, c.imag)
+    yield row.offset
+    yield from (c for _, c in row.angles)
 
 
 def solved_lanes(A: Array, b: Array) -> Array:

@@ -7,8 +7,8 @@ description: names and indices that lead to it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,72 +16,86 @@ from robodyn.engines.expression import Graph
 from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import InputError
-from robodyn.parameters.linear_parameters import linear_parameters, with_formulas
-from robodyn.scene.scene import Description, Spring
+from robodyn.parameters.linear_parameters import INERTIAL, linear_parameters, with_formulas
+from robodyn.scene.scene import Description, JointSpring, Spring
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
 
 Place = tuple[str | int, ...]
 
-POSITIVE = ("m", "I")  # of a body; all others but r are not negative
 ROUNDED = 1e-12  # that numbers without noise are off by
 LEAST = 1e-9  # of a mass or an inertia, beside the scene's largest, that counts as positive
 
 
-def places(description: Description) -> dict[str, Place]:
+class Number(NamedTuple):
+    """A number of a scene: where it stands, its unit, and the least that a body can have there.
+
+    Those that are `alone` make up pi: they are fitted where no names are given.  One that adds to
+    a `parameter`, as it is, names that.
+    """
+
+    place: Place
+    unit: str
+    least: float = 0.0
+    alone: bool = True
+    parameter: str = ""
+
+
+def numbers(description: Description) -> dict[str, Number]:
     """All of them by name."""
-    return dict(_places(description))
-
-
-def _places(description: Description) -> Iterator[tuple[str, Place]]:
+    found: dict[str, Number] = {}
+    most = {key: max(getattr(x, key) for x in description.links) or 1.0 for key in ("m", "I")}
     for k, link in enumerate(description.links):
+        at: Place = ("links", k)
+        i = k + 1
+        force, damping = ("N", "N s/m") if link.slides else ("N m", "N m s/rad")
+        own = {
+            "m": Number((*at, "m"), "kg", LEAST * most["m"]),
+            "I": Number((*at, "I"), "kg m²", LEAST * most["I"]),
+            "payload": Number((*at, "payload"), "kg", alone=False),
+            "damping": Number((*at, "damping"), damping, parameter=f"d{i}"),
+            "r": Number((*at, "r", "real"), "m", -np.inf, alone=False),
+            "r[0]": Number((*at, "r", "real"), "m", -np.inf),
+            "r[1]": Number((*at, "r", "imag"), "m", -np.inf),
+        }
+        if link.friction is not None:
+            key = "friction.force" if link.slides else "friction.torque"
+            own[key] = Number((*at, "friction", "torque"), force, parameter=f"f{i}")
+        if hasattr(link.friction, "static"):
+            static = (*at, "friction", "static")
+            own["friction.static"] = Number(static, force, parameter=f"fs{i}")
+        if link.motor is not None:
+            rotor = (*at, "motor", "inertia")
+            own["motor.inertia"] = Number(rotor, "kg m²", parameter=f"Jr{i}")
+            own["motor.damping"] = Number((*at, "motor", "damping"), "N m s/rad", alone=False)
         for prefix in (f"links.{link.name}", f"links[{k}]"):
-            at: Place = ("links", k)
-            for key in ("m", "I", "payload", "damping"):
-                yield f"{prefix}.{key}", (*at, key)
-            yield f"{prefix}.r", (*at, "r", "real")
-            yield f"{prefix}.r[0]", (*at, "r", "real")
-            yield f"{prefix}.r[1]", (*at, "r", "imag")
-            if link.friction is not None:
-                key = "force" if link.slides else "torque"
-                yield f"{prefix}.friction.{key}", (*at, "friction", "torque")
-                if hasattr(link.friction, "static"):
-                    yield f"{prefix}.friction.static", (*at, "friction", "static")
-            if link.motor is not None:
-                yield f"{prefix}.motor.inertia", (*at, "motor", "inertia")
-                yield f"{prefix}.motor.damping", (*at, "motor", "damping")
+            found |= {f"{prefix}.{key}": number for key, number in own.items()}
     for i, spring in enumerate(description.springs):
+        turns = not isinstance(spring, Spring)
+        where, metre = ("springs", i), "m"
+        if isinstance(spring, JointSpring) and not description.links[spring.joint].slides:
+            metre = "rad"
+        force = "N m" if metre == "rad" else "N"
         if spring.law is None:
-            yield f"springs[{i}].stiffness", ("springs", i, "stiffness")
-        if spring.damping or (spring.law is None and not isinstance(spring, Spring)):
-            yield f"springs[{i}].damping", ("springs", i, "damping")
+            pull = (*where, "stiffness")
+            name = f"springs[{i}].stiffness"
+            found[name] = Number(pull, f"{force}/{metre}", parameter=f"k{i + 1}")
+        if spring.damping or (spring.law is None and turns):
+            unit, name = f"{force} s/{metre}", "" if turns else f"ds{i + 1}"
+            damper = Number((*where, "damping"), unit, alone=not turns, parameter=name)
+            found[f"springs[{i}].damping"] = damper
+    return found
 
 
-def place_of(description: Description, name: str) -> Place:
-    """The place of the number of this name; InputError for one that torques do not tell."""
-    known = places(description)
+def number_called(description: Description, name: str) -> Number:
+    """The number of this name; InputError for one that torques do not tell."""
+    known = numbers(description)
     if name not in known:
         named = [x for x in known if not x.startswith("links[")]
         limit = "is no mass, moment, damping, friction or stiffness of the scene"
         raise InputError(name, where=description.source, limit=limit + nearest(name, named))
     return known[name]
-
-
-def unit_of(description: Description, place: Place) -> str:
-    """The unit of the number there."""
-    key, units = place[-1], {x.name: x.unit for x in linear_parameters(description)}
-    if key in ("real", "imag"):
-        return "m"
-    i = int(place[1]) + 1
-    if place[0] == "springs":
-        letter = "k" if key == "stiffness" else "ds"
-        return units.get(f"{letter}{i}", "N m s/rad")
-    if place[-2:] == ("motor", "damping"):
-        return "N m s/rad"
-    names = {"I": "J", "payload": "m", "inertia": "Jr", "damping": "d"}
-    names |= dict.fromkeys(("torque", "static"), "f")
-    return units[f"{names.get(str(key), str(key))}{i}"]
 
 
 def number_at(value: Any, place: Place) -> float:
@@ -127,27 +141,10 @@ def slopes(description: Description, where: Sequence[Place]) -> Array:
     return np.array(found, float).reshape(len(pi), len(where))
 
 
-def least_of(description: Description, place: Place) -> float:
-    """The least that a body can have there: more than nothing of mass and inertia."""
-    if place[-1] in ("real", "imag"):
-        return -np.inf
-    if place[-1] not in POSITIVE or len(place) > 3:
-        return 0.0
-    most = max(number_at(link, place[2:]) for link in description.links)
-    return LEAST * (most or 1.0)
-
-
-def all_places(description: Description) -> dict[str, Place]:
+def own_numbers(description: Description) -> dict[str, Number]:
     """Those that make up pi, each once: what is fitted where no names are given."""
-    found: dict[Place, str] = {}
-    for name, place in _places(description):
-        doubled = place[-1] == "payload" or place[-2:] == ("motor", "damping")
-        turned = place[0] == "springs" and place[-1] == "damping"
-        if turned and not isinstance(description.springs[int(place[1])], Spring):
-            doubled = True
-        if not doubled and not name.startswith("links[") and not name.endswith(".r"):
-            found.setdefault(place, name)
-    return {name: place for place, name in found.items()}
+    known = numbers(description).items()
+    return {name: x for name, x in known if x.alone and not name.startswith("links[")}
 
 
 def from_parameters(description: Description, names: Sequence[str], pi: Array) -> Description:
@@ -158,38 +155,25 @@ def from_parameters(description: Description, names: Sequence[str], pi: Array) -
     now = dict(zip(names, pi.tolist(), strict=True))
     before = {x.name: x.value for x in linear_parameters(description)}
     made = description
-    for k, link in enumerate(description.links):
-        i = k + 1
-        m = now[f"m{i}"] - link.payload
-        first = complex(now[f"mx{i}"], now[f"my{i}"]) - link.l * link.payload
-        r = first / m if m else link.r
-        changed = {
-            "m": m,
-            "r": r,
-            "I": now[f"J{i}"] - link.payload * link.l**2 - m * abs(r) ** 2,
-            "damping": link.damping + now[f"d{i}"] - before[f"d{i}"],
-        }
-        same = all(now[f"{x}{i}"] == before[f"{x}{i}"] for x in ("m", "mx", "my", "J"))
-        if same:
-            changed = {"damping": changed["damping"]}
-        if link.friction is not None:
-            changed["friction"] = link.friction._replace(torque=now[f"f{i}"])
-            if f"fs{i}" in now:
-                changed["friction"] = changed["friction"]._replace(static=now[f"fs{i}"])
-        if link.motor is not None:
-            changed["motor"] = link.motor._replace(inertia=now[f"Jr{i}"])
-        made = replaced(made, ("links", k), link._replace(**changed))
-    for i, spring in enumerate(description.springs, start=1):
-        keys = (("stiffness", f"k{i}"), ("damping", f"ds{i}"))
-        changed = {key: now[name] for key, name in keys if name in now}
-        made = replaced(made, ("springs", i - 1), spring._replace(**changed))
+    for number in own_numbers(description).values():
+        if (name := number.parameter) in now:
+            value = number_at(description, number.place) + (now[name] - before[name])
+            made = replaced(made, number.place, value)
+    for k, link in enumerate(made.links):
+        parts = [f"{x}{k + 1}" for x in INERTIAL]
+        if any(now[name] != before[name] for name in parts):
+            mass, x, y, J = (now[name] for name in parts)
+            m = mass - link.payload
+            r = (complex(x, y) - link.l * link.payload) / m if m else link.r
+            inertia = J - link.payload * link.l**2 - m * abs(r) ** 2
+            made = replaced(made, ("links", k), link._replace(m=m, r=r, I=inertia))
     return made
 
 
 def checked(description: Description) -> tuple[Description, tuple[str, ...]]:
     """The description without what rounding made negative; why it is no scene, if it is none."""
     faults = []
-    for name, place in all_places(description).items():
+    for name, (place, *_) in own_numbers(description).items():
         number = number_at(description, place)
         if place[-1] in ("real", "imag") or number >= 0.0:
             continue
@@ -205,7 +189,7 @@ def changes(
 ) -> dict[str, float | Sequence[float]]:
     """What must be written in the file, whose numbers are `known`, to make `after` of `before`."""
     found: dict[str, float | Sequence[float]] = {}
-    for name, place in _places(before):
+    for name, (place, *_) in numbers(before).items():
         if name.startswith("links[") or name.endswith("]"):
             continue
         number = number_at(after, place)

@@ -8,19 +8,22 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from html import escape
 from io import BytesIO
 from itertools import groupby
 from pathlib import Path
 from subprocess import CalledProcessError
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from robodyn.errors import InputError, RobodynError
+from robodyn.kinematics.named_points import NamedPoint
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.chart_figure import check_matplotlib
 from robodyn.pictures.colour_scale import COLOURS
-from robodyn.pictures.drawing import Drawing
+from robodyn.pictures.drawing import Drawing, drawing, traced
 from robodyn.pictures.mechanism_picture import FONT, FOOT, LONGEST, STYLES, Picture, style_of
 from robodyn.pictures.motion_frames import FINER, Frames, time_decimals
 from robodyn.pictures.outlines import Shape
@@ -59,44 +62,56 @@ def check_programs(out: str) -> None:
         raise RobodynError("an animation (mp4)", limit=limit)
 
 
-def write_animation(
-    drawn: Drawing,
-    shown: Frames,
-    speed: float,
-    traces: Traces,
-    size: Size,
-    out: str,
-    watched: Callable[[], AbstractContextManager[Watch]],
-) -> None:
-    """Write the frames as the suffix of `out` says; gif and mp4, which take time, are watched."""
-    suffix = Path(out).suffix.lower()
-    if suffix == ".html":
-        write_text(page(drawn, shown, speed, traces, size), out)
-        return
-    film = Film(drawn, shown.t, traces, size)
-    write = write_gif if suffix == ".gif" else write_mp4
-    with watched() as watch:
-        write(film, shown.rate, out, watch)
+@dataclass(frozen=True, repr=False)
+class Animation:
+    """A motion as a moving picture: bodies at frames, `speed` s of it in one, and paths behind."""
+
+    drawn: Drawing
+    frames: Frames
+    speed: float
+    traces: Traces
+    size: Size = None
+
+    @classmethod
+    def of(
+        cls,
+        mechanism: Mechanism,
+        shown: Frames,
+        speed: float,
+        points: Sequence[NamedPoint],
+        size: Size,
+    ) -> Self:
+        """That of a mechanism's frames, with the paths of points."""
+        paths = [path for _, path in traced(mechanism, points, shown.fine)]
+        return cls(drawing(mechanism, shown.q), shown, speed, paths, size)
+
+    def write(self, out: str, watched: Callable[[], AbstractContextManager[Watch]]) -> None:
+        """Write it as the suffix of `out` says; gif and mp4, which take time, are watched."""
+        suffix = Path(out).suffix.lower()
+        if suffix == ".html":
+            write_text(page(self), out)
+            return
+        film = Film(self)
+        write = write_gif if suffix == ".gif" else write_mp4
+        with watched() as watch:
+            write(film, self.frames.rate, out, watch)
 
 
 class Film(Picture):
-    """A picture that is moved from frame to frame, with the paths of traced points behind it.
+    """A picture that is moved from frame to frame, with the paths of traced points behind it."""
 
-    t (T,) are the times of the frames, s; each of the traces has FINER points from frame to frame.
-    """
-
-    def __init__(self, drawn: Drawing, t: np.ndarray, traces: Traces, size: Size) -> None:
-        super().__init__(drawn, size)
+    def __init__(self, shown: Animation) -> None:
+        super().__init__(shown.drawn, shown.size)
         self.figure.set_dpi(DOTS)
-        self.count, self._t, self._traces = len(drawn.q), t, traces
+        self.count, self._t, self._traces = len(shown.drawn.q), shown.frames.t, shown.traces
         self._lines = [
             self.axes.plot([], [], color=COLOURS[(k + 1) % len(COLOURS)], lw=1.3, zorder=2.5)[0]
-            for k in range(len(traces))
+            for k in range(len(self._traces))
         ]
         inch = self.frame.scale
         place = self.frame.right - 0.12 * inch, self.frame.bottom + 0.1 * inch
         self._time = self.axes.text(*place, "", ha="right", fontsize=FONT, color="#555555")
-        self._decimals = time_decimals(t)
+        self._decimals = time_decimals(self._t)
 
     def show(self, pose: int) -> None:
         super().show(pose)
@@ -216,9 +231,10 @@ requestAnimationFrame(time => {{ offset = now = time; tick(time); }});
 """
 
 
-def page(drawn: Drawing, shown: Frames, speed: float, traces: Traces, size: Size) -> str:
+def page(shown: Animation) -> str:
     """Shapes as svg in a page of html, each body moved by a matrix a frame."""
-    view = frame(drawn.box(), LONGEST, size, FOOT)
+    drawn, t, rate = shown.drawn, shown.frames.t, shown.frames.rate
+    view = frame(drawn.box(), LONGEST, shown.size, FOOT)
     decimals = DIGITS - math.floor(math.log10(view.right - view.left))
     moving = _moving(drawn)
     poses = {
@@ -228,21 +244,21 @@ def page(drawn: Drawing, shown: Frames, speed: float, traces: Traces, size: Size
         ]
         for b in moving
     }
-    rounded = [np.column_stack([z.real, z.imag]).round(decimals) for z in traces]
+    rounded = [np.column_stack([z.real, z.imag]).round(decimals) for z in shown.traces]
     return PAGE.format(
         title=escape(drawn.mechanism.name),
         width=round(view.width * DOTS),
         view=_view_box(view),
-        shapes=_shapes(drawn, view, {b: f' data-b="{b}"' for b in moving}, len(traces)),
-        last=len(shown.t) - 1,
-        count=len(shown.t),
+        shapes=_shapes(drawn, view, {b: f' data-b="{b}"' for b in moving}, len(shown.traces)),
+        last=len(t) - 1,
+        count=len(t),
         poses=json.dumps(poses, separators=(",", ":")),
         traces=json.dumps([[f"{x:.10g},{y:.10g}" for x, y in z.tolist()] for z in rounded]),
         finer=FINER,
-        rate=repr(shown.rate),
-        begin=repr(float(shown.t[0])),
-        step=repr(speed / shown.rate),
-        decimals=time_decimals(shown.t),
+        rate=repr(rate),
+        begin=repr(float(t[0])),
+        step=repr(shown.speed / rate),
+        decimals=time_decimals(t),
     )
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from robodyn.pictures.chart import Chart, limits, spread, tick_texts, ticks
 from robodyn.pictures.colour_scale import NONE, axis_ticks, painted, rgb, viridis, word_colours
-from robodyn.pictures.column_units import with_unit
+from robodyn.pictures.column_units import unit_of, with_unit
 from robodyn.pictures.value_map import ValueMap
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.csv_fields import shown
@@ -197,7 +197,8 @@ def map_lines(
     legend = _legend(content, long, ascii, colours)
     beside = BESIDE + max(map(len, _legend(content, long, ascii, "")))
     fewest = max(LEAST_HEIGHT, height - AXIS - len(legend))
-    y_values, y_texts = axis_ticks(content.y_name, bottom, top, max(3, fewest // 3), ascii)
+    x_unit, y_unit = (unit_of(name, content.units) for name in (content.x_name, content.y_name))
+    y_values, y_texts = axis_ticks(y_unit, bottom, top, max(3, fewest // 3), ascii)
     left = max(map(len, y_texts), default=0) + 2
     inside, rows = _extent(content, width - left, fewest)
     wider = _extent(content, width - left - beside, height - AXIS)
@@ -210,7 +211,7 @@ def map_lines(
     more += [""] * (rows - len(more))
     drawn = zip(edge, _drawn(content, inside, rows, ascii, colours), more, strict=True)
     x_most = max(3, inside // 10)
-    x_values, x_texts = axis_ticks(content.x_name, left_edge, right_edge, x_most, ascii)
+    x_values, x_texts = axis_ticks(x_unit, left_edge, right_edge, x_most, ascii)
     at = [_place(value, left_edge, right_edge, inside) for value in x_values]
     return [
         " " * (left - 1) + plain(with_unit(shown(content.y_name), content.units), ascii),

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.pictures.chart import limits, multiples, tick_texts, ticks
-from robodyn.pictures.column_units import unit_of
 from robodyn.tables.arrays import Array
 
 Rgb = tuple[int, int, int]
@@ -101,10 +100,10 @@ def _multiple_of_pi(number: int, parts: int) -> str:
 
 
 def axis_ticks(
-    name: str, low: float, high: float, most: int, ascii: bool = False
+    unit: str, low: float, high: float, most: int, ascii: bool = False
 ) -> tuple[list[float], list[str]]:
-    """At most `most` ticks of a column's axis, and their texts."""
-    if unit_of(name) == "rad":
+    """At most `most` ticks of an axis whose values have this unit, and their texts."""
+    if unit == "rad":
         values, texts = angle_ticks(low, high, most)
         return values, [text.replace("π", "pi") for text in texts] if ascii else texts
     values = ticks(low, high, most)

@@ -10,7 +10,10 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from robodyn.errors import InputError
+from robodyn.scene.quantities import parse_vector
 from robodyn.tables.csv_fields import IN_DEGREES as IN_DEGREES
+from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import Mechanism
@@ -103,3 +106,38 @@ def with_unit(name: str, units: Mapping[str, str] = TURNING) -> str:
     """A column's name with its unit, `tau1 [N m]`."""
     unit = unit_of(name, units)
     return f"{name} [{unit}]" if unit else name
+
+
+def joint_values(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[float]:
+    """The q, qd, qdd or tau (`kind`) that an option's text has of joints, by their units.
+
+    They are of all joints, of the actuated ones or the first of these.
+    """
+
+    def units(count: int) -> list[str]:
+        joints = [*range(mechanism.n)] if count == mechanism.n else [*mechanism.actuated]
+        known = scene_units(mechanism)
+        each = [unit_of(f"{kind}{k + 1}", known) for k in joints]
+        return [*each, *[""] * count][:count]
+
+    try:
+        return parse_vector(text, where=flag, unit=units)
+    except InputError as error:
+        if mechanism.slides:
+            sliding = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.slides)
+            error.limit = f"{error.limit}; {sliding} slides"
+        raise
+
+
+def vector_of_joints(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[float]:
+    """The same of all joints, or of the actuated ones; InputError for another number of them."""
+    values = joint_values(mechanism, text, kind, flag)
+    n, actuated = mechanism.n, len(mechanism.actuated)
+    if len(values) not in (n, actuated):
+        wanted = f"{n} values, one a joint ({', '.join(mechanism.link_names)})"
+        if 0 < actuated < n:
+            names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
+            wanted += f", or {actuated}, one an actuated joint ({names})"
+        count = "1 value" if len(values) == 1 else f"{len(values)} values"
+        raise InputError(flag, value=f"{shown(text)} ({count})", limit=f"needs {wanted}")
+    return values

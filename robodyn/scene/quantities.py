@@ -46,6 +46,15 @@ def parse_quantity(text: str, unit: str = "") -> float:
     return in_unit(read_value(text), unit)
 
 
+def value_from(text: str, unit: str, option: str, example: str = "") -> float:
+    """The number that an option's text writes; InputError, naming the option, if it is none."""
+    try:
+        return parse_quantity(text.strip(), unit)
+    except ValueError as error:
+        limit = f"{error}; write {example or EXAMPLES.get(unit) or EXAMPLES['']}"
+        raise InputError(option, value=shown(text), limit=limit) from None
+
+
 def is_plain(text: str) -> bool:
     """Whether it is a number without arithmetic and unit."""
     return PLAIN_NUMBER.fullmatch(text) is not None

@@ -8,6 +8,9 @@ import numpy as np
 
 from robodyn.tables.arrays import Array
 
+DEFAULT_DURATION = 10.0  # s, of a motion that no other is told of
+DEFAULT_POINTS = 1001  # rows of one
+
 
 class EvenTimes:
     """`count` times 0, step, 2 step, ..., the last of them `end`; a sequence, sliced as arrays."""

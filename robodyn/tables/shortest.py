@@ -13,7 +13,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.tables.arrays import Array
+from robodyn.tables.arrays import Array, Truth
+
+Whole = NDArray[np.int64]
 
 PIECE = 8192  # floats whose numbers stay in cache
 LEAST, MOST = 2.0**-10, 1e4
@@ -62,12 +64,39 @@ def _written(values: Array) -> bytes:
     size, zero = np.abs(x), x == 0.0
     within = (size >= LEAST) & (size < MOST)
     y = np.where(within, size, 1.0)
-    bits = y.view(np.int64)
-    of = (bits >> 52) - LOWEST
-    half, places = HALVES[of], PLACES[of]
+    of = (y.view(np.int64) >> 52) - LOWEST
+    found, places, unsure = _digits(y, of)
+    integer = y.astype(np.int64)
+    rest = (found.view(np.uint64) - integer.view(np.uint64) * TENS[of]) * SHIFTS[of]
+    head = integer - zero + COUNT * np.signbit(x)
+    texts = _texts(head, rest)
+    lengths = np.stack([WIDTHS[head], places + 1], axis=-1)
 
+    characters = texts.view(np.uint8)
+    left = np.flatnonzero(~(within | zero) | unsure)
+    if len(left):
+        given = [b"," + repr(value).encode() for value in x[left].tolist()]
+        characters[left, 0] = np.array(given, f"S{SPAN}").view(np.uint8).reshape(-1, SPAN)
+        lengths[left] = 0
+        lengths[left, 0] = list(map(len, given))
+    characters[:: values.shape[1], 0, 0] = ord("\n")
+
+    # each text begins where that before it ends, and is written over what is too much of that
+    ends = np.cumsum(lengths.ravel())
+    line = np.empty(int(ends[-1]) + SPAN, np.uint8)
+    spans = np.ndarray(len(line) - SPAN + 1, f"V{SPAN}", line, 0, 1)
+    spans[ends - lengths.ravel()] = texts.view(f"V{SPAN}").ravel()
+    return line[: ends[-1]].tobytes()
+
+
+def _digits(y: Array, of: Whole) -> tuple[Whole, Whole, Truth]:
+    """The answer of each y > 0 as a whole number, times 10^-places; and where it is not sure.
+
+    `of` are the entries of the tables by the exponent of two.
+    """
+    half, places = HALVES[of], PLACES[of]
     scale, scale_upper = SCALES[of], SCALES_UPPER[of]
-    y_upper = (bits & UPPER).view(float)
+    y_upper = (y.view(np.int64) & UPPER).view(float)
     scale_lower, y_lower = scale - scale_upper, y - y_upper
     near = y * scale
     missing = near - y_upper * scale_upper - y_lower * scale_upper - y_upper * scale_lower
@@ -93,12 +122,12 @@ def _written(values: Array) -> bytes:
         ends = tenth * 10**k == tens
         tens = np.where(ends, tenth, tens)
         places[shorter] -= k * ends
-    np.maximum(places, 1, out=places)
+    return found, np.maximum(places, 1, out=places), unsure
 
-    integer = y.astype(np.int64)
-    rest = (found.view(np.uint64) - integer.view(np.uint64) * TENS[of]) * SHIFTS[of]
-    head = integer - zero + COUNT * np.signbit(x)
-    texts = np.zeros((len(x), 2, SPAN // 4), "<u4")  # what is before the point, and from it on
+
+def _texts(head: Whole, rest: NDArray[np.uint64]) -> NDArray[np.uint32]:
+    """What is before each point and from it on, (n, 2, SPAN / 4); `rest` has 19 digits."""
+    texts = np.zeros((len(head), 2, SPAN // 4), "<u4")
     texts.view("<u8")[:, 0, 0] = HEADS[head]
     high = rest // 10**8
     top = high // 10**8
@@ -107,20 +136,4 @@ def _written(values: Array) -> bytes:
         short_eight = eight.astype(np.uint32)
         four = short_eight // 10**4
         texts[:, 1, k], texts[:, 1, k + 1] = FOUR[four], FOUR[short_eight - four * 10**4]
-    lengths = np.stack([WIDTHS[head], places + 1], axis=-1)
-
-    characters = texts.view(np.uint8)
-    left = np.flatnonzero(~(within | zero) | unsure)
-    if len(left):
-        given = [b"," + repr(value).encode() for value in x[left].tolist()]
-        characters[left, 0] = np.array(given, f"S{SPAN}").view(np.uint8).reshape(-1, SPAN)
-        lengths[left] = 0
-        lengths[left, 0] = list(map(len, given))
-    characters[:: values.shape[1], 0, 0] = ord("\n")
-
-    # each text begins where that before it ends, and is written over what is too much of that
-    ends = np.cumsum(lengths.ravel())
-    line = np.empty(int(ends[-1]) + SPAN, np.uint8)
-    spans = np.ndarray(len(line) - SPAN + 1, f"V{SPAN}", line, 0, 1)
-    spans[ends - lengths.ravel()] = texts.view(f"V{SPAN}").ravel()
-    return line[: ends[-1]].tobytes()
+    return texts

@@ -5,16 +5,14 @@ from __future__ import annotations
 import io
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import finite, split_fields, unquoted
 from robodyn.tables.table import plain_numbers
 from robodyn.tables.table_writer import Writer
-
-if TYPE_CHECKING:
-    from robodyn.tables.table import Array
 
 Rows = list[list[float | str | None]]
 EXTREMES = ("column", "min", "min_t", "min_q1", "max", "max_t", "max_q1", "mean", "rms")
@@ -180,3 +178,30 @@ class Extremes(SummaryWriter):
         return [
             name + "_deg" if degrees and name.endswith("q1") else name for name in EXTREMES
         ], rows
+
+
+def correlations(
+    header: Sequence[str], varied: int, parts: Sequence[Array]
+) -> dict[str, list[float | None]]:
+    """Of each column after the first `varied` ones its rank correlations with each of these.
+
+    It is 1 where the one never falls as the other grows, -1 where it never grows, and None where
+    one of them is constant.  Rows (T, columns) in which the column has no value do not count.
+    """
+    columns = np.concatenate([np.zeros((0, len(header))), *parts]).T
+    found = {}
+    for name, y in zip(header[varied:], columns[varied:], strict=True):
+        there = ~np.isnan(y)
+        found[name] = [_spearman(x[there], y[there]) for x in columns[:varied]]
+    return found
+
+
+def _spearman(x: Array, y: Array) -> float | None:
+    """The correlation of the ranks of two columns, equal values sharing theirs."""
+    from scipy.stats import rankdata
+
+    if not len(x):
+        return None
+    a, b = (ranks - ranks.mean() for ranks in (rankdata(x), rankdata(y)))
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size else None

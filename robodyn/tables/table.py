@@ -132,9 +132,11 @@ class Reader:
     def _checked(self, names: Sequence[str], places: list[int]) -> Iterator[Chunk]:
         turned = [k for k, x in enumerate(places) if self.header[x] != names[k]]
         for rows in self._rows:
-            values, fault = self._parse_fast(rows, places), None
-            if values is None:
-                values, fault = self._parse_slow(rows, [self.header[x] for x in places], places)
+            values, fault = None, None
+            if places and not rows.quoted:
+                values = plain_numbers(rows.lines, len(self.header), places)
+            if values is None:  # there is more to them, or a fault
+                values, fault = self._parsed(rows, [self.header[x] for x in places], places)
             if turned:
                 values[:, turned] *= math.pi / 180.0
             if n := len(values):
@@ -142,13 +144,7 @@ class Reader:
             if fault:
                 raise fault
 
-    def _parse_fast(self, rows: _Rows, places: list[int]) -> Array | None:
-        """The values (n, k) of plain and faultless rows; None where there is more to them."""
-        if rows.quoted or not places:
-            return None
-        return plain_numbers(rows.lines, len(self.header), places)
-
-    def _parse_slow(
+    def _parsed(
         self, rows: _Rows, names: Sequence[str], places: list[int]
     ) -> tuple[Array, InputError | None]:
         """The values (n, k) of the rows before the first faulty one, and its fault."""
