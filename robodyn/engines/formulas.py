@@ -13,12 +13,13 @@ from typing import NamedTuple
 
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import dot, entries, some
-from robodyn.engines.expression import Graph, Value
+from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.frames import absolute as absolute
 from robodyn.engines.frames import relative, start
 from robodyn.engines.recorded_numbers import RECORDED as RECORDED
 from robodyn.engines.series import Arithmetic, Planar, Series, conjugate_times
+from robodyn.engines.tangents import Tangents, tangents
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Given, Program
@@ -85,6 +86,14 @@ class Recorded:
             if above is not None:
                 sums[above] = sums[above] + sums[k]
         return sums
+
+    def half_slopes(self, values: Sequence[Value]) -> list[list[Value]]:
+        """Half of the derivatives of values by each absolute rate (n), row by row."""
+        rates = self.absolute("qd")
+        own: list[Tangents] = [{str(k): 0.5} for k in range(len(rates))]
+        seeds = {x.index: y for x, y in zip(rates, own, strict=True) if isinstance(x, Expression)}
+        found = tangents(values, {}, seeds)
+        return [[slope.get(str(k), 0.0) for k in range(len(rates))] for slope in found]
 
     def series(
         self,
