@@ -12,7 +12,7 @@ import re
 import warnings
 from collections.abc import Callable, Sequence
 
-from robodyn.scene.expression_units import Marked, Measure, marked, measure
+from robodyn.scene.expression_units import Marked, Measure, Measuring, marked
 from robodyn.scene.units import Dimension
 
 _NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
@@ -118,7 +118,7 @@ class Written:
             return None if own is None or dimensions is None else dimensions(own)
 
         try:
-            return measure(node, self._marked.quantities, of)
+            return Measuring(self._marked.quantities, of).of(node)
         except ValueError as error:
             what, where = error.args
             raise self._no(where, what) from None
