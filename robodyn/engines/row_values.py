@@ -16,6 +16,7 @@ from robodyn.engines.arithmetic import ZERO, Planar, planar_plus, planar_times, 
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, Recorded, balance, energies
 from robodyn.engines.series import Series
+from robodyn.engines.tangents import slopes_by
 from robodyn.errors import RobodynError
 from robodyn.mechanics import parts
 from robodyn.mechanics.force_rows import NoDirection
@@ -62,7 +63,7 @@ class RowValues:
     "torques" (n) are what joints must carry, N m; "forces" (2p) those of springs between points
     (on the first end), then of loads, and "on links" (2n) their sums, x and y side by side, N;
     "tables" are what they are over, "moments" the torques on links that vary, N m;
-    "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J.
+    "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J and "PE rate" (1) W.
     """
 
     def __init__(self, mechanism: Mechanism, graph: Graph | None = None) -> None:
@@ -144,6 +145,9 @@ class RowValues:
             case "PE":
                 q, qd = (self._recorded.relative[x] for x in ("q", "qd"))
                 return [energies(self.mechanism, float, q, qd)[1] + self.mechanism.energy_offset]
+            case "PE rate":
+                rates = enumerate(self._recorded.relative["qd"])
+                return slopes_by(self.nodes("PE"), {f"q{k}": {"t": x} for k, x in rates}, ["t"])
         real, named = self._series.real, self._series.program.named
         return [real[slot][0] for slot in named[name]] or [0.0]  # without power where none acts
 
