@@ -34,7 +34,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
 
-from robodyn.control.controlled_run import Continuous, Pieces, Sampled
+from robodyn.control.controlled_run import Continuous, Sampled
 from robodyn.control.driven_torques import driving_torques, rest_torques, torque_slopes
 from robodyn.control.recorded_law import RecordedLaw
 from robodyn.control.state_feedback import StateFeedback
@@ -43,6 +43,7 @@ from robodyn.engines.expansion import horner
 from robodyn.engines.expression import Value, choose, greatest, least
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation, for_each_actuated
+from robodyn.mechanics.kinks import Pieces
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import rate_limits, torque_limits
 
@@ -88,7 +89,7 @@ def controller(
     if tau_max is not None:
         most = _values(mechanism, "tau_max", tau_max, math.ulp(0.0))
         limits = [min(pair) for pair in zip(limits, most, strict=True)]
-    pieces = Pieces(reference)
+    pieces = Pieces(reference.times[1:-1])
     gains = {x: _values(mechanism, x, each, 0.0) for x, each in given.items() if each is not None}
     law = RecordedLaw(mechanism.n, reference.joints, reference.joints if "ki" in gains else 0)
     errors: list[Value] = []
@@ -204,7 +205,7 @@ def _tracking(
     law.lines = ["k = piece(t)", "x = t - times[k]", f"{', '.join(names)}, = coefficients[k]"]
     law.follows = {"x": "t"}
     rows = reference.coefficients.reshape(-1, len(names)).tolist()
-    law.scope = {"piece": pieces.at, "times": reference.times, "coefficients": rows}
+    law.scope = {"piece": pieces.piece, "times": reference.times, "coefficients": rows}
     errors: list[Value] = []
     wanted: list[Value] = []
     for j, k in enumerate(mechanism.actuated):

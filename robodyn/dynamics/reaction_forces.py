@@ -27,11 +27,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import Points, dense, points_of, scaled_jacobian
-from robodyn.dynamics.dense_dynamics import RANK_CUT
+from robodyn.dynamics.dense_dynamics import decompose
 from robodyn.dynamics.dynamics import coupling_torques, kept_moments, pin_forces, pins_at
 from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, placed
 from robodyn.engines.row_values import rows_of
-from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
@@ -270,9 +269,8 @@ def dependent_rows(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.int64]:
 
     Where it is not zero, the pin forces are not unique.
     """
-    s = np.linalg.svd(scaled_jacobian(mechanism, q), compute_uv=False)
-    rank = (s > RANK_CUT * loop_size(mechanism)).sum(axis=-1)
-    return np.asarray(len(mechanism.rows) - rank)
+    found = decompose(mechanism, scaled_jacobian(mechanism, q))
+    return np.asarray(len(mechanism.rows) - found.rank)
 
 
 def not_unique(mechanism: Mechanism, q: ArrayLike) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -293,8 +291,8 @@ def dependent_couplings(mechanism: Mechanism, q: ArrayLike) -> tuple[int, ...]:
 
 def _free_multipliers(mechanism: Mechanism, q: ArrayLike) -> Array:
     """The null vectors of Psi^T at q (n,), (d, r)."""
-    U, s, _ = svd(scaled_jacobian(mechanism, q), full=True)
-    return U[:, int((s > RANK_CUT * loop_size(mechanism)).sum()) :].T
+    found = decompose(mechanism, scaled_jacobian(mechanism, q))
+    return found.U[:, int(found.rank) :].T
 
 
 def _felt(changes: NDArray[np.inexact], least: float) -> tuple[int, ...]:
