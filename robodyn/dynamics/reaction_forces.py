@@ -93,8 +93,9 @@ class Felt:
     def reactions(self) -> Complex:
         """The force on each link at its own joint, (..., n)."""
         forces: Complex = -(self.load @ self.bodies.below)
-        if self.mechanism.springs or self.mechanism.forces:
-            forces = forces - self.rows(parts.acting, "on links") @ self.bodies.carried
+        for _, force, link in self._acting():
+            if link is not None:
+                forces = forces - np.multiply.outer(force, self.bodies.carried[link])
         if self.mechanism.description.closures:
             forces = forces - self.pins @ _sides(self.mechanism)
         return forces

@@ -49,6 +49,7 @@ SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS
 SCOPE["_pow"] = math.pow
 # what no power series in time expands where it bends or jumps
 BENDS = ("abs", "min", "max", "sign", "floor", "atan2")
+_BENDING: dict[type, str] = {ast.Compare: "a comparison", ast.IfExp: "`if`", ast.Mod: "%"}
 NO_BENDS = "which bends or jumps: expressions of a scene are smooth; write a table"
 SMOOTH = tuple(name for name in FUNCTIONS if name not in BENDS)
 CONSTANTS = {"pi": math.pi, "e": math.e}
@@ -194,15 +195,11 @@ def check_smooth(codes: Sequence[str]) -> None:
     if len(codes) != 1:
         raise NotAllowedError("a comma: it is one expression")
     for node in ast.walk(ast.parse(codes[0], mode="eval")):
-        match node:
-            case ast.Call(func=ast.Name(id=name)) if name[1:] in BENDS:
-                raise NotAllowedError(f"{name[1:]}(), {NO_BENDS}")
-            case ast.Compare():
-                raise NotAllowedError(f"a comparison, {NO_BENDS}")
-            case ast.IfExp():
-                raise NotAllowedError(f"`if`, {NO_BENDS}")
-            case ast.Mod():
-                raise NotAllowedError(f"%, {NO_BENDS}")
+        what = _BENDING.get(type(node))
+        if isinstance(node, ast.Name) and node.id[1:] in BENDS:
+            what = f"{node.id[1:]}()"
+        if what:
+            raise NotAllowedError(f"{what}, {NO_BENDS}")
 
 
 def value_of(code: str) -> float:
