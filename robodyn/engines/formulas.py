@@ -197,15 +197,12 @@ def inverse_of(state: Recorded) -> Formula:
     # passive joints: load_p = Psi_p^T lambda; then tau_a = load_a - Psi_a^T lambda
     columns = [[row[p] for row in Psi] for p in mechanism.passive]
     right = [load[p] for p in mechanism.passive]
+    multipliers, det = small_system(columns, right)
     if len(Psi) == 1:
-        det = columns[0][0]
-        multipliers = [right[0] / det]
         pivot = det / state.parameter("size0", mechanism.rows[0].size)
         pivots: tuple[Value, ...] = (pivot * pivot,)
     else:
         (a, b), (c, d) = columns
-        det = a * d - b * c
-        multipliers = [(right[0] * d - right[1] * b) / det, (a * right[1] - c * right[0]) / det]
         pivots = ((det * det) / ((a * a + b * b) * (c * c + d * d)),)
     tau: list[Value] = [0.0] * n
     for k in mechanism.actuated:
@@ -213,6 +210,17 @@ def inverse_of(state: Recorded) -> Formula:
         for row, multiplier in zip(Psi, multipliers, strict=True):
             tau[k] = tau[k] - row[k] * multiplier
     return Formula(state.inputs + state.timed, (*tau, *multipliers), pivots)
+
+
+def small_system(
+    rows: Sequence[Sequence[Value]], right: Sequence[Value]
+) -> tuple[list[Value], Value]:
+    """x of one equation, or of two, rows x = right; and the determinant."""
+    if len(rows) == 1:
+        return [right[0] / rows[0][0]], rows[0][0]
+    (a, b), (c, d) = rows
+    det = a * d - b * c
+    return [(right[0] * d - right[1] * b) / det, (a * right[1] - c * right[0]) / det], det
 
 
 def balance(state: Recorded, series: Series) -> list[Value]:
