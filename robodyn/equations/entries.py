@@ -76,6 +76,8 @@ class Entries:
             case "Psidot_qd":
                 bias = self._series(rows=named.rows).residuals(0)[named.n :]
                 return [[x] for x in (*bias, *(0.0 for _ in self.couplings))]
+            case "inverse_dynamics" | "joint_torques":
+                return self._load(replace(named, rows=()), accelerated=True)
             case "gap":
                 gaps = [gap for gap, _ in self.gaps()]
                 for offset, turns in self.couplings:
@@ -95,15 +97,16 @@ class Entries:
         """The rows of a mechanism that has these parts and nothing else."""
         return self._rows_of(replace(parts.bare(self.named), **has))
 
-    def _rows_of(self, part: Mechanism) -> Series:
+    def _rows_of(self, part: Mechanism, accelerated: bool = False) -> Series:
         self._at = self.state(part)
-        series = self._at.series([0.0] * part.n)
+        chained = accelerated and self._at.by_direction and len(part.A) > 2 * part.n
+        series = self._at.series([0.0] * part.n, chained=chained, accelerated=accelerated)
         series.residuals(0)
         return series
 
-    def _load(self, part: Mechanism) -> Matrix:
-        """What the joints carry at rest."""
-        series = self._rows_of(part)
+    def _load(self, part: Mechanism, accelerated: bool = False) -> Matrix:
+        """What the joints carry."""
+        series = self._rows_of(part, accelerated)
         return [[x] for x in balance(self._at, series)]
 
     def _in_joints(self, W: Matrix) -> Matrix:
