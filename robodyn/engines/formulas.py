@@ -19,7 +19,6 @@ from robodyn.engines.frames import absolute as absolute
 from robodyn.engines.frames import relative, start
 from robodyn.engines.recorded_numbers import RECORDED as RECORDED
 from robodyn.engines.series import Arithmetic, Planar, Series, conjugate_times
-from robodyn.engines.tangents import Tangents, tangents
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Given, Program
@@ -89,6 +88,8 @@ class Recorded:
 
     def half_slopes(self, values: Sequence[Value]) -> list[list[Value]]:
         """Half of the derivatives of values by each absolute rate (n), row by row."""
+        from robodyn.engines.tangents import Tangents, tangents  # a state's torques start without
+
         rates = self.absolute("qd")
         own: list[Tangents] = [{str(k): 0.5} for k in range(len(rates))]
         seeds = {x.index: y for x, y in zip(rates, own, strict=True) if isinstance(x, Expression)}

@@ -16,7 +16,6 @@ from robodyn.engines.arithmetic import Planar, planar_times
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, Recorded, balance, energies
 from robodyn.engines.series import Series
-from robodyn.engines.tangents import slopes_by
 from robodyn.errors import RobodynError
 from robodyn.mechanics import parts
 from robodyn.mechanics.force_rows import NoDirection
@@ -144,6 +143,8 @@ class RowValues:
                 q, qd = (self._recorded.relative[x] for x in ("q", "qd"))
                 return [energies(self.mechanism, float, q, qd)[1] + self.mechanism.energy_offset]
             case "PE rate":
+                from robodyn.engines.tangents import slopes_by  # only `check` asks for it
+
                 rates = enumerate(self._recorded.relative["qd"])
                 return slopes_by(self.nodes("PE"), {f"q{k}": {"t": x} for k, x in rates}, ["t"])
         real, named = self._series.real, self._series.program.named
