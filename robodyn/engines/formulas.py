@@ -14,7 +14,7 @@ from typing import NamedTuple
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import dot, entries, some
 from robodyn.engines.expression import Expression, Graph, Value
-from robodyn.engines.factors import Factors
+from robodyn.engines.factors import Factors, small_system
 from robodyn.engines.frames import absolute as absolute
 from robodyn.engines.frames import relative, start
 from robodyn.engines.recorded_numbers import RECORDED as RECORDED
@@ -211,17 +211,6 @@ def inverse_of(state: Recorded) -> Formula:
         for row, multiplier in zip(Psi, multipliers, strict=True):
             tau[k] = tau[k] - row[k] * multiplier
     return Formula(state.inputs + state.timed, (*tau, *multipliers), pivots)
-
-
-def small_system(
-    rows: Sequence[Sequence[Value]], right: Sequence[Value]
-) -> tuple[list[Value], Value]:
-    """x of one equation, or of two, rows x = right; and the determinant."""
-    if len(rows) == 1:
-        return [right[0] / rows[0][0]], rows[0][0]
-    (a, b), (c, d) = rows
-    det = a * d - b * c
-    return [(right[0] * d - right[1] * b) / det, (a * right[1] - c * right[0]) / det], det
 
 
 def balance(state: Recorded, series: Series) -> list[Value]:

@@ -14,7 +14,6 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from itertools import combinations
 from math import inf
 from typing import Any
@@ -51,7 +50,6 @@ from robodyn.equations.symbolic import (
     Planar,
     Role,
     Sum,
-    collected,
     merged,
     of,
     summed,
@@ -154,19 +152,12 @@ class _Symbolic(Recorded):
     def half_slopes(self, values: Sequence[Any]) -> list[list[Any]]:
         """See `Recorded`."""
         rates = [atom for rate in self.absolute("qd") for atom in rate.atoms()]
-        return [[_half_slope(summed(entry), rate) for rate in rates] for entry in values]
+        return [[summed(entry).half_slope(rate) for rate in rates] for entry in values]
 
 
 def _joints(angle: Any) -> tuple[int, ...]:
     """The joints of a sum of angles."""
     return tuple(sorted(atom.place[0] for atom in angle.atoms()))
-
-
-def _half_slope(entry: Sum, rate: Atom) -> Sum:
-    """Half of what the terms change by with a rate."""
-    terms = ((term, number, dict(term).get(rate)) for term, number in entry.terms.items())
-    less = ((rate, -1),)
-    return collected((merged(x, less), number * Fraction(p, 2)) for x, number, p in terms if p)
 
 
 def _smooth(ratio: Sum) -> Sum:
