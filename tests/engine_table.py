@@ -64,6 +64,20 @@ def parted(one: Case, forward=None, inverse=None, kinematics=None):
 # ---------------------------------------------------------------------------------------------
 
 
+def forces_on_links(mech, q, qd, t):
+    """What springs and loads put on each link, (n,), N, complex."""
+    found = np.zeros(mech.n, complex)
+    if mech.springs or mech.forces:
+        each = iter(rows_of(parts.acting, mech).planar("forces", q, qd, t))
+        ends = [[(x.first, 1.0), (x.second, -1.0)] for x in mech.springs]
+        ends += [[(x.link, 1.0)] for x in mech.forces]
+        for force, links in zip(each, ends, strict=True):
+            for link, sign in links:
+                if link is not None:
+                    found[link] += sign * force
+    return found
+
+
 def by_closed_form(one):
     cf, mech, q, qd = closed_form, one.mech, one.q, one.qd
     found = {"M": cf.mass_matrix(mech, q), "G": cf.gravity_vector(mech, q)}
@@ -71,7 +85,7 @@ def by_closed_form(one):
     found["Q"] = other_forces(mech, q, qd, one.t) - np.array(mech.damping) * qd
     found |= {"KE": cf.kinetic_energy(mech, q, qd), "PE": cf.potential_energy(mech, q)}
     found |= {"gap": cf.closure_gap(mech, q), "Psi": cf.closure_jacobian(mech, q)}
-    on_links = rows_of(parts.acting, mech).planar("on links", q, qd, one.t)
+    on_links = forces_on_links(mech, q, qd, one.t)
     found["on links"] = np.column_stack([on_links.real, on_links.imag])
     return found | {"bias": cf.closure_bias(mech, q, qd)}
 

@@ -105,7 +105,7 @@ def test_a_mode_is_shown_with_loops_closed(robodyn: Run, tmp_path: Path) -> None
     page = tmp_path / "mode.html"
     robodyn("animate", BAR, "--mode", "1", "--q", "-1.8616182126637683", "-o", page)
     assert page.stat().st_size > 5000
-    from robodyn.rest.mode_motion import mode_motion
+    from robodyn.rest.linear_model import mode_motion
 
     mech = rd.load(BAR)
     model = rd.linearize(mech, rd.assemble(mech, [-1.0]))

@@ -53,7 +53,7 @@ class TestTorques:
         mech, rng = scene.mechanism, np.random.default_rng(0)
         q, qd = rng.normal(size=(2, 2, 3, scene.n))
         rows = RowValues(mech)
-        for name in ("torques", "forces", "on links", "power", "gap", "PE"):
+        for name in ("torques", "forces", "power", "gap", "PE", "PE rate"):
             each = [[rows(name, q[i, j], qd[i, j]) for j in range(3)] for i in (0, 1)]
             many = rows(name, q, qd)
             assert many.shape == np.shape(each)

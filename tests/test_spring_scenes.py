@@ -55,7 +55,7 @@ class TestSpringSliderCrank:
         """By hand: stiffness times what is missing of its length, along the line."""
         for crank in np.linspace(0.0, 2 * np.pi, 13):
             q = assemble(SLIDER, [crank])
-            force = rows_of(parts.acting, SLIDER).planar("on links", q)[1]
+            force = rows_of(parts.acting, SLIDER).planar("forces", q)[0]
             piston = 0.09 * np.cos(crank) + np.sqrt(0.25**2 - (0.012 + 0.09 * np.sin(crank)) ** 2)
             length = 0.46 - piston
             assert 0.12 < length < 0.301

@@ -81,8 +81,7 @@ def _of_mode(
     mechanism: Mechanism, mode: int, q: Text, tau: Text, fps: float, speed: float
 ) -> Frames:
     from robodyn.cli.equilibrium import joint_torques
-    from robodyn.rest.linear_model import linearize
-    from robodyn.rest.mode_motion import mode_motion
+    from robodyn.rest.linear_model import linearize, mode_motion
 
     (pose,) = single_state(mechanism, [Quantity("q", q, True)])
     torques = None if tau is None else joint_torques(mechanism, tau)

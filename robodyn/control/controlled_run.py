@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import product
 
@@ -12,39 +12,12 @@ import numpy as np
 from robodyn.control.recorded_law import RecordedLaw
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError
+from robodyn.mechanics.kinks import Pieces
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import JointTracking
 from robodyn.tables.arrays import Array
 
 ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
-
-
-class Pieces:
-    """Which piece of a reference holds at a time; at a row, that ahead in the run's direction."""
-
-    def __init__(self, reference: ReferenceTable) -> None:
-        self.times = reference.times
-        self.last = len(self.times) - 2
-        self.reset()
-
-    def reset(self) -> None:
-        self.first, self.high, self.find = 0, self.last, bisect_right
-
-    def at(self, t: float) -> int:
-        k = self.find(self.times, t) - 1
-        return self.first if k < self.first else self.high if k > self.high else k
-
-    def reach(self, t: float, forward: bool) -> None:
-        """A run has come to a row at t: until it comes to the next, that piece is the furthest.
-
-        So a step that ends on a row does not see beyond it.
-        """
-        self.reset()
-        if forward:
-            self.high = self.at(t)
-        else:
-            self.find = bisect_left
-            self.first = self.at(t)
 
 
 class Tracked:
@@ -160,7 +133,7 @@ class Continuous(Tracked):
 
     def reach(self, t: float, y: Sequence[float]) -> None:
         if self.restarts:
-            self.pieces.reach(t, self.forward)
+            self.pieces.come_to(t, self.forward)
 
 
 class Sampled(Tracked):

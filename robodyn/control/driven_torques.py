@@ -18,6 +18,7 @@ from robodyn.dynamics import dynamics
 from robodyn.dynamics.dense_dynamics import check_actuators, required_load
 from robodyn.engines import formulas, straightline
 from robodyn.engines.expression import Value
+from robodyn.engines.factors import small_system
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.engines.tangents import slopes_by
 from robodyn.errors import InputError, RobodynError
@@ -170,11 +171,6 @@ def _complete(state: Recorded) -> None:
             total = total - row[k] * qdd[k]
         right.append(total)
     columns = [[row[p] for p in mechanism.passive] for row in Psi]
-    if len(Psi) == 1:
-        found = [right[0] / columns[0][0]]
-    else:
-        (a, b), (c, d) = columns
-        det = a * d - b * c
-        found = [(right[0] * d - b * right[1]) / det, (a * right[1] - right[0] * c) / det]
+    found, _ = small_system(columns, right)
     for p, value in zip(mechanism.passive, found, strict=True):
         qdd[p] = value

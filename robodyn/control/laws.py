@@ -34,7 +34,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
 
-from robodyn.control.controlled_run import Continuous, Pieces, Sampled
+from robodyn.control.controlled_run import Continuous, Sampled
 from robodyn.control.driven_torques import driving_torques, rest_torques, torque_slopes
 from robodyn.control.recorded_law import RecordedLaw
 from robodyn.control.state_feedback import StateFeedback
@@ -43,6 +43,7 @@ from robodyn.engines.expansion import horner
 from robodyn.engines.expression import Value, choose, greatest, least
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation, for_each_actuated
+from robodyn.mechanics.kinks import Pieces
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import rate_limits, torque_limits
 
@@ -80,16 +81,79 @@ def controller(
     Raises InputError for arguments that do not fit, RobodynError where the law needs torques of a
     closed mechanism that has fewer actuators than freedoms.
     """
+    given = {"kp": kp, "kd": kd, "ki": ki}
+    _check(control, given | {"gain": gain, "control_model": control_model}, control_rate)
+    reference = _of_actuated(mechanism, reference)
+    model = mechanism if control_model is None else _agreeing(control_model, mechanism)
+    limits = torque_limits(mechanism)
+    if tau_max is not None:
+        most = _values(mechanism, "tau_max", tau_max, math.ulp(0.0))
+        limits = [min(pair) for pair in zip(limits, most, strict=True)]
+    pieces = Pieces(reference.times[1:-1])
+    gains = {x: _values(mechanism, x, each, 0.0) for x, each in given.items() if each is not None}
+    law = RecordedLaw(mechanism.n, reference.joints, reference.joints if "ki" in gains else 0)
+    errors: list[Value] = []
+    if gain is not None:
+        wanted = _feedback(mechanism, gain, law)
+    else:
+        wanted, errors = _tracking(mechanism, model, reference, pieces, control, gains, law)
+    law.outputs = _limited(mechanism, law, wanted, errors, limits, gains)
+    if control_rate is not None:
+        return _sampled(mechanism, reference, law, control_rate)
+    jumps = reference.stops or (control == "computed-torque" and reference.jumps)
+    acting = Continuous(mechanism, reference, law, pieces, jumps)
+    own = [f"zd{j}" for j in range(law.states)]
+    call = f"_control({', '.join(['t', *law.inputs])})"
+    kinks = tuple(reference.times if jumps else reference.kinks)
+    return _actuation(mechanism, acting, own, call, {"_control": acting.law}, kinks)
+
+
+def _sampled(
+    mechanism: Mechanism, reference: ReferenceTable, law: RecordedLaw, rate: float
+) -> Actuation:
+    samples = reference.times[-1] * rate
+    if samples > MOST_SAMPLES:
+        limit = f"makes {samples:.6g} samples, too many: at most {MOST_SAMPLES}"
+        raise InputError("control_rate", value=f"{rate:g}", limit=limit)
+    held = Sampled(mechanism, reference, law, rate)
+    kinks = tuple(k / rate for k in range(max(0, math.floor(samples)) + 2))
+    return _actuation(mechanism, held, [], "_held(t)", {"_held": held.at}, kinks)
+
+
+def _actuation(
+    mechanism: Mechanism,
+    law: Continuous | Sampled,
+    own: Sequence[str],
+    call: str,
+    asked: Mapping[str, object],
+    kinks: tuple[float, ...],
+) -> Actuation:
+    """Torques of the actuated joints, and rates of `own` states, by a call of what is `asked`."""
+    targets = [*(f"tau{k}" for k in mechanism.actuated), *own]
+    lines = (f"{', '.join(targets)}, = {call}", *(f"tau{k} = 0.0" for k in mechanism.passive))
+    times = law.reference.times
+    span = (law.reference.where, times[0], times[-1])
+    held = isinstance(law, Sampled)
+    return Actuation(None, lines, asked, kinks, held, span, law, states=len(own))
+
+
+def _check(control: str, given: Mapping[str, object], rate: float | None) -> None:
+    """Raise InputError for a law that is none, what it lacks, and what it does not take."""
     if control not in LAWS:
         raise InputError("control", value=control, limit=f"must be of {', '.join(LAWS)}")
     needed, others = LAWS[control]
-    given = {"kp": kp, "kd": kd, "ki": ki}
-    for name, value in (given | {"gain": gain, "control_model": control_model}).items():
+    for name, value in given.items():
         if value is None and name in needed:
             raise InputError(name, limit=f"missing: --control {control} needs it")
         if value is not None and name not in (*needed, *others):
             raise InputError(name, limit=f"is not for --control {control}")
-    joints, rate = len(mechanism.actuated), control_rate
+    if rate is not None and not 0.0 < rate < math.inf:
+        raise InputError("control_rate", value=f"{rate:g}", limit="must be > 0 and finite")
+
+
+def _of_actuated(mechanism: Mechanism, reference: ReferenceTable) -> ReferenceTable:
+    """The reference of the actuated joints."""
+    joints = len(mechanism.actuated)
     if not joints:
         raise InputError("control", where=mechanism.source, limit="no joint is actuated")
     if reference.joints == mechanism.n != joints:
@@ -97,48 +161,7 @@ def controller(
     if reference.joints != joints:
         limit = f"has {reference.joints} joints, the mechanism has {joints} actuated ones"
         raise InputError("columns", where=reference.where, limit=limit)
-    model = mechanism if control_model is None else _agreeing(control_model, mechanism)
-    limits = torque_limits(mechanism)
-    if tau_max is not None:
-        most = _values(mechanism, "tau_max", tau_max, math.ulp(0.0))
-        limits = [min(pair) for pair in zip(limits, most, strict=True)]
-    if rate is not None and not 0.0 < rate < math.inf:
-        raise InputError("control_rate", value=f"{rate:g}", limit="must be > 0 and finite")
-    pieces = Pieces(reference)
-    gains = {x: _values(mechanism, x, each, 0.0) for x, each in given.items() if each is not None}
-    states = joints if "ki" in gains else 0
-    law = RecordedLaw(mechanism.n, joints, states)
-    errors: list[Value] = []
-    if gain is not None:
-        wanted = _feedback(mechanism, gain, law)
-    else:
-        wanted, errors = _tracking(mechanism, model, reference, pieces, control, gains, law)
-    law.outputs = _limited(mechanism, law, wanted, errors, limits, gains)
-    n, end = mechanism.n, reference.times[-1]
-    targets = "".join(f"tau{k}, " for k in mechanism.actuated)
-    zeros = [f"tau{k} = 0.0" for k in mechanism.passive]
-    span = (reference.where, reference.times[0], end)
-    if rate is not None:
-        samples = end * rate
-        if samples > MOST_SAMPLES:
-            limit = f"makes {samples:.6g} samples, too many: at most {MOST_SAMPLES}"
-            raise InputError("control_rate", value=f"{rate:g}", limit=limit)
-        kinks = tuple(k / rate for k in range(max(0, math.floor(samples)) + 2))
-        held = Sampled(mechanism, reference, law, rate)
-        code = (f"{targets}= _held(t)", *zeros)
-        return Actuation(None, code, {"_held": held.at}, kinks, True, span, held)
-    state = ", ".join(_each("q", n) + _each("qd", n) + _each("z", states))
-    targets += "".join(f"zd{j}, " for j in range(states))
-    code = (f"{targets}= _control(t, {state})", *zeros)
-    jumps = reference.stops or (control == "computed-torque" and reference.jumps)
-    kinks = tuple(reference.times if jumps else reference.kinks)
-    acting = Continuous(mechanism, reference, law, pieces, jumps)
-    asked = {"_control": acting.law}
-    return Actuation(None, code, asked, kinks, False, span, acting, states=states)
-
-
-def _each(name: str, count: int) -> list[str]:
-    return [f"{name}{k}" for k in range(count)]
+    return reference
 
 
 def _agreeing(believed: Mechanism, mechanism: Mechanism) -> Mechanism:
@@ -182,7 +205,7 @@ def _tracking(
     law.lines = ["k = piece(t)", "x = t - times[k]", f"{', '.join(names)}, = coefficients[k]"]
     law.follows = {"x": "t"}
     rows = reference.coefficients.reshape(-1, len(names)).tolist()
-    law.scope = {"piece": pieces.at, "times": reference.times, "coefficients": rows}
+    law.scope = {"piece": pieces.piece, "times": reference.times, "coefficients": rows}
     errors: list[Value] = []
     wanted: list[Value] = []
     for j, k in enumerate(mechanism.actuated):

@@ -130,7 +130,7 @@ def balanced(mechanism: Mechanism, q: Array, load: Array) -> Torques:
         return Torques(load, np.zeros((*load.shape[:-1], 0)))
     n, actuated, units = mechanism.n, list(mechanism.actuated), mechanism.arrays.units
     load = load * units  # as Psi here, what acts on displacements is told by a length
-    s = _decompose(mechanism, scaled_jacobian(mechanism, q))
+    s = decompose(mechanism, scaled_jacobian(mechanism, q))
     # a projector serves as N here: states of different rank go together
     kept = s.V * (np.arange(n) < s.rank[..., None])[..., None, :]
     freedoms = np.eye(n) - kept @ np.swapaxes(kept, -1, -2)
@@ -187,7 +187,7 @@ def forward(
         bend = bend + 2 * baumgarte * matvec(Psi, rates) + baumgarte**2 * gap
     if mechanism.slides:
         M, force, Psi = M * units[:, None] * units, force * units, Psi * units
-    s = _decompose(mechanism, Psi)
+    s = decompose(mechanism, Psi)
     particular = -matvec(s.inverse, bend)
     right = force - matvec(M, particular)
     free = np.zeros_like(right)
@@ -209,7 +209,7 @@ def responses(mechanism: Mechanism, q: Array, joints: Sequence[int]) -> Array:
     """qdd (k, n) that a unit of torque at each of these joints makes at q (n), through all else."""
     units = mechanism.arrays.units
     M = mass_matrix(mechanism, q) * units[:, None] * units
-    s = _decompose(mechanism, scaled_jacobian(mechanism, q))
+    s = decompose(mechanism, scaled_jacobian(mechanism, q))
     right = np.eye(mechanism.n)[list(joints)] * units
     return _along_freedoms(mechanism, s.V[None, :, int(s.rank) :], M[None], right) * units
 
@@ -248,19 +248,21 @@ def check_actuators(mechanism: Mechanism, q: Array) -> None:
         )
 
 
-class _Decomposition(Record):
-    """Psi = U diag(s) V^T: V (..., n, n), how many s count (...), and Psi's pseudo-inverse."""
+class Decomposition(Record):
+    """Psi = U diag(s) V^T: U and V, square, how many s count (...), and Psi's pseudo-inverse."""
 
+    U: Array
     V: Array
     rank: NDArray[np.int64]
     inverse: Array
 
 
-def _decompose(mechanism: Mechanism, Psi: Array) -> _Decomposition:
+def decompose(mechanism: Mechanism, Psi: Array) -> Decomposition:
+    """Of Psi (..., r, n), displacements told in units of a length."""
     U, s, Vt = svd(Psi, full=True)
     k, cut = s.shape[-1], RANK_CUT * loop_size(mechanism)
     inverse = _pseudo_inverse(U[..., :, :k], s, Vt[..., :k, :], cut)
-    return _Decomposition(np.swapaxes(Vt, -1, -2), (s > cut).sum(axis=-1), inverse)
+    return Decomposition(U, np.swapaxes(Vt, -1, -2), (s > cut).sum(axis=-1), inverse)
 
 
 def _pseudo_inverse(U: Array, s: Array, Vt: Array, cut: float) -> Array:
@@ -313,6 +315,6 @@ def _dependence(mechanism: Mechanism, rank: NDArray[np.int64]) -> list[str]:
 def _free_joint(mechanism: Mechanism, q: Array) -> str:
     """The joint that moves most when every actuated joint is held."""
     held = np.eye(mechanism.n)[list(mechanism.actuated)]
-    s = _decompose(mechanism, np.vstack([scaled_jacobian(mechanism, q), held]))
+    s = decompose(mechanism, np.vstack([scaled_jacobian(mechanism, q), held]))
     joint = int(np.argmax((s.V[:, int(s.rank) :] ** 2).sum(axis=-1)))
     return f"q{joint + 1} ({mechanism.link_names[joint]})"

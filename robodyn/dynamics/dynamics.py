@@ -23,10 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics import closed_form, dense_dynamics
 from robodyn.dynamics.dense_dynamics import (
     MASS_CUT,
-    RANK_CUT,
     Accelerations,
     Torques,
     check_actuators,
+    decompose,
     elimination_is_safe,
     required_load,
 )
@@ -249,7 +249,7 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike
             Psi = closed_form.scaled_jacobian(mechanism, q)
             units = mechanism.arrays.units
             opening = Psi @ (qdd / units) + closed_form.closure_bias(mechanism, q, qd)
-            closing = units * matvec(np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
+            closing = units * matvec(decompose(mechanism, Psi).inverse, opening)
             return dense_dynamics.inverse(mechanism, q, qd, qdd - closing, t).tau
 
         led = projection.state_led_across(mechanism, q, qd, beside)
@@ -271,7 +271,7 @@ def _missed(mechanism: Mechanism, found: Solution, states: Array) -> Solution:
 def _multipliers(mechanism: Mechanism, q: Array, load: Array) -> Array:
     """Those of least norm that balance a load at q (n,)."""
     Psi = closed_form.scaled_jacobian(mechanism, q)
-    found: Array = np.linalg.pinv(Psi.T, rcond=RANK_CUT) @ (load * mechanism.arrays.units)
+    found: Array = decompose(mechanism, Psi).inverse.T @ (load * mechanism.arrays.units)
     return found
 
 

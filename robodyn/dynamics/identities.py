@@ -1,7 +1,8 @@
 """A self-test: the identities that every mechanism must keep, with their residuals.
 
 Evaluated at random closed states with central differences of eighth order, which share nothing
-with the closed form that they check.  Residuals are relative to the size of the terms.
+with the closed form that they check; the potential energy's rate is a tangent of its rows.
+Residuals are relative to the size of the terms.
 """
 
 from __future__ import annotations
@@ -14,16 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form, dynamics
-from robodyn.dynamics.closed_form import point_motion
 from robodyn.dynamics.placed import absolute_rates, frame_rates, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of
-from robodyn.engines.row_values import RowValues, TableLeftError, rows_of
+from robodyn.engines.row_values import RowValues, rows_of
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.closing import random_states
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.scene.scene import Table
 from robodyn.tables.arrays import Array
 
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
@@ -32,7 +31,6 @@ ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton'
 # of closing a state from random angles, in entries of Psi times its rank
 SEARCH, MOST_WORK = 2_000_000, 4_000_000
 STILL = 1e-9  # rad/s, of rates drawn near 1: below it they are rounding
-TABLED = 30.0  # how much finer differences are beside the rows of a table
 STEP = 3e-2  # rad, of the fastest link
 # f'(0) h = sum_k w_k (f(k h) - f(-k h)) + O(h^9)
 WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
@@ -140,13 +138,9 @@ def _energy_identities(
     shown = _dot(directions, matvec(Mdot, qd))
     bend = along(lambda s: closed_form.kinetic_energy(mechanism, q + s * directions, qd), ways)
     heights = rows("PE", q)[..., 0]
-    sharp = ways * _sharpness(rows.mechanism, q)
-    slope = along(lambda s: _potential(rows, q + s * directions), sharp)
-    bends = _bends(rows, lambda s: q + s * directions, sharp)
+    slope = rows("PE rate", q, directions)[..., 0]
     G = closed_form.gravity_vector(mechanism, q)
-    largest = max(
-        _top(slope[~bends]), _top(G), *map(abs, mechanism.weights)
-    )  # G's terms may balance
+    largest = max(_top(slope), _top(G), *map(abs, mechanism.weights))  # G's terms may balance
     PE = closed_form.potential_energy(mechanism, q)
     found = [
         Identity("KE = 1/2 qd^T M qd", max(_relative(KE - half, KE), _relative(KE - bodies, KE))),
@@ -159,7 +153,7 @@ def _energy_identities(
             _relative(convective - (shown - bend), max(_top(M) * _top(qd) ** 2, _top(bend))),
         ),
         Identity("PE = sum of m g h", _relative(PE - heights, heights)),
-        Identity("G = dPE/dq", _relative((slope - _dot(G, directions))[~bends], largest)),
+        Identity("G = dPE/dq", _relative(slope - _dot(G, directions), largest)),
     ]
     if rows.mechanism.has_state_forces:  # of what has no potential, at any velocities
         Q = closed_form.other_forces(mechanism, q, directions)
@@ -221,22 +215,18 @@ def _motion_identities(
     scale = max(*map(_top, terms), _top(matvec(np.abs(M), np.abs(qdd))))
     found.insert(0, Identity(BALANCE, _relative(np.sum(terms, axis=0), scale)))
 
-    # a path with this q, qd, qdd: its energy grows by the power of torques less dampers
-    def path(s: Array) -> Array:
-        return q + s * qd + 0.5 * s**2 * qdd
-
-    def energy(s: Array) -> Array:
-        return closed_form.kinetic_energy(mechanism, path(s), qd + s * qdd) + _potential(
-            rows, path(s)
-        )
+    # on a path with this q, qd, qdd the energy grows by the power of torques less dampers
+    def kinetic(s: Array) -> Array:
+        there = q + s * qd + 0.5 * s**2 * qdd
+        return closed_form.kinetic_energy(mechanism, there, qd + s * qdd)
 
     turning, bending = (np.abs(absolute_rates(mechanism, x)) for x in (qd, qdd))
-    speed = _sharpness(rows.mechanism, q) * np.maximum(turning, np.sqrt(bending))
-    growth, bends = along(energy, speed), _bends(rows, path, speed)
+    speed = np.maximum(turning, np.sqrt(bending))
+    growth = along(kinetic, speed) + rows("PE rate", q, qd)[..., 0]
     power = _dot(tau + Q - damping * qd, qd)
-    rounding = 1e-3 * _top(energy(np.zeros((len(q), 1)))) * _top(speed)  # of such a difference
+    rounding = 1e-3 * _top(kinetic(np.zeros((len(q), 1)))) * _top(speed)  # of such a difference
     size = max(scale * _top(qd), rounding)
-    return [*found, Identity(POWER, _relative((growth - power)[~bends], size))]
+    return [*found, Identity(POWER, _relative(growth - power, size))]
 
 
 def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
@@ -253,31 +243,6 @@ def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
     return np.asarray(KE)
 
 
-def _potential(rows: RowValues, q: Array) -> Array:
-    """PE; nan beyond the rows of tables."""
-    try:
-        return np.asarray(rows("PE", q)[..., 0])
-    except TableLeftError:
-        known = within_tables(rows.mechanism, q)
-        found = np.full(len(q), np.nan)
-        found[known] = rows("PE", q[known])[..., 0]
-        return found
-
-
-def _bends(rows: RowValues, path: Callable[[Array], Array], speed: Array) -> NDArray[np.bool_]:
-    """Whether a row of a spring's table lies where differences are taken, (T,)."""
-    found = np.zeros(len(speed), bool)
-    if not rows.mechanism.has_tables:
-        return found
-    reach = len(WEIGHTS) * _step(speed)
-    ends = [rows("tables", path(s)) for s in (-reach, reach)]
-    for k, (table, _) in enumerate(rows.tables):
-        if table.over == "x":
-            below, above = (np.searchsorted(table.x, x[..., k]) for x in ends)
-            found |= (below != above) | (below == 0) | (below == len(table.x))
-    return found
-
-
 def within_tables(mechanism: Mechanism, q: Array) -> NDArray[np.bool_]:
     """Which of the states q (T, n) no table of the scene ends before."""
     found = np.ones(len(q), bool)
@@ -290,28 +255,14 @@ def within_tables(mechanism: Mechanism, q: Array) -> NDArray[np.bool_]:
     return found
 
 
-def _sharpness(scene: Mechanism, q: Array) -> Array:
-    """How much shorter steps must be where the ends of a spring are near, (T, 1)."""
-    ends, reach = [x.between for x in scene.springs], sum(x.l for x in scene.description.links)
-    lengths = np.linalg.norm(point_motion(scene, ends, q)[0], axis=-1)
-    sharp = 2.0 * reach / np.maximum(lengths, 1e-300)
-    least = TABLED if any(isinstance(law, Table) for law in scene.laws) else 1.0
-    return np.asarray(sharp.max(axis=-1, initial=least)[:, None])
-
-
 def along(function: Callable[[Array], Any], speed: Array) -> Any:
     """d function(s)/ds at s = 0 for each state; steps shrink with the largest speed."""
-    step = _step(speed)
+    fastest = np.abs(speed).max(axis=-1, keepdims=True)
+    step = np.asarray(STEP / np.where(fastest > 0.0, fastest, 1.0))  # (T, 1)
     total: Any = 0.0
     for k, weight in enumerate(WEIGHTS, start=1):
         total = total + weight * (function(k * step) - function(-k * step))
     return total / step.reshape(step.shape[:1] + (1,) * (np.ndim(total) - 1))
-
-
-def _step(speed: Array) -> Array:
-    """That of differences, (T, 1)."""
-    fastest = np.abs(speed).max(axis=-1, keepdims=True)
-    return np.asarray(STEP / np.where(fastest > 0.0, fastest, 1.0))
 
 
 def _dot(left: Array, right: Array) -> Array:

@@ -19,7 +19,7 @@ between links are internal; those at the ground are in F and M.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -27,11 +27,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import Points, dense, points_of, scaled_jacobian
-from robodyn.dynamics.dense_dynamics import RANK_CUT
+from robodyn.dynamics.dense_dynamics import decompose
 from robodyn.dynamics.dynamics import coupling_torques, kept_moments, pin_forces, pins_at
 from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, placed
 from robodyn.engines.row_values import rows_of
-from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
@@ -41,6 +40,7 @@ from robodyn.scene.scene import Moment, Point
 from robodyn.tables.arrays import Array, Complex
 
 Part = Callable[[Mechanism], Mechanism]
+Push = tuple[Complex, Complex, Array]  # where a force acts, the force, which links carry that
 
 FELT = 1e-9  # part of the largest force of a null vector that is more than rounding
 
@@ -93,23 +93,43 @@ class Felt:
     def reactions(self) -> Complex:
         """The force on each link at its own joint, (..., n)."""
         forces: Complex = -(self.load @ self.bodies.below)
-        if self.mechanism.springs or self.mechanism.forces:
-            forces = forces - self.rows(parts.acting, "on links") @ self.bodies.carried
+        for _, force, link in self._acting():
+            if link is not None:
+                forces = forces - np.multiply.outer(force, self.bodies.carried[link])
         if self.mechanism.description.closures:
             forces = forces - self.pins @ _sides(self.mechanism)
         return forces
 
     def slide_moments(self) -> list[Array]:
         """Of each link that slides, about its origin."""
-        mechanism, bodies = self.mechanism, self.bodies
-        # forces and moments on what links carry, with their places
+        carried, tree = self.bodies.carried, Tree(self.mechanism.description.links)
         each = (np.moveaxis(x, -1, 0) for x in (self.place, self.load))
-        forces: list[tuple[Complex, Complex, Array]] = list(zip(*each, bodies.below, strict=True))
-        moments = -(self.turning * bodies.inertia)
+        forces: list[Push] = list(zip(*each, self.bodies.below, strict=True))
+        moments = self._moments()[..., :-1]
+        for there, force, link in self._acting():
+            if link is not None:
+                forces.append((there, force, carried[link]))
+        for there, pin, held, side in self._pinned(tree):
+            forces.append((there, pin, carried[side]))
+            moments[..., side] += held
+        found = []
+        for k in self.mechanism.slides:
+            origin = self._place(tree.point(Point(k, 0j)))
+            total = moments @ carried[:, k]
+            for there, force, below in forces:
+                turning = np.multiply((there - origin).conjugate(), force).imag
+                total = total + turning * below[k]
+            found.append(-total)
+        return found
+
+    def _moments(self) -> Array:
+        """On each link of inertia, rotors and loads, (..., n + 1); the last on the ground."""
+        mechanism = self.mechanism
+        own = -(self.turning * self.bodies.inertia)
+        moments = np.concatenate([own, np.zeros_like(own[..., :1])], axis=-1)
         for rotor, back in zip(mechanism.rotors, self.spun, strict=True):
             above = mechanism.parent[rotor.joint]
-            if above is not None:
-                moments[..., above] += back
+            moments[..., -1 if above is None else above] += back
         for entry in mechanism.description.loads:
             if isinstance(entry, Moment):
                 moments[..., entry.link] += entry.torque
@@ -117,51 +137,45 @@ class Felt:
             values = np.moveaxis(self.rows(parts.loaded, "moments"), -1, 0)
             for varying, value in zip(mechanism.varying_moments, values, strict=True):
                 moments[..., varying.link] += value
-        if mechanism.springs or mechanism.forces:
-            acting = iter(np.moveaxis(self.rows(parts.acting, "forces"), -1, 0))
-            for spring, force in zip(mechanism.springs, acting, strict=False):
-                ends = zip(spring.ends, (spring.first, spring.second), (force, -force), strict=True)
-                for point, link, pull in ends:
-                    if link is not None:
-                        forces.append((self._place(point), pull, bodies.carried[link]))
-            for given, force in zip(mechanism.forces, acting, strict=True):
-                forces.append((self._place(given.point), force, bodies.carried[given.link]))
+        return moments
+
+    def _acting(self) -> Iterator[tuple[Complex, Complex, int | None]]:
+        """The forces of springs and loads: where each acts, and on which link."""
+        mechanism = self.mechanism
+        if not (mechanism.springs or mechanism.forces):
+            return
+        acting = iter(np.moveaxis(self.rows(parts.acting, "forces"), -1, 0))
+        for spring, force in zip(mechanism.springs, acting, strict=False):
+            first, second = map(self._place, spring.ends)
+            yield first, force, spring.first
+            yield second, -force, spring.second
+        for given, force in zip(mechanism.forces, acting, strict=True):
+            yield self._place(given.point), force, given.link
+
+    def _pinned(self, tree: Tree) -> Iterator[tuple[Complex, Complex, Array | float, int]]:
+        """What closures do to the links of their sides: where, the force, the moment, the link."""
         kept = iter(np.moveaxis(self.kept, -1, 0))
-        pins, tree = np.moveaxis(self.pins, -1, 0), Tree(mechanism.description.links)
-        for closure, pin in zip(mechanism.description.closures, pins, strict=True):
+        pins = np.moveaxis(self.pins, -1, 0)
+        for closure, pin in zip(self.mechanism.description.closures, pins, strict=True):
             there = self._place(tree.point(closure.first))
-            held = next(kept) if closure.aligned is not None else None
+            held = 0.0 if closure.aligned is None else next(kept)
             for side, sign in ((closure.first, 1.0), (closure.second, -1.0)):
                 if side.link is not None:
-                    forces.append((there, pin * sign, bodies.carried[side.link]))
-                    if held is not None:
-                        moments[..., side.link] += held * sign
-        found = []
-        for k in mechanism.slides:
-            origin = self._place(tree.point(Point(k, 0j)))
-            total = moments @ bodies.carried[:, k]
-            for there, force, below in forces:
-                turning = np.multiply((there - origin).conjugate(), force).imag
-                total = total + turning * below[k]
-            found.append(-total)
-        return found
+                    yield there, pin * sign, held * sign, side.link
 
     def _place(self, point: PlanarPoint) -> Complex:
         return np.moveaxis(points_of(self.mechanism, [point]).place(self.at), -1, 0)[0]  # type: ignore[no-any-return]
 
     def shaking(self) -> tuple[Array, Array, Array]:
         """Fx, Fy and M on the ground."""
-        mechanism, bodies = self.mechanism, self.bodies
         force = self.load.sum(axis=-1)
-        # those on links that cannot turn are no load of the mechanism's, but of the ground's
-        torques = sum(x.torque for x in mechanism.description.loads if isinstance(x, Moment))
-        moment = _imaginary(self.place.conj() * self.load).sum(axis=-1) + torques
-        moment = moment - self.turning @ bodies.inertia + sum(self.spun)
-        if mechanism.varying_moments:
-            moment = moment + self.rows(parts.loaded, "moments").sum(axis=-1)
-        if mechanism.forces:
+        # moments on links that cannot turn are no load of the mechanism's, but of the ground's
+        moment = _imaginary(self.place.conj() * self.load).sum(axis=-1)
+        moment = moment + self._moments().sum(axis=-1)
+        if self.mechanism.forces:
             F = self.rows(parts.loaded, "forces")
-            arms = points_of(mechanism, [x.point for x in mechanism.forces]).place(self.at)
+            points = [x.point for x in self.mechanism.forces]
+            arms = points_of(self.mechanism, points).place(self.at)
             force = force + F.sum(axis=-1)
             moment = moment + _imaginary(arms.conj() * F).sum(axis=-1)
         return force.real, force.imag, moment
@@ -256,9 +270,8 @@ def dependent_rows(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.int64]:
 
     Where it is not zero, the pin forces are not unique.
     """
-    s = np.linalg.svd(scaled_jacobian(mechanism, q), compute_uv=False)
-    rank = (s > RANK_CUT * loop_size(mechanism)).sum(axis=-1)
-    return np.asarray(len(mechanism.rows) - rank)
+    found = decompose(mechanism, scaled_jacobian(mechanism, q))
+    return np.asarray(len(mechanism.rows) - found.rank)
 
 
 def not_unique(mechanism: Mechanism, q: ArrayLike) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -279,8 +292,8 @@ def dependent_couplings(mechanism: Mechanism, q: ArrayLike) -> tuple[int, ...]:
 
 def _free_multipliers(mechanism: Mechanism, q: ArrayLike) -> Array:
     """The null vectors of Psi^T at q (n,), (d, r)."""
-    U, s, _ = svd(scaled_jacobian(mechanism, q), full=True)
-    return U[:, int((s > RANK_CUT * loop_size(mechanism)).sum()) :].T
+    found = decompose(mechanism, scaled_jacobian(mechanism, q))
+    return found.U[:, int(found.rank) :].T
 
 
 def _felt(changes: NDArray[np.inexact], least: float) -> tuple[int, ...]:

@@ -5,7 +5,7 @@ Each has its names, and a function of the states (T, n) that gives the values (T
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -91,13 +91,8 @@ def point_values(
     return np.concatenate(motion, axis=-1).reshape(len(q), -1)
 
 
-def power_columns(mechanism: Mechanism) -> list[str]:
-    """The powers of the actuated joints' torques."""
-    return [f"power{k + 1}" for k in mechanism.actuated]
-
-
 def power_values(mechanism: Mechanism, qd: Array, tau: Array) -> Array:
-    """The values of `power_columns`."""
+    """The powers of the actuated joints' torques."""
     driven = list(mechanism.actuated)
     return np.asarray(tau[:, driven] * qd[:, driven])
 
@@ -135,45 +130,50 @@ def jacobian_values(mechanism: Mechanism, named: Sequence[NamedPoint], q: Array)
     return np.asarray(moved.reshape(len(q), -1))
 
 
-def ratio_columns(mechanism: Mechanism) -> list[str]:
-    """The rate of each link over that of each other."""
-    links = mechanism.link_names
-    return [f"{a}/{b}" for a in links for b in links if a != b]
+Group = tuple[list[str], Callable[[Solved], Array]]
+
+
+def _groups(mechanism: Mechanism, named: Sequence[NamedPoint]) -> list[Group]:
+    """The columns that are computed together, by names, and their values (T, columns)."""
+    mech, links = mechanism, mechanism.link_names
+    powers = [f"power{k + 1}" for k in mechanism.actuated]
+    groups: list[Group] = [
+        (["energy"], lambda x: np.sum(energies(mech, x.q, x.qd), axis=0)[:, None]),
+        (torque_columns(mech), lambda x: torque_values(mech, x.q, x.qd, x.tau, x.multipliers)),
+        (powers, lambda x: power_values(mech, x.qd, x.tau)),
+        (
+            reaction_columns(mech),
+            lambda x: reaction_values(mech, x.q, x.qd, x.qdd, x.multipliers, x.t),
+        ),
+        (link_columns(mech), lambda x: link_values(mech, x.q, x.qd, x.qdd)),
+        (transmission_columns(mech), lambda x: transmission_values(mech, x.q)),
+        (point_columns(named), lambda x: point_values(mech, named, x.q, x.qd, x.qdd)),
+        (jacobian_columns(mech, named), lambda x: jacobian_values(mech, named, x.q)),
+    ]
+    for name in (f"{a}/{b}" for a in links for b in links if a != b):
+
+        def ratio(x: Solved, name: str = name) -> Array:
+            return rate_ratios(mech, [ratio_named(mech, name)], x.q, x.qd)
+
+        groups.append(([name], ratio))
+    return groups
 
 
 def column_names(mechanism: Mechanism, named: Sequence[NamedPoint]) -> list[str]:
     """All of them, those of the state before."""
     state = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
-    kinds = (torque_columns, power_columns, reaction_columns, link_columns, transmission_columns)
-    names = ["t", *state, "energy", *(name for kind in kinds for name in kind(mechanism))]
-    names += [*point_columns(named), *jacobian_columns(mechanism, named)]
-    return list(dict.fromkeys([*names, *ratio_columns(mechanism)]))
+    others = (name for names, _ in _groups(mechanism, named) for name in names)
+    return list(dict.fromkeys(["t", *state, *others]))
 
 
 def columns_of(
     mechanism: Mechanism, named: Sequence[NamedPoint], solved: Solved, wanted: Sequence[str]
 ) -> dict[str, Array]:
     """The columns (T,) of these names; none is computed that belongs to no command of theirs."""
-    t, q, qd, qdd, tau, forces = solved
-    found = {"t": t}
-    for name, values in zip(("q", "qd", "qdd"), (q, qd, qdd), strict=True):
-        found |= {f"{name}{k + 1}": x for k, x in enumerate(values.T)}
-    ratios = [name for name in ratio_columns(mechanism) if name in wanted]
-    groups = (
-        (["energy"], lambda: np.sum(energies(mechanism, q, qd), axis=0)[:, None]),
-        (torque_columns(mechanism), lambda: torque_values(mechanism, q, qd, tau, forces)),
-        (reaction_columns(mechanism), lambda: reaction_values(mechanism, q, qd, qdd, forces, t)),
-        (power_columns(mechanism), lambda: power_values(mechanism, qd, tau)),
-        (link_columns(mechanism), lambda: link_values(mechanism, q, qd, qdd)),
-        (transmission_columns(mechanism), lambda: transmission_values(mechanism, q)),
-        (point_columns(named), lambda: point_values(mechanism, named, q, qd, qdd)),
-        (jacobian_columns(mechanism, named), lambda: jacobian_values(mechanism, named, q)),
-        (
-            ratios,
-            lambda: rate_ratios(mechanism, [ratio_named(mechanism, x) for x in ratios], q, qd),
-        ),
-    )
-    for names, compute in groups:
+    found = {"t": solved.t}
+    for name in ("q", "qd", "qdd"):
+        found |= {f"{name}{k + 1}": x for k, x in enumerate(getattr(solved, name).T)}
+    for names, compute in _groups(mechanism, named):
         if not found.keys() >= set(names) & set(wanted):
-            found |= dict(zip(names, compute().T, strict=True))
+            found |= dict(zip(names, compute(solved).T, strict=True))
     return {name: found[name] for name in wanted}

@@ -92,6 +92,17 @@ class PivotedFactors:
         return found
 
 
+def small_system(
+    rows: Sequence[Sequence[Value]], right: Sequence[Value]
+) -> tuple[list[Value], Value]:
+    """x of one equation, or of two, rows x = right; and the determinant."""
+    if len(rows) == 1:
+        return [right[0] / rows[0][0]], rows[0][0]
+    (a, b), (c, d) = rows
+    det = a * d - b * c
+    return [(right[0] * d - right[1] * b) / det, (a * right[1] - c * right[0]) / det], det
+
+
 def elimination_order(matrix: Sequence[dict[int, Value]], links: int) -> list[int]:
     """The place of each unknown: links, then closures; where there are many, each closure soon.
 

@@ -12,8 +12,8 @@ from functools import lru_cache
 
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import dot, entries, some
-from robodyn.engines.expression import Graph, Value
-from robodyn.engines.factors import Factors
+from robodyn.engines.expression import Expression, Graph, Value
+from robodyn.engines.factors import Factors, small_system
 from robodyn.engines.frames import absolute as absolute
 from robodyn.engines.frames import relative, start
 from robodyn.engines.recorded_numbers import RECORDED as RECORDED
@@ -85,6 +85,16 @@ class Recorded:
             if above is not None:
                 sums[above] = sums[above] + sums[k]
         return sums
+
+    def half_slopes(self, values: Sequence[Value]) -> list[list[Value]]:
+        """Half of the derivatives of values by each absolute rate (n), row by row."""
+        from robodyn.engines.tangents import Tangents, tangents  # a state's torques start without
+
+        rates = self.absolute("qd")
+        own: list[Tangents] = [{str(k): 0.5} for k in range(len(rates))]
+        seeds = {x.index: y for x, y in zip(rates, own, strict=True) if isinstance(x, Expression)}
+        found = tangents(values, {}, seeds)
+        return [[slope.get(str(k), 0.0) for k in range(len(rates))] for slope in found]
 
     def series(
         self,
@@ -188,15 +198,12 @@ def inverse_of(state: Recorded) -> Formula:
     # passive joints: load_p = Psi_p^T lambda; then tau_a = load_a - Psi_a^T lambda
     columns = [[row[p] for row in Psi] for p in mechanism.passive]
     right = [load[p] for p in mechanism.passive]
+    multipliers, det = small_system(columns, right)
     if len(Psi) == 1:
-        det = columns[0][0]
-        multipliers = [right[0] / det]
         pivot = det / state.parameter("size0", mechanism.rows[0].size)
         pivots: tuple[Value, ...] = (pivot * pivot,)
     else:
         (a, b), (c, d) = columns
-        det = a * d - b * c
-        multipliers = [(right[0] * d - right[1] * b) / det, (a * right[1] - c * right[0]) / det]
         pivots = ((det * det) / ((a * a + b * b) * (c * c + d * d)),)
     tau: list[Value] = [0.0] * n
     for k in mechanism.actuated:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.engines import array_blocks, straightline
-from robodyn.engines.arithmetic import ZERO, Planar, planar_plus, planar_times, times
+from robodyn.engines.arithmetic import Planar, planar_times
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, Recorded, balance, energies
 from robodyn.engines.series import Series
@@ -27,7 +27,7 @@ from robodyn.tables.arrays import Array, Complex
 
 LONGEST = 300  # characters of a statement
 NEAR_END = 1e-3  # of a table's span, where a run that cannot go on has come to its end
-DIRECTED = ("torques", "forces", "on links")  # they are lost where a spring has no direction
+DIRECTED = ("torques", "forces")  # they are lost where a spring has no direction
 
 
 class TableLeftError(RobodynError):
@@ -60,9 +60,9 @@ class RowValues:
     """The rows of a mechanism at states, by name.
 
     "torques" (n) are what joints must carry, N m; "forces" (2p) those of springs between points
-    (on the first end), then of loads, and "on links" (2n) their sums, x and y side by side, N;
+    (on the first end), then of loads, x and y side by side, N;
     "tables" are what they are over, "moments" the torques on links that vary, N m;
-    "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J.
+    "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J and "PE rate" (1) W.
     """
 
     def __init__(self, mechanism: Mechanism, graph: Graph | None = None) -> None:
@@ -133,11 +133,14 @@ class RowValues:
                 return balance(self._recorded, self._series)
             case "forces":
                 return [x for force in self._forces() for x in force]
-            case "on links":
-                return [x for force in self._on_links() for x in force]
             case "PE":
                 q, qd = (self._recorded.relative[x] for x in ("q", "qd"))
                 return [energies(self.mechanism, float, q, qd)[1] + self.mechanism.energy_offset]
+            case "PE rate":
+                from robodyn.engines.tangents import slopes_by  # only `check` asks for it
+
+                rates = enumerate(self._recorded.relative["qd"])
+                return slopes_by(self.nodes("PE"), {f"q{k}": {"t": x} for k, x in rates}, ["t"])
         real, named = self._series.real, self._series.program.named
         equations = self._recorded.equations  # which has them written
         given = {"tables": [x for _, x in equations.tables], "moments": equations.varying_moments}
@@ -164,14 +167,6 @@ class RowValues:
         for unit, slot, *_ in self._recorded.equations.forces:
             by = unit.real, unit.imag
             yield by if slot is None else planar_times(by, series.ground(slot, 0))
-
-    def _on_links(self) -> list[Planar]:
-        total, found = [ZERO] * self.mechanism.n, list(self._forces())
-        for force, (x, y) in zip(self._recorded.equations.forces, found, strict=True):
-            for link, sign in ((force.first, 1.0), (force.second, -1.0)):
-                if link is not None:
-                    total[link] = planar_plus(total[link], (times(sign, x), times(sign, y)))
-        return total
 
     def _squares(self) -> dict[int, Value]:
         """|d|^2 of each spring that needs a direction, by its place."""

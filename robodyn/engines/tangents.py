@@ -9,6 +9,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from robodyn.engines import expression
@@ -36,20 +37,25 @@ SLOPES: dict[str, Callable[[Any, Any], Value]] = {
 
 
 def tangents(
-    outputs: Sequence[Value], inputs: Sequence[str] | Mapping[str, Tangents]
+    outputs: Sequence[Value],
+    inputs: Sequence[str] | Mapping[str, Tangents],
+    nodes: Mapping[int, Tangents] = MappingProxyType({}),
 ) -> list[Tangents]:
     """The derivatives of each output by the inputs, which are variables or parameters.
 
-    Inputs that depend on others are given with their own derivatives.
+    Inputs that depend on others are given with their own derivatives, and so may be `nodes`, by
+    their places in the graph.
     """
     if not isinstance(inputs, Mapping):
         return tangents(outputs, {name: {name: 1.0} for name in inputs})
-    known: dict[int, Tangents] = {}
+    known = dict(nodes)
 
     def of(a: Any) -> Tangents:
         return known[a.index] if isinstance(a, Expression) else {}
 
     for node in expression.needed(outputs):
+        if node.index in nodes:
+            continue
         x: tuple[Any, ...] = node.args
         found: Tangents
         match node.op:

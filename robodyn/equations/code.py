@@ -12,7 +12,7 @@ from itertools import chain
 
 from robodyn.engines.expression import FUNCTIONS, Expression, Value, needed
 from robodyn.engines.source_text import float_source
-from robodyn.equations.outline import Block, Equations, load_unit
+from robodyn.equations.outline import Block, Equations
 from robodyn.equations.parameters import Parameter
 from robodyn.equations.text import table
 
@@ -39,20 +39,6 @@ def python(equations: CodeEquations) -> str:
         lines.append(f"{parameter.name} = {parameter.value!r}  # {_meaning(parameter)}")
     for block in equations.blocks:
         lines += ["", "", *_python_function(block, equations.mechanism.n)]
-    function, told, terms, others = _torques(equations)
-    blocks = [*terms, *others]
-    values = [f"{x.name}({', '.join(x.head.inputs)})" for x in blocks]
-    products = [
-        f"sum(a*b for a, b in zip({x.name}_i, {x.head.rate}))" if x.head.rate else f"{x.name}_i"
-        for x in terms
-    ]
-    source = f"zip({', '.join(values)})" if len(values) > 1 else values[0]
-    given = ", ".join(_given(equations))
-    lines += ["", "", f"def {function}({given}):", f'{TAB}"""{told}."""']
-    lines += [f"{TAB}return [", f"{TAB}{TAB}{products[0]}"]
-    lines += [f"{TAB}{TAB}+ {product}" for product in products[1:]]
-    lines += [f"{TAB}{TAB}- {block.name}_i" for block in others]
-    lines += [f"{TAB}{TAB}for {', '.join(f'{x.name}_i' for x in blocks)} in {source}", f"{TAB}]"]
     return "\n".join(lines) + "\n"
 
 
@@ -90,7 +76,6 @@ def c99(equations: CodeEquations) -> str:
         lines.append(f"static const double {value}; /* {_comment(_meaning(parameter))} */")
     for block in equations.blocks:
         lines += ["", *_c_function(block, n)]
-    lines += ["", *_c_torques(equations)]
     return "\n".join(lines) + "\n"
 
 
@@ -129,49 +114,8 @@ def _c_function(block: CodeBlock, n: int) -> Iterator[str]:
     yield "}"
 
 
-def _given(equations: CodeEquations) -> list[str]:
-    """The arguments of the torques: the time too, where anything depends on it."""
-    timed = any("t" in block.head.inputs for block in equations.blocks)
-    return ["q", "qd", "qdd", *(["t"] if timed else [])]
-
-
 def _argument(name: str, n: int) -> str:
     return "double t" if name == "t" else f"const double {name}[{n}]"
-
-
-def _torques(equations: CodeEquations) -> tuple[str, str, list[CodeBlock], list[CodeBlock]]:
-    """What sums up tau, or tau + Psi^T lambda: its name, meaning, terms, and what is taken off."""
-    left, others = equations.side("left"), equations.others
-    closed = bool(equations.side("closures"))
-    what = "tau + Psi^T lambda" if closed else "tau"
-    right = "".join(f" - {block.name}" for block in others)
-    sum_ = equations.told()[0].split(" = ")[0] + right
-    told = f"{what} = {sum_}, {load_unit(equations.mechanism)}"
-    terms = [block for block in left if not block.zero] or [left[0]]
-    return "joint_torques" if closed else "inverse_dynamics", told, terms, others
-
-
-def _c_torques(equations: CodeEquations) -> Iterator[str]:
-    n, (function, told, terms, others) = equations.mechanism.n, _torques(equations)
-    blocks = [*terms, *others]
-    used = {name for block in blocks for name in (block.head.rate, *block.head.inputs)}
-    yield f"/* {told} */"
-    arguments = ", ".join(_argument(name, n) for name in _given(equations))
-    yield f"void {function}({arguments}, double out[{n}])"
-    yield "{"
-    yield from (f"{TAB}(void){name};" for name in ("q", "qd", "qdd") if name not in used)
-    yield from (f"{TAB}double {block.name}_{_size(block)};" for block in blocks)
-    for block in blocks:
-        yield f"{TAB}{block.name}({', '.join([*block.head.inputs, f'{block.name}_'])});"
-    yield f"{TAB}for (int i = 0; i < {n}; i++) {{"
-    vectors = [f"{block.name}_[i]" for block in terms if not block.head.rate]
-    less = "".join(f" - {block.name}_[i]" for block in others)
-    yield f"{TAB}{TAB}out[i] = {' + '.join(vectors) or '0.0'}{less};"
-    products = [f"{x.name}_[i][j]*{x.head.rate}[j]" for x in terms if x.head.rate]
-    if products:
-        yield f"{TAB}{TAB}for (int j = 0; j < {n}; j++)"
-        yield f"{TAB}{TAB}{TAB}out[i] += {' + '.join(products)};"
-    yield from [f"{TAB}}}", "}"]
 
 
 def _head(equations: CodeEquations) -> Iterator[str]:
@@ -199,14 +143,15 @@ def _body(
     names = _names(outputs)
     for places, entry in listed:
         if isinstance(entry, Expression) and entry.op != "var":
-            names.setdefault(entry.index, block.name + block.numbers(*places[0], "_"))
+            own = "tau" if block.head.side == "sum" else block.name
+            names.setdefault(entry.index, own + block.numbers(*places[0], "_"))
     used: set[str] = set()
 
     def shown(name: str) -> str:
         letters, joint = _parted(name)
         if name == "t":
             used.add(name)
-        if letters not in ("q", "qd"):
+        if letters not in ("q", "qd", "qdd"):
             return symbol(name)
         used.add(f"{letters}{joint}")
         return f"{letters}{joint}"

@@ -34,10 +34,11 @@ class Variable(NamedTuple):
 class Head(NamedTuple):
     """What a block of the equations is.
 
-    `inputs` are what it depends on; a matrix of the left side stands before `rate`.
+    `inputs` are what it depends on; a matrix of the left side stands before `rate`.  The `sum` is
+    what joint torques are, and pin forces with them.
     """
 
-    side: Literal["left", "right", "closures"]
+    side: Literal["left", "right", "closures", "sum"]
     name: str
     meaning: str
     unit: str

@@ -7,6 +7,7 @@ these, record the equations of motion.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -17,7 +18,7 @@ from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.equations.entries import Entries
 from robodyn.equations.named_laws import Formula, contact_terms
-from robodyn.equations.outline import Block, Equations, heads
+from robodyn.equations.outline import Block, Equations, Head, heads, load_unit
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import Planar, Role, Sum
 from robodyn.mechanics.force_rows import NoDirection
@@ -42,18 +43,19 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
     ]
 
     def state(by_direction: bool, part: Mechanism) -> Recorded:
-        return Recorded(part, ("qd",), by_direction, graph=graph, arithmetic=SHORT)
+        return Recorded(part, ("qd", "qdd"), by_direction, graph=graph, arithmetic=SHORT)
 
     try:
         kept = {c: numbers(row) for c, row in parameters.kept.items()}
         named = with_kept(constants(numbers(parameters.scene)), kept)
         ways = [Entries(named, couplings, partial(state, way)) for way in (False, True)]
         found = []
-        for head in heads(mechanism):
+        known = list(heads(mechanism))
+        for head in (*known, _summed(mechanism, known)):
             written = [way.of(head.name) for way in ways]
-            if head.name == "Q":
-                for way in written:
-                    _add_contacts(way, mechanism, parameters, numbers)
+            for way in written if head.name == "Q" or head.side == "sum" else ():
+                sign = 1 if head.name == "Q" else -1
+                _add_contacts(way, sign, mechanism, parameters, numbers)
             rows = min(written, key=lambda rows: expression.cost(list(chain.from_iterable(rows))))
             found.append(Block(head, tuple(map(tuple, rows))))
         entries = list(chain.from_iterable(row for block in found for row in block.rows))
@@ -71,10 +73,22 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
     return Equations(mechanism, tuple(found), parameters, used, numeric)
 
 
+def _summed(mechanism: Mechanism, heads: Sequence[Head]) -> Head:
+    """What all the others make of the joint torques."""
+    left = " + ".join(f"{x.name} {x.rate}".strip() for x in heads if x.side == "left")
+    right = "".join(f" - {x.name}" for x in heads if x.side == "right")
+    name, told = "inverse_dynamics", "joint torques tau"
+    if mechanism.rows:
+        name, told = "joint_torques", "joint torques and pin forces, tau + Psi^T lambda"
+    timed = ("t",) if mechanism.timed else ()
+    inputs = ("q", "qd", "qdd", *timed)
+    return Head("sum", name, f"{told} = {left}{right}", load_unit(mechanism), "vector", inputs)
+
+
 def _add_contacts(
-    Q: list[list[Any]], mechanism: Mechanism, parameters: Parameters, numbers: _Numbers
+    Q: list[list[Any]], sign: int, mechanism: Mechanism, parameters: Parameters, numbers: _Numbers
 ) -> None:
-    """Add dry friction and compliant stops."""
+    """Add dry friction and compliant stops, times a sign."""
     functions = {
         "sign": lambda x: expression.choose(x, 0.0, -1.0, expression.choose(0.0, x, 1.0, 0.0)),
         "step": lambda x: expression.choose(0.0, x, 1.0, 0.0),
@@ -85,7 +99,7 @@ def _add_contacts(
         formula, row = term.defined.value, Q[term.joint]
         assert isinstance(formula, Formula)
         value = formula.value(numbers, functions)
-        row[0] = row[0] + value if term.sign > 0 else row[0] - value
+        row[0] = row[0] + value if sign * term.sign > 0 else row[0] - value
 
 
 class _Numbers:

@@ -130,6 +130,12 @@ class Sum:
             for factor, _ in monomial:
                 yield from factor.atoms() if isinstance(factor, Sum) else [factor]
 
+    def half_slope(self, rate: Atom) -> Sum:
+        """Half of what the terms change by with a rate."""
+        terms = ((term, number, dict(term).get(rate)) for term, number in self.terms.items())
+        less = ((rate, -1),)
+        return collected((merged(x, less), number * Fraction(p, 2)) for x, number, p in terms if p)
+
     def substituted(self, values: Mapping[str, Fraction]) -> Sum:
         """The sum with numbers for the symbols that `values` names."""
 

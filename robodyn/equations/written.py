@@ -149,6 +149,11 @@ class _Symbolic(Recorded):
         angles: list[Any] = super().absolute("q")
         return angles if name == "q" else [of(Atom(Role.rate, _joints(angle))) for angle in angles]
 
+    def half_slopes(self, values: Sequence[Any]) -> list[list[Any]]:
+        """See `Recorded`."""
+        rates = [atom for rate in self.absolute("qd") for atom in rate.atoms()]
+        return [[summed(entry).half_slope(rate) for rate in rates] for entry in values]
+
 
 def _joints(angle: Any) -> tuple[int, ...]:
     """The joints of a sum of angles."""

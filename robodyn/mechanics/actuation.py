@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from robodyn.mechanics.run_control import Control, Steps
-    from robodyn.mechanics.torque_times import Pieces
+    from robodyn.mechanics.torque_times import Held
     from robodyn.scene.expressions import Change
 
 T = TypeVar("T")
@@ -46,7 +46,7 @@ class Actuation:
     linear: bool = False  # in time between kinks, whatever the state is
     span: tuple[str, float, float] | None = None  # what is defined from when to when, s
     control: Control | None = None
-    pieces: Pieces | None = None  # of an expression over a run; see `torque_times.py`
+    pieces: Held | None = None  # of an expression over a run; see `torque_times.py`
     leaves: tuple[float, ...] = ()
     told_by_leaves: bool = True  # else it changes too fast for them
     given: Actuation | None = None  # what was given, where this was made of it for a run

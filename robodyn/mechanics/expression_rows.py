@@ -58,20 +58,11 @@ class ExpressionRows:
                 return float(value)
             case ast.Name(id=name):
                 return Slotted(self.variable(name))
-            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-                return self.read(operand)
-            case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return self.sum(0.0, self.read(operand), -1.0)
-            case ast.BinOp(left=left, op=ast.Add(), right=right):
-                return self.sum(self.read(left), self.read(right), 1.0)
-            case ast.BinOp(left=left, op=ast.Sub(), right=right):
-                return self.sum(self.read(left), self.read(right), -1.0)
-            case ast.BinOp(left=left, op=ast.Mult(), right=right):
-                return self.product(self.read(left), self.read(right))
-            case ast.BinOp(left=left, op=ast.Div(), right=right):
-                return self.quotient(self.read(left), self.read(right))
-            case ast.BinOp(left=left, op=ast.Pow(), right=right):
-                return self.power(self.read(left), self.read(right))
+            case ast.UnaryOp(op=sign, operand=operand):
+                part = self.read(operand)
+                return part if isinstance(sign, ast.UAdd) else self.product(-1.0, part)
+            case ast.BinOp(left=left, op=operation, right=right) if type(operation) in _OPERATIONS:
+                return _OPERATIONS[type(operation)](self, self.read(left), self.read(right))
             case ast.Subscript(slice=ast.Constant(value=int() as k)):
                 return 0.0 if self.held is None else self.held[k]
             case ast.Call(func=ast.Name(id="_int"), args=[switch]):
@@ -176,3 +167,12 @@ class ExpressionRows:
                 sign = 1.0 if name == "asin" else -1.0
                 return Slotted(add(Primitive(name, slot, self.slot(self.product(sign, root)))))
         raise self.refused(f"function {name}")
+
+
+_OPERATIONS: dict[type, Callable[[ExpressionRows, Part, Part], Part]] = {
+    ast.Add: lambda rows, a, b: rows.sum(a, b, 1.0),
+    ast.Sub: lambda rows, a, b: rows.sum(a, b, -1.0),
+    ast.Mult: ExpressionRows.product,
+    ast.Div: ExpressionRows.quotient,
+    ast.Pow: ExpressionRows.power,
+}

@@ -9,6 +9,36 @@ from collections.abc import Sequence
 NEAR = 4.0  # spacings of floats
 
 
+class Pieces:
+    """Which piece between increasing `kinks` holds at a time.
+
+    From a kink that a run has come to until it comes to the next no further piece holds: so a step
+    that ends on a kink does not see beyond it.
+    """
+
+    def __init__(self, kinks: Sequence[float]) -> None:
+        self.kinks = kinks
+        self.reset()
+
+    def reset(self) -> None:
+        """Let each piece hold in its time."""
+        self.first, self.last, self.find = 0, len(self.kinks), bisect_right
+
+    def piece(self, t: float) -> int:
+        """The number of the piece, from 0."""
+        k = self.find(self.kinks, t)
+        return self.first if k < self.first else self.last if k > self.last else k
+
+    def come_to(self, t: float, forward: bool) -> None:
+        """A run has come to t: the piece ahead of it is the furthest."""
+        self.reset()
+        if forward:
+            self.last = self.piece(t)
+        else:
+            self.find = bisect_left
+            self.first = self.piece(t)
+
+
 def next_kink(kinks: Sequence[float], t: float, end: float, spacings: float = 0.0) -> float:
     """The next of the increasing `kinks` from t towards `end`, or the end.
 

@@ -34,13 +34,9 @@ from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
-from robodyn.mechanics.planar_model import Force as Force
+from robodyn.mechanics.planar_model import Force, OnDemand, PointSpring, Rotor, VaryingMoment
 from robodyn.mechanics.planar_model import Mechanism as Mechanism
-from robodyn.mechanics.planar_model import OnDemand as OnDemand
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
-from robodyn.mechanics.planar_model import PointSpring as PointSpring
-from robodyn.mechanics.planar_model import Rotor as Rotor
-from robodyn.mechanics.planar_model import VaryingMoment as VaryingMoment
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
 from robodyn.scene.scene import (

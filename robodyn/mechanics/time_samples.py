@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebval
 
 from robodyn.tables.arrays import Array
 
@@ -85,18 +86,11 @@ def call(name: str, *parts: ast.expr) -> ast.Call:
 
 
 def parts_of(node: ast.expr) -> list[ast.expr]:
-    match node:
-        case ast.UnaryOp(operand=operand):
-            return [operand]
-        case ast.BinOp(left=left, right=right):
-            return [left, right]
-        case ast.Compare(left=left, comparators=others):
-            return [left, *others]
-        case ast.IfExp(test=test, body=body, orelse=orelse):
-            return [test, body, orelse]
-        case ast.Call(args=arguments):
-            return arguments
-    return []
+    """The expressions that it is made of."""
+    if isinstance(node, ast.Call):
+        return node.args
+    inner = [] if isinstance(node, ast.Subscript) else ast.iter_child_nodes(node)
+    return [part for part in inner if isinstance(part, ast.expr)]
 
 
 def values_of(
@@ -294,7 +288,7 @@ def leaf_ends(
             (k,) = np.nonzero(inside & good[leaf])
             at = leaf[k]
             u = (samples[k] - middle[at]) / half[at]
-            off = np.abs(_chebyshev(series[at], u) - known[k])
+            off = np.abs(chebval(u, series[at].T, tensor=False) - known[k])
             good[at[~((off <= most[at]) | (undefined[at] & ~np.isfinite(known[k])))]] = False
             np.maximum.at(worst, at, np.where(np.isfinite(off), off, 0.0))
             worst = np.fmax(worst, np.where(np.isfinite(miss), miss, 0.0))
@@ -310,11 +304,3 @@ def leaf_ends(
         ends = np.append(ends, inner)
         a, b = np.stack([a, inner], axis=1).ravel(), np.stack([inner, b], axis=1).ravel()
     return ends, not missed > UNTOLD * impulse
-
-
-def _chebyshev(series: Array, x: Array) -> Array:
-    """Values at x (k,) of series (k, DEGREE + 1), by Clenshaw's recurrence."""
-    before, last = np.zeros_like(x), np.zeros_like(x)
-    for c in series.T[:0:-1]:
-        before, last = last, 2.0 * x * last - before + c
-    return np.asarray(x * last - before + series[:, 0])

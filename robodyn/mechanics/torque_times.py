@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import ast
 import math
-from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -27,6 +26,7 @@ import numpy as np
 
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.kinks import Pieces
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.time_samples import (
     call,
@@ -44,13 +44,14 @@ from robodyn.scene.scene import Law, Table, signal_place
 NEAR_END = 1e-15  # of the run: a switch nearer to its ends is none
 
 
-class Pieces:
+class Held(Pieces):
     """How the switches stand, by time; at a switching time as ahead of it once it is reached."""
 
     restarts = True  # a torque may jump there
 
     def __init__(self, kinks: Sequence[float], values: Sequence[tuple[float, ...]]) -> None:
-        self.kinks, self.values = kinks, values
+        super().__init__(kinks)
+        self.values = values
         self.begin((), 1.0)
 
     def begin(self, y: Sequence[float], t_end: float) -> None:
@@ -60,13 +61,11 @@ class Pieces:
 
     def reach(self, t: float, y: Sequence[float]) -> None:
         """See `Steps`."""
-        self.now = (bisect_right if self.forward else bisect_left)(self.kinks, t)
+        self.come_to(t, self.forward)
 
     def at(self, t: float) -> tuple[float, ...]:
         """The values of all switches at t; beyond a switching time not reached, those before it."""
-        if self.forward:
-            return self.values[min(bisect_right(self.kinks, t), self.now)]
-        return self.values[max(bisect_left(self.kinks, t), self.now)]
+        return self.values[self.piece(t)]
 
 
 def harmless_torque(mechanism: Mechanism, atol: float, t_end: float) -> float:
@@ -96,7 +95,7 @@ def over_a_run(
     actuation = replace(given, leaves=found.leaves, told_by_leaves=found.enough, given=given)
     if not found.values[0]:  # no switch
         return actuation
-    pieces = Pieces(found.kinks, found.values)
+    pieces = Held(found.kinks, found.values)
     scope = {**actuation.scope, "_piece": pieces.at, "_int": int, "_pick": _pick}
     lines = ("_s = _piece(t)", *found.lines)
     return replace(actuation, lines=lines, scope=scope, kinks=found.kinks, pieces=pieces)
@@ -293,15 +292,12 @@ def _linear(node: ast.expr, kinds: list[int]) -> bool:
 
 
 def _rebuilt(node: ast.expr, x: list[ast.expr]) -> ast.expr:
-    match node:
-        case ast.UnaryOp(op=op):
-            return ast.UnaryOp(op, x[0])
-        case ast.BinOp(op=operation):
-            return ast.BinOp(x[0], operation, x[1])
-        case ast.Compare(ops=operators):
-            return ast.Compare(x[0], operators, x[1:])
-        case ast.IfExp():
-            return ast.IfExp(*x)
-        case ast.Call(func=function):
-            return ast.Call(function, x, [])
-    return node
+    """The node with these for its parts."""
+    new = dict(zip(map(id, parts_of(node)), x, strict=True))
+    fields: dict[str, Any] = {
+        name: [new.get(id(part), part) for part in value]
+        if isinstance(value, list)
+        else new.get(id(value), value)
+        for name, value in ast.iter_fields(node)
+    }
+    return type(node)(**fields)

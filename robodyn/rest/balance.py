@@ -24,11 +24,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_bias, scaled_jacobian
-from robodyn.dynamics.dense_dynamics import RANK_CUT
+from robodyn.dynamics.dense_dynamics import decompose
 from robodyn.dynamics.derivatives import InverseDerivatives, inverse_dynamics_derivatives
 from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError
-from robodyn.loops.closing import loop_size
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
@@ -61,12 +60,8 @@ def unclosed(mechanism: Mechanism) -> Mechanism:
 
 def free_motions(mechanism: Mechanism, q: Array) -> Array:
     """N (n, f) at q (n,)."""
-    units = mechanism.arrays.units
-    if not mechanism.rows:
-        return np.diag(units)
-    _, s, Vt = np.linalg.svd(scaled_jacobian(mechanism, q))
-    rank = int((s > RANK_CUT * loop_size(mechanism)).sum())
-    return np.asarray(units[:, None] * Vt[rank:].T)
+    found = decompose(mechanism, scaled_jacobian(mechanism, q))
+    return np.asarray(mechanism.arrays.units[:, None] * found.V[:, int(found.rank) :])
 
 
 def bend(mechanism: Mechanism, q: Array, u: Array, v: Array) -> Array:
@@ -85,10 +80,7 @@ def balance(mechanism: Mechanism, q: Array, tau: Array) -> Balance:
     K, missing = N.T @ load.by_q @ N, tau - load.tau
     multipliers: Array = np.zeros(len(mechanism.rows))
     if mechanism.rows:
-        units = mechanism.arrays.units
-        Psi = scaled_jacobian(mechanism, q)
-        found = np.linalg.lstsq(Psi.T, -units * missing, rcond=RANK_CUT)
-        multipliers = np.asarray(found[0], float)
-        ways = N.T
-        K = K - bend(mechanism, q, ways[:, None], ways[None]) @ multipliers
+        inverse = decompose(mechanism, scaled_jacobian(mechanism, q)).inverse
+        multipliers = -inverse.T @ (mechanism.arrays.units * missing)
+        K = K - bend(mechanism, q, N.T[:, None], N.T[None]) @ multipliers
     return Balance(N, N.T @ missing, K, load, multipliers)

@@ -89,71 +89,79 @@ def state_dimension(slides: Container[int]) -> Callable[[str], Dimension | None]
     return of
 
 
-def measure(
-    node: ast.expr, quantities: dict[str, Value], named: Callable[[str], Dimension | None]
-) -> Measure | None:
-    """What an expression is in, None where numbers leave that open.
+class Measuring(NamedTuple):
+    """Finds what expressions are in: of their quantities, and of their names."""
 
-    Raises ValueError, with the expression that has no sense, where units do not fit.
-    """
+    quantities: dict[str, Value]
+    named: Callable[[str], Dimension | None]
 
-    def of(node: ast.expr) -> Measure | None:
+    def of(self, node: ast.expr) -> Measure | None:
+        """What an expression is in, None where numbers leave that open.
+
+        Raises ValueError, with the expression that has no sense, where units do not fit.
+        """
         match node:
-            case ast.Name(id=name) if name in quantities:
-                return Measure(quantities[name].of, True)
+            case ast.Name(id=name) if name in self.quantities:
+                return Measure(self.quantities[name].of, True)
             case ast.Name(id=name):
-                known = named(name)
+                known = self.named(name)
                 return None if known is None else Measure(known)
             case ast.UnaryOp(operand=operand):
-                return of(operand)
+                return self.of(operand)
             case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mod(), right=right):
-                return same(node, "a sum", of(left), of(right))
+                return _same(node, "a sum", self.of(left), self.of(right))
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
-                base = of(left)
-                if base is None or not base.of or not isinstance(right, ast.Constant):
-                    return NUMBER_ALONE if base is not None and not base.of else None
-                return Measure(times(PLAIN, base.of, float(right.value)), base.sure)  # type: ignore[arg-type]
+                return _power(self.of(left), right)
             case ast.BinOp(left=left, op=op, right=right):
-                a, b = of(left), of(right)
-                if a is None or b is None:
-                    return None
-                if NUMBER_ALONE in (a, b) and not (a.sure or b.sure):
-                    return a if a == b else None
-                power = -1.0 if isinstance(op, ast.Div) else 1.0
-                return Measure(times(a.of, b.of, power), a.sure or b.sure)
+                return _product(self.of(left), self.of(right), isinstance(op, ast.Div))
             case ast.Compare(left=left, comparators=[right]):
-                same(node, "a comparison", of(left), of(right))
+                _same(node, "a comparison", self.of(left), self.of(right))
             case ast.IfExp(test=test, body=body, orelse=orelse):
-                of(test)
-                return same(node, "a choice", of(body), of(orelse))
+                self.of(test)
+                return _same(node, "a choice", self.of(body), self.of(orelse))
             case ast.Call(func=ast.Name(id=name), args=args):
-                return called(node, name, [of(x) for x in args])
+                return _called(node, name, [self.of(x) for x in args])
         return NUMBER_ALONE
 
-    def called(node: ast.expr, name: str, given: list[Measure | None]) -> Measure | None:
-        if name in _ALIKE or name == "atan2":
-            both = given[0]
-            for other in given[1:]:
-                both = same(node, name, both, other)
-            return NUMBER_ALONE if name == "atan2" else both
-        (first, *_) = given
-        if name == "sqrt" and first is not None:
-            return Measure(times(PLAIN, first.of, 0.5), first.sure)
-        odd = first is not None and (_bare(first.of) or (first.of and name not in ANGULAR))
-        if first is not None and first.sure and odd and name != "sign":
-            raise ValueError(f"{name} of {shown_dimension(first.of)}", node)
-        return NUMBER_ALONE
 
-    def same(node: ast.expr, what: str, a: Measure | None, b: Measure | None) -> Measure | None:
-        if a is None or b is None or not (a.sure or b.sure):
-            return a if a == b else next((x for x in (a, b) if x is not None and x.sure), None)
-        sure, other = (a, b) if a.sure else (b, a)
-        alike = _bare(a.of) == _bare(b.of) or (other.of and fits(sure.of, other.of))
-        if not alike:
-            raise ValueError(f"{what} of {_told(a.of)} and {_told(b.of)}", node)
-        return sure
+def _power(base: Measure | None, exponent: ast.expr) -> Measure | None:
+    if base is None or not base.of or not isinstance(exponent, ast.Constant):
+        return NUMBER_ALONE if base is not None and not base.of else None
+    return Measure(times(PLAIN, base.of, float(exponent.value)), base.sure)  # type: ignore[arg-type]
 
-    return of(node)
+
+def _product(a: Measure | None, b: Measure | None, divided: bool) -> Measure | None:
+    if a is None or b is None:
+        return None
+    if NUMBER_ALONE in (a, b) and not (a.sure or b.sure):
+        return a if a == b else None
+    return Measure(times(a.of, b.of, -1.0 if divided else 1.0), a.sure or b.sure)
+
+
+def _called(node: ast.expr, name: str, given: list[Measure | None]) -> Measure | None:
+    if name in _ALIKE or name == "atan2":
+        both = given[0]
+        for other in given[1:]:
+            both = _same(node, name, both, other)
+        return NUMBER_ALONE if name == "atan2" else both
+    (first, *_) = given
+    if name == "sqrt" and first is not None:
+        return Measure(times(PLAIN, first.of, 0.5), first.sure)
+    odd = first is not None and (_bare(first.of) or (first.of and name not in ANGULAR))
+    if first is not None and first.sure and odd and name != "sign":
+        raise ValueError(f"{name} of {shown_dimension(first.of)}", node)
+    return NUMBER_ALONE
+
+
+def _same(node: ast.expr, what: str, a: Measure | None, b: Measure | None) -> Measure | None:
+    """What two parts are both in; ValueError where they cannot be."""
+    if a is None or b is None or not (a.sure or b.sure):
+        return a if a == b else next((x for x in (a, b) if x is not None and x.sure), None)
+    sure, other = (a, b) if a.sure else (b, a)
+    alike = _bare(a.of) == _bare(b.of) or (other.of and fits(sure.of, other.of))
+    if not alike:
+        raise ValueError(f"{what} of {_told(a.of)} and {_told(b.of)}", node)
+    return sure
 
 
 def misfit(found: Measure | None, unit: str) -> str:

@@ -12,7 +12,7 @@ import re
 import warnings
 from collections.abc import Callable, Sequence
 
-from robodyn.scene.expression_units import Marked, Measure, marked, measure
+from robodyn.scene.expression_units import Marked, Measure, Measuring, marked
 from robodyn.scene.units import Dimension
 
 _NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
@@ -49,6 +49,7 @@ SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS
 SCOPE["_pow"] = math.pow
 # what no power series in time expands where it bends or jumps
 BENDS = ("abs", "min", "max", "sign", "floor", "atan2")
+_BENDING: dict[type, str] = {ast.Compare: "a comparison", ast.IfExp: "`if`", ast.Mod: "%"}
 NO_BENDS = "which bends or jumps: expressions of a scene are smooth; write a table"
 SMOOTH = tuple(name for name in FUNCTIONS if name not in BENDS)
 CONSTANTS = {"pi": math.pi, "e": math.e}
@@ -118,7 +119,7 @@ class Written:
             return None if own is None or dimensions is None else dimensions(own)
 
         try:
-            return measure(node, self._marked.quantities, of)
+            return Measuring(self._marked.quantities, of).of(node)
         except ValueError as error:
             what, where = error.args
             raise self._no(where, what) from None
@@ -194,15 +195,11 @@ def check_smooth(codes: Sequence[str]) -> None:
     if len(codes) != 1:
         raise NotAllowedError("a comma: it is one expression")
     for node in ast.walk(ast.parse(codes[0], mode="eval")):
-        match node:
-            case ast.Call(func=ast.Name(id=name)) if name[1:] in BENDS:
-                raise NotAllowedError(f"{name[1:]}(), {NO_BENDS}")
-            case ast.Compare():
-                raise NotAllowedError(f"a comparison, {NO_BENDS}")
-            case ast.IfExp():
-                raise NotAllowedError(f"`if`, {NO_BENDS}")
-            case ast.Mod():
-                raise NotAllowedError(f"%, {NO_BENDS}")
+        what = _BENDING.get(type(node))
+        if isinstance(node, ast.Name) and node.id[1:] in BENDS:
+            what = f"{node.id[1:]}()"
+        if what:
+            raise NotAllowedError(f"{what}, {NO_BENDS}")
 
 
 def value_of(code: str) -> float:

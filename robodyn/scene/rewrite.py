@@ -18,7 +18,6 @@ from robodyn.scene import yaml_tree
 from robodyn.scene.description import from_text
 from robodyn.scene.scene import Table, signals_of
 from robodyn.scene.scene_values import SceneValues
-from robodyn.scene.yaml_values import nearest
 from robodyn.tables.output_file import write_text
 
 Change = tuple[int, int, str]  # from, to, and what takes its place
@@ -49,10 +48,7 @@ def rewritten(text: str, source: str, values: Mapping[str, float | Sequence[floa
     place that cannot be written; DescriptionError for numbers that no scene may have.
     """
     old = SceneValues(text, source)
-    for name in values:
-        if name not in old:
-            near = nearest(name, old.names)
-            raise InputError(name, where=source, limit=f"is no number of the scene{near}")
+    old.check(values)
     values = {old.own_name(name): value for name, value in values.items()}
     if clash := old.clash(values):
         raise InputError(" and ".join(clash), where=source, limit="are one number: give it once")
