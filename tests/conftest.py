@@ -237,12 +237,27 @@ def _no_constant(name: str) -> None:
     raise AssertionError(f"{name} is no JSON")
 
 
+_commands: dict[object, object] = {}
+_made_anew = cli._command
+
+
+def _command_made_once(arguments: list[str], whole: bool) -> object:
+    """The options of a command are the same each time; making them takes longer than most runs."""
+    called = next((word for word in arguments if not word.startswith("-")), "")
+    helps = sorted({"--help", "-h"}.intersection(arguments))
+    key = called, tuple(helps), whole, sys.stdout.isatty(), cli.import_module
+    if key not in _commands:
+        _commands[key] = _made_anew(arguments, whole)
+    return _commands[key]
+
+
 @pytest.fixture
 def robodyn(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., Outcome]:
     """Run the command line in this process, from the project's root."""
     monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(cli, "_command", _command_made_once)
 
     def run(*arguments: object, stdin: str | bytes = b"") -> Outcome:
         data = stdin.encode() if isinstance(stdin, str) else stdin

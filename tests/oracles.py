@@ -390,14 +390,18 @@ def _lagrange(parents, slides, driven, ends, on_lines, backend):
         """d/dt of an expression in q, by the chain rule."""
         return sum(sp.diff(expression, q[j]) * qd[j] for j in range(n))
 
-    alpha, joint, turn = [], [], []  # of each link's frame: its rate's angle, origin, cosine, sine
+    # of each link's frame: the angle of its joints, the axes of slides, origin, cosine and sine
+    alpha, fixed, joint, turn = [], [], [], []
     for i, parent in enumerate(parents):
         angle = sp.Integer(0) if parent is None else alpha[parent]
-        c, s = (1, 0) if parent is None else turn[parent]
+        c, s = (1, 0) if parent is None else fixed[parent]
         x, y = on_ground(parent, at[i])
-        u, v = axes[i] if slides[i] else (sp.cos(q[i]), sp.sin(q[i]))
-        turn.append((c * u - s * v, s * u + c * v))
+        u, v = axes[i] if slides[i] else (1, 0)
+        u, v = c * u - s * v, s * u + c * v
+        fixed.append((u, v))
         alpha.append(angle if slides[i] else angle + q[i])
+        c, s = sp.cos(alpha[i]), sp.sin(alpha[i])
+        turn.append((c * u - s * v, s * u + c * v))
         along = q[i] if slides[i] else 0
         joint.append((x + along * turn[i][0], y + along * turn[i][1]))
 

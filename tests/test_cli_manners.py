@@ -151,8 +151,7 @@ def test_an_example_of_the_help_goes_without_a_file_of_this_project(name: str, l
     ours = [call[call.index("robodyn") + 1 :] for call in calls if "robodyn" in call]
     assert ours
     for command, *rest in ours:
-        group: Any = typer.main.get_command(cli._application([command]))
-        cli._prepare(group)
+        group = cli._command([command], False)
         with group.commands[command].make_context(command, rest) as context:
             model = context.params.get("model")
             assert model is None or example_file(Path(model).stem)

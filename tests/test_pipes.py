@@ -576,7 +576,7 @@ def test_help_in_a_pipe_has_no_colours(shell: Run) -> None:
 
 @pytest.mark.parametrize("command", sorted(COMMANDS))
 def test_the_examples_of_the_help_work(
-    robodyn: Run, shell: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+    robodyn: Run, quick_shell: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     """Without a file of this project; those that begin with a file of states are given one."""
     text = robodyn(command, "--help").succeeds().out.replace("\\\n", " ")
@@ -587,7 +587,7 @@ def test_the_examples_of_the_help_work(
     monkeypatch.chdir(tmp_path)
     for line in lines:
         if any(mark in line for mark in "<>") or ("| robodyn" not in line and "|" in line):
-            given = shell(line, cwd=tmp_path)
+            given = quick_shell(line, cwd=tmp_path)
         else:
             given = Outcome(0, "", "")
             for part in line.split(" | "):

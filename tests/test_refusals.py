@@ -13,13 +13,13 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable, Iterator
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import good_scenes
 import pytest
-import typer
 from conftest import ROOT, Outcome
 
 from robodyn import cli
@@ -140,8 +140,9 @@ def writes(command: str) -> bool:
     return any("--out" in x.opts for x in parameters(command))
 
 
+@cache
 def parameters(command: str) -> list[Any]:
-    group: Any = typer.main.get_command(cli._application([command]))
+    group = cli._command([command], False)
     return group.commands[command].params if command in cli.COMMANDS else []
 
 

@@ -71,9 +71,7 @@ def run(arguments: list[str]) -> int:
             os.environ.pop(size, None)
     try:
         completing = any(name.startswith("_ROBODYN_COMPLETE") for name in os.environ)
-        called = [] if completing else arguments
-        command = typer.main.get_command(_application(called, whole=completing))
-        _prepare(command)
+        command = _command([] if completing else arguments, completing)
         code = command(arguments, prog_name="robodyn", standalone_mode=False)
     except KeyboardInterrupt:
         return 130
@@ -164,8 +162,9 @@ def _more(command: str) -> str:
     return f"More: robodyn guide {page_of(command)}"
 
 
-def _prepare(group: Any) -> None:
-    """Group the options; let them take the numbers that a scene may have, with units."""
+def _command(arguments: list[str], whole: bool) -> Any:
+    """The application, its options grouped, and taking the numbers of scenes, with units."""
+    group: Any = typer.main.get_command(_application(arguments, whole))
     for name, command in group.commands.items():
         group_options(name, command.params)
     for parameter in (x for command in group.commands.values() for x in command.params):
@@ -173,6 +172,7 @@ def _prepare(group: Any) -> None:
             parameter.type = kind = copy(parameter.type)
             unit = OPTION_UNITS.get(getattr(parameter, "metavar", None) or "", "")
             kind.convert = functools.partial(_number, kind.convert, kind.name, unit)
+    return group
 
 
 def _number(convert: Callable[..., Any], kind: str, unit: str, value: Any, *place: Any) -> Any:
