@@ -106,6 +106,18 @@ def test_what_is_a_change_point(factor, crosses):
     assert bool(abs(motion.q[-1, 0] - motion.q[-1, 2]) < 1e-6) is crosses
 
 
+@pytest.mark.parametrize("make", [near_misses.parallelogram, near_misses.slider_crank])
+def test_what_is_too_short_by_rounding_alone_is_at_a_dead_centre(make):
+    """Newton's method wanders off where nothing closes: the nearest pose is the straight one."""
+    case = make(-1e-12)
+    for beside in (1e-7, 3e-7, 1e-6):
+        at = np.array(case.near) + beside * np.array(case.aside)
+        q = robodyn.assemble(case.mechanism, at)
+        assert np.abs(robodyn.closure_gap(case.mechanism, q)).max() < 2e-12, beside
+        with pytest.raises(robodyn.SingularError, match="dead centre"):
+            robodyn.loop_velocities(case.mechanism, q, case.rates)
+
+
 def test_two_freedoms_are_never_interpolated():
     mechanism = near_misses.five_bar(0.0).mechanism
     found = nearest_singular(mechanism, np.array([0.01, -0.012, 0.008, np.pi - 0.01]))
