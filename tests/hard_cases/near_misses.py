@@ -65,7 +65,7 @@ assembly: [open, open]
 """
 
 
-MISSES = (1e-14, 1e-13, 1e-12, 1e-9, 1e-6, 1e-3)  # m
+MISSES = (1e-14, 1e-13, 1e-12, 1e-9, 1e-6, 1e-3, -1e-12, -1e-6)  # m; negative: too short
 ROUNDING = (0.0, 2.0)  # eps L
 BESIDE = (0.03, 0.01, 1e-3, 1e-5, 1e-7)  # rad, from the near miss
 THROUGH = 1e-5  # s/L that a motion right through a change point, where it vanishes, is held to
@@ -94,7 +94,7 @@ class Case(NamedTuple):
 
     make: Callable[[float], Case]  # of a miss
     name: str
-    miss: float  # m
+    miss: float  # m; where it is negative cranks turn back
     scene: str  # its text
     near: tuple[float, ...]  # where it all but is singular
     aside: tuple[float, ...]  # the way there
@@ -109,7 +109,7 @@ class Case(NamedTuple):
     @property
     def meant(self) -> Case:
         """What is right: of a miss of rounding, with one freedom, the change point itself."""
-        rounding = 0.0 < self.miss <= 4.0 * EPS * loop_size(self.mechanism)
+        rounding = 0.0 < abs(self.miss) <= 4.0 * EPS * loop_size(self.mechanism)
         return self.make(0.0) if rounding and len(self.near) == 1 else self
 
 
@@ -329,7 +329,7 @@ def by_commands(
     driven, size = list(mechanism.actuated), loop_size(case.mechanism)
     path = folder / "near.yaml"
     path.write_text(case.scene)
-    narrow, wrong, out = 4.0 * EPS * size < case.miss <= 1e4 * EPS * size, 0, ""
+    narrow, wrong, out = 4.0 * EPS * size < abs(case.miss) <= 1e4 * EPS * size, 0, ""
 
     def run(name: str, *options: str) -> dict[str, np.ndarray]:
         """The columns of its table, which the next command may read."""
@@ -419,7 +419,7 @@ def exact_motion(case: Case, sure: bool = True) -> Exact:
         state = exact_values(mechanism, robodyn.assemble(mechanism, case.start), case.rates)[:2]
         end = followed(mechanism, *([mp.re(v) for v in values] for values in state), case.time)
         found = extended.Reference(np.array([[float(v) for v in end]]), 0.0)
-    elif case.miss < 1e-6 or len(mechanism.rows) > 2:  # two series: the other way takes minutes
+    elif abs(case.miss) < 1e-6 or len(mechanism.rows) > 2:  # two series: the other way takes minutes
         task = extended._Task(*given)
         series = (extended._Series(task, order, 0.1) for order in ((30, 21) if sure else (30,)))
         both = [extended._followed(task, each)[-1] for each in series]
