@@ -17,7 +17,9 @@ from hard_cases.cases import (
     long_run,
     long_stick_slip,
     mass_ratios,
-    near_misses,
+    near_miss_commands,
+    near_miss_motions,
+    near_miss_states,
     parallel_bars,
     parallel_bars_by_chance,
     redundant_closures,
@@ -26,7 +28,14 @@ from hard_cases.cases import (
 )
 
 # test_near_misses.py, test_machine_code.py, test_contacts.py and test_cli_simulate.py have theirs
-ELSEWHERE = (near_misses, sines, bounces_without_end, inconsistent_start)
+ELSEWHERE = (
+    near_miss_states,
+    near_miss_commands,
+    near_miss_motions,
+    sines,
+    bounces_without_end,
+    inconsistent_start,
+)
 CHOSEN = [case for case in CASES if case not in ELSEWHERE]
 PARTS: dict[Callable[..., Iterator[Row]], int] = {
     parallel_bars: 2,

@@ -376,7 +376,7 @@ def alone(mechanism: Mechanism, y, t_end, aims, ends, lane=0, angle=0.0) -> str:
     """A single motion without torques."""
     given = Motions(mechanism, y[None], np.zeros((1, mechanism.n)), np.array([angle]))
     plan = Plan("", "", Variation(()), (), (), t_end=t_end)
-    return single(plan, given, 0, aims, ends, lane, np.zeros(0))
+    return single(plan, given, 0, aims, ends, lane, np.zeros(0))[0]
 
 
 class TestSingle:

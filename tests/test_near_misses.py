@@ -16,6 +16,7 @@ from robodyn.engines import machine
 from robodyn.loops.change_points import known, nearest_singular
 from robodyn.loops.closing import BITS, HALF_PI, _cos_sin, singular_size
 from robodyn.simulation.simulation import simulate
+from robodyn.trajectories.reference import reference_motion
 
 FAST = "taylor, python"
 
@@ -41,6 +42,19 @@ def test_cosine_and_sine_in_integers():
 def test_states():
     for case, worst in near_misses.states((1e-14,), ()):
         assert worst < 100.0, case
+
+
+def test_commands(robodyn, tmp_path):
+    def run(*arguments, stdin):
+        done = robodyn(*arguments, stdin=stdin)
+        return done.out, done.err
+
+    for make, miss in zip(
+        near_misses.MAKERS, (1e-14, 0.0, 1e-12, 1e-13, 1e-9, 1e-12), strict=False
+    ):
+        few = near_misses.COMMANDS[:3]
+        for *name, found, bound in near_misses.by_commands(make(miss), tmp_path, run, few):
+            assert found <= bound, (make, *name)
 
 
 @pytest.mark.parametrize("make", [near_misses.generic, near_misses.slider_crank])
@@ -92,6 +106,18 @@ def test_what_is_a_change_point(factor, crosses):
     assert bool(abs(motion.q[-1, 0] - motion.q[-1, 2]) < 1e-6) is crosses
 
 
+@pytest.mark.parametrize("make", [near_misses.parallelogram, near_misses.slider_crank])
+def test_what_is_too_short_by_rounding_alone_is_at_a_dead_centre(make):
+    """Newton's method wanders off where nothing closes: the nearest pose is the straight one."""
+    case = make(-1e-12)
+    for beside in (1e-7, 3e-7, 1e-6):
+        at = np.array(case.near) + beside * np.array(case.aside)
+        q = robodyn.assemble(case.mechanism, at)
+        assert np.abs(robodyn.closure_gap(case.mechanism, q)).max() < 2e-12, beside
+        with pytest.raises(robodyn.SingularError, match="dead centre"):
+            robodyn.loop_velocities(case.mechanism, q, case.rates)
+
+
 def test_two_freedoms_are_never_interpolated():
     mechanism = near_misses.five_bar(0.0).mechanism
     found = nearest_singular(mechanism, np.array([0.01, -0.012, 0.008, np.pi - 0.01]))
@@ -113,7 +139,25 @@ def test_it_is_said():
     q = robodyn.assemble(mechanism, [0.01])
     with pytest.warns(RobodynWarning, match="misses a change point by 1e-12 m"):
         robodyn.forward_dynamics(mechanism, q, np.zeros(3), np.zeros(3))
+    with pytest.warns(RobodynWarning, match="misses a change point by 1e-12 m"):
+        reference_motion(mechanism, [[0.1], [-0.1]], 1.0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         wide = near_misses.parallelogram(1e-9).mechanism
         robodyn.forward_dynamics(wide, robodyn.assemble(wide, [0.01]), np.zeros(3), np.zeros(3))
+        reference_motion(wide, [[0.1], [-0.1]], 1.0)
+
+
+def test_sweeps_say_it(robodyn, tmp_path):
+    path = tmp_path / "near.yaml"
+    path.write_text(near_misses.parallelogram(1e-12).scene)
+    axes = "--vary", "q1=0.1,1", "--qd=-5", "--time", 0.03
+    for kind in (axes, ("--vary", "q1=0.01,1", "--kind", "torque")):
+        said = robodyn("sweep", path, *kind).err
+        assert said.count("Warning: misses a change point by 1e-12 m") == 1, said
+    away = robodyn("sweep", path, "--vary", "q1=1,1.2", "--time", 0.01).err
+    assert "misses" not in away
+    varied = "links.b.l=0.7,0.699999999999", "q1=0.1"
+    vary = [word for each in varied for word in ("--vary", each)]
+    said = robodyn("sweep", path, *vary, "--qd=-5", "--time", 0.03).err
+    assert said.count("misses a change point by 1e-12 m") == 1, said

@@ -55,9 +55,14 @@ class WorkOptions:
             raise InputError("--patience", value=self.patience, limit="must be >= 0, s")
 
     def results(self, plan: Plan, begin: int) -> Generator[Rows]:
-        """The chunks of the plan from the one that begins."""
+        """The chunks of the plan from the one that begins; a note tells of the first near miss."""
         patience = PATIENCE if self.patience is None else self.patience
-        return results(plan, begin, self.workers, self.scheduler, patience, note)
+        said = ""
+        with closing(results(plan, begin, self.workers, self.scheduler, patience, note)) as chunks:
+            for rows in chunks:
+                if rows.remark and not said:
+                    note(f"Warning: {(said := rows.remark)}")
+                yield rows
 
 
 def sweep(

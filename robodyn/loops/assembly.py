@@ -27,7 +27,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import scaled_jacobian
+from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
 from robodyn.errors import AssemblyError, InputError
 from robodyn.loops.assembly_plan import Plan, joints_of
 from robodyn.loops.assembly_plan import assembly_plan as assembly_plan
@@ -44,6 +44,7 @@ from robodyn.tables.arrays import Array
 OPEN = 1e3  # rad; what does not close is farther than all that does
 CLEAR = 0.05  # rad; branches that come as near to a start are not told apart by it
 MOST_TRIED = 6  # closures whose branches are tried for another way to close
+ROUNDING = 1e-15  # part of the loop's size, of a gap
 FLAT = 0.1  # sine between the links of a dyad below which the loop may be nearly singular
 
 
@@ -91,7 +92,11 @@ def attempt(
     if flat.any():  # to the last digit where Psi itself is nearly singular
         s = np.linalg.svd(scaled_jacobian(mechanism, q[flat]), compute_uv=False)
         flat[flat] = s[:, -1] < NEAR_SINGULAR * singular_size(mechanism)
-        q[flat] = close_positions(mechanism, q[flat], mechanism.actuated)
+        found = close_positions(mechanism, q[flat], mechanism.actuated)
+        before, after = (np.abs(closure_gap(mechanism, x)).max(axis=-1) for x in (q[flat], found))
+        # where a loop is too short by rounding nothing closes, and Newton's method wanders off
+        closed = after <= np.maximum(0.1 * before, ROUNDING * loop_size(mechanism))
+        q[flat] = np.where(closed[..., None], found, q[flat])
     return q, missing
 
 

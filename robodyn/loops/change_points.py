@@ -65,6 +65,7 @@ SAME = 0.3  # rad, from a known one within which no other is looked for
 STEPS_TO_FIND = 10
 REPEATED = 0.05  # rad, from the start of a search within which none is made again
 MOST_SEARCHED = 500  # searches that are kept
+MISSES = "misses a change point by"
 LOOKED_AT = 32  # states of a batch, the nearest to singular ones, of which a miss is told
 
 BESIDE = 0.08  # part of s/L beside it below which a state is taken from the branch
@@ -267,7 +268,7 @@ def miss_remark(mechanism: Mechanism, states: Array) -> str:
     for q in q_all:
         near = nearest_singular(mechanism, q)
         if near is not None and near.worth_saying:
-            return f"misses a change point by {near.miss:.2g} m"
+            return f"{MISSES} {near.miss:.2g} m"
     return ""
 
 

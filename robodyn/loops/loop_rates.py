@@ -75,11 +75,15 @@ def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
     if not mechanism.rows:
         return ""
     Psi, passive = scaled_jacobian(mechanism, q), list(mechanism.passive)
-    if passive and _smallest(mechanism, Psi[:, passive]) > SINGULAR:
+    least = float(_smallest(mechanism, Psi[:, passive])) if passive else 0.0
+    if least > SINGULAR:
         return ""
     if _smallest(mechanism, Psi) <= SINGULAR:
         near = nearest_singular(mechanism, np.asarray(q, float))
-        return "" if near is not None and near.misses else "change point"
+        if near is None or not near.misses:
+            return "change point"
+        if least > REDUNDANT:
+            return ""
     return "dead centre" if passive else ""
 
 
@@ -195,7 +199,7 @@ def closing_rates(mechanism: Mechanism, q: Array, actuated: Array, bias: Array |
     singular = (_smallest(mechanism, columns) <= SINGULAR) & np.any(right != 0.0, axis=-1)
     for state in map(tuple, np.argwhere(singular)):
         near = nearest_singular(mechanism, q[state])
-        if near is not None and near.misses and _smallest(mechanism, Psi[state]) > REDUNDANT:
+        if near is not None and near.misses and _smallest(mechanism, columns[state]) > REDUNDANT:
             continue  # as near as the loops ever come, and right to eps/s
         limit = "the actuated joints do not determine the motion of the others here; "
         limit += "give the values of all joints, or another configuration"

@@ -32,8 +32,8 @@ CANNOT_START = "cannot start"
 
 def single(
     plan: Plan, given: Motions, k: int, aims: Aims, ends: Ends, lane: int, told: Array
-) -> str:
-    """Motion k of those given, into lane `lane` of `ends`; its outcome.
+) -> tuple[str, str]:
+    """Motion k of those given, into lane `lane` of `ends`; its outcome, and which miss it passed.
 
     `told` has, for each event of the plan, how often it happened, and when first; then the results
     of columns.
@@ -85,12 +85,12 @@ def single(
             if len(between.t) and between.t[-1] == t[-1]:  # else it did not get as far
                 motion = between
     except SingularError:
-        return Outcome.SINGULAR.label
+        return Outcome.SINGULAR.label, ""
     except RobodynError:
-        return CANNOT_START
+        return CANNOT_START, ""
     states = np.concatenate([motion.q, motion.qd], axis=1)
     if not len(states):
-        return motion.outcome.label
+        return motion.outcome.label, report.missed
     energy = np.sum(closed_form.energies(mechanism, motion.q, motion.qd), axis=0)
     energy -= mechanism.energy_offset
     ends.t[lane], ends.y[lane], ends.steps[lane] = t[-1], states[-1], report.steps
@@ -112,7 +112,7 @@ def single(
         x = crossings(angles, np.einsum("kjb,j->kb", rates, path), h, math.pi)
         flips = motion.t[:-1] + x
         ends.flip[lane] = min(flips[~np.isnan(x)], key=abs, default=math.nan)
-    return motion.outcome.label
+    return motion.outcome.label, report.missed
 
 
 def _torques(plan: Plan, given: Motions, k: int) -> Actuation | list[float]:

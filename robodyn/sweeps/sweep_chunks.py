@@ -11,6 +11,7 @@ import cmath
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.state_columns import torque_columns
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
 from robodyn.loops import assembly, loop_rates
-from robodyn.loops.change_points import suspect_quality
+from robodyn.loops.change_points import MISSES, suspect_quality
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.scene_values import read_numbers
@@ -53,10 +54,14 @@ _OUTCOMES = {
 
 
 class Rows(NamedTuple):
-    """The rows of a chunk: numbers (k, columns - 1), nan where there is none, and outcomes (k,)."""
+    """The rows of a chunk: numbers (k, columns - 1), nan where there is none, and outcomes (k,).
+
+    And what is said of a change point that one of them just misses.
+    """
 
     values: Array
     outcomes: list[str]
+    remark: str = ""
 
 
 class Group(NamedTuple):
@@ -82,11 +87,10 @@ def run_chunk(plan: Plan, number: int) -> Rows:
     with np.errstate(all="ignore"):
         groups = list(_groups(plan, points, outcomes))
         if plan.kind == "torque":
-            for group in groups:
-                _torques(plan, group, points, values, outcomes)
+            said = [_torques(plan, group, points, values, outcomes) for group in groups]
         else:
-            _motions(plan, groups, values, outcomes)
-    return Rows(values, outcomes)
+            said = _motions(plan, groups, values, outcomes)
+    return Rows(values, outcomes, next(filter(None, said), ""))
 
 
 def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
@@ -160,8 +164,8 @@ def _velocities(mechanism: Mechanism, q: Array, qd: Array) -> tuple[Array, Kept]
     return _regular(lambda k: loop_rates.loop_velocities(mechanism, q[k], qd[k]), q.shape)
 
 
-def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: list[str]) -> None:
-    """The columns of a group, or of each of its points where one has none."""
+def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: list[str]) -> str:
+    """The columns of a group, or of each of its points where one has none; the remark."""
     mechanism, first = group.mechanism, points.shape[1]
     texts = plan.told or torque_columns(mechanism)
     given = _given(mechanism, "qdd", plan.qdd, plan.variation.axes, points[group.points])
@@ -172,17 +176,29 @@ def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: l
         return of_states(mechanism, texts, plan.of, solved)
 
     if plan.track is not None:  # which all points of a mechanism share
-        found, outcome = _along(plan, mechanism, plan.track)
+        with _misses() as said:
+            found, outcome = _along(plan, mechanism, plan.track)
         values[group.points, first:] = found
         for k in group.points:
             outcomes[k] = outcome
-        return
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RobodynWarning)
+        return next(iter(said), "")
+    with _misses() as said:
         found, kept = _regular(compute, (len(group.points), len(texts)))
     values[group.points[kept], first:] = found[kept]
     for k, regular in zip(group.points, kept, strict=True):
         outcomes[k] = FINISHED if regular else Outcome.SINGULAR.label
+    return next(iter(said), "")
+
+
+@contextmanager
+def _misses() -> Iterator[list[str]]:
+    """What is said of change points that are just missed; other remarks are of single states."""
+    said: list[str] = []
+    with warnings.catch_warnings(record=True) as remarks:
+        warnings.simplefilter("always", RobodynWarning)
+        yield said
+    parts = "; ".join(str(x.message) for x in remarks).split("; ")
+    said += [part for part in parts if part.startswith(MISSES)]
 
 
 def _along(plan: Plan, mechanism: Mechanism, track: ReferenceTable) -> tuple[Array, str]:
@@ -195,18 +211,19 @@ def _along(plan: Plan, mechanism: Mechanism, track: ReferenceTable) -> tuple[Arr
     qd, kept = _velocities(mechanism, q, rates)
     if not kept.all():
         return nothing, Outcome.SINGULAR.label
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RobodynWarning)
-        try:
-            solved = at_states(mechanism, t, q, qd, track.accelerations(t))
-            columns = of_states(mechanism, plan.told, plan.of, solved)
-        except SingularError:
-            return nothing, Outcome.SINGULAR.label
+    try:
+        solved = at_states(mechanism, t, q, qd, track.accelerations(t))
+        columns = of_states(mechanism, plan.told, plan.of, solved)
+    except SingularError:
+        return nothing, Outcome.SINGULAR.label
     return of_rows(plan.told, columns), FINISHED
 
 
-def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]) -> None:
-    """The motions of all groups: together where lanes serve them, one by one elsewhere."""
+def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]) -> list[str]:
+    """The motions of all groups: together where lanes serve them, one by one elsewhere.
+
+    Returns the remarks; near a change point motions go one by one.
+    """
     base = plan.mechanism
     n, P = base.n, len(outcomes)
     # the plan alone decides what is computed, so that digits do not depend on the chunk
@@ -223,7 +240,7 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
         work=any(driven) or base.changes_energy or bool(plan.scene_axes),
     )
     ends, offset = Ends.room(P, n), np.zeros(P)
-    members = []
+    members, said = [], []
     for group in groups:
         offset[group.points] = group.mechanism.energy_offset
         angle = _from_hanging(group.mechanism, group.q, aims.link)
@@ -250,10 +267,12 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
                 getattr(ends, name)[group.points] = getattr(found, name)
         for i, (k, status) in enumerate(zip(group.points.tolist(), statuses, strict=True)):
             if status is None or status in alone:
-                outcomes[k] = single(plan, member, i, aims, ends, k, told[k])
+                outcomes[k], remark = single(plan, member, i, aims, ends, k, told[k])
+                said.append(remark)
             else:
                 outcomes[k] = _OUTCOMES[status].label
     _fill(plan, ends, offset, told, values)
+    return said
 
 
 def _fill(plan: Plan, ends: Ends, offset: Array, told: Array, values: Array) -> None:

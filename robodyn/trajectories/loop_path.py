@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.loops.change_points import OFFSETS, lagrange
+from robodyn.loops.change_points import OFFSETS, lagrange, miss_remark
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
@@ -99,6 +99,11 @@ class LoopPath(WholePath):
     ) -> None:
         super().__init__(mechanism, path)
         self._nodes = Follower(mechanism, path, watch).nodes(start)
+
+    @property
+    def remark(self) -> str:
+        """What is said of a change point that the loops just miss on the way, if they do."""
+        return miss_remark(self.mechanism, self._nodes.q)
 
     def within(self, u: Array, piece: Pieces) -> Values:
         """As told; SingularError where the actuated joints determine no others."""

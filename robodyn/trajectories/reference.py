@@ -9,11 +9,13 @@ along one branch (`loop_path.py`).  With the duration T and u = t/T
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.closing import wrapped
@@ -90,7 +92,8 @@ def reference_motion(
     the time in which a trapezoidal one speeds up, > 0, <= 1/2.
 
     Raises InputError for arguments that do not fit, AssemblyError where a loop cannot be closed on
-    the way, SingularError where the actuated joints do not determine the others.
+    the way, SingularError where the actuated joints do not determine the others.  Warns
+    (RobodynWarning) of a change point that the loops just miss.
     """
     full = all_joints(mechanism, points)
     if (duration is None) == (times is None):
@@ -137,6 +140,8 @@ def whole_path(
     start = started(mechanism, points[0], first)
     start[driven] = first
     whole = LoopPath(mechanism, path, start, watch)
+    if remark := whole.remark:
+        warnings.warn(remark, RobodynWarning, stacklevel=2)
     given = ~np.isnan(points).any(axis=1)
     if isinstance(path, Legs | Spline) and len(points) == len(path.knots) and given.any():
         # the points given in full must be on the branch of the motion

@@ -55,11 +55,11 @@ def truth(holds: bool) -> float:
     return 0.0 if holds else 1.0
 
 
-def command(*arguments: object) -> subprocess.CompletedProcess[str]:
+def command(*arguments: object, stdin: str = "") -> subprocess.CompletedProcess[str]:
     """`robodyn` in a process of its own, forked from one that has imported it."""
     line = ["robodyn", *map(str, arguments)]
     env = {**os.environ, "PATH": path_with_it()}
-    return subprocess.run(line, env=env, capture_output=True, text=True, check=False)
+    return subprocess.run(line, env=env, input=stdin, capture_output=True, text=True, check=False)
 
 
 # -- 1: N-four-bar -------------------------------------------------------------------------------
@@ -494,12 +494,26 @@ def sines() -> Iterator[Row]:
 # -- 12: near misses of change points -------------------------------------------------------------
 
 
-def near_misses() -> Iterator[Row]:
-    hard = "branches all but meet"
+NEAR_MISS = "branches all but meet"
+
+
+def near_miss_states() -> Iterator[Row]:
     for case, worst in near_miss.states():
-        yield Row(case, hard, "error / eps (w^2 + |qdd|)/(s/L)^2", 100.0, worst)
+        yield Row(case, NEAR_MISS, near_miss.UNITS, 100.0, worst)
+
+
+def near_miss_commands() -> Iterator[Row]:
+    def run(*arguments: object, stdin: str = "") -> tuple[str, str]:
+        done = command(*arguments, stdin=stdin)
+        return done.stdout, done.stderr
+
+    for case, measure, found, bound in near_miss.commands(run):
+        yield Row(case, NEAR_MISS, measure, bound, found)
+
+
+def near_miss_motions() -> Iterator[Row]:
     for case, error, bound in near_miss.motions():
-        yield Row(case, hard, "error of q, qd", bound, error)
+        yield Row(case, NEAR_MISS, "error of q, qd", bound, error)
 
 
 # -- 13: events ----------------------------------------------------------------------------------
@@ -550,7 +564,9 @@ CASES: list[Callable[[], Iterator[Row]]] = [
     scales_and_edges,
     seven_body,
     sines,
-    near_misses,
+    near_miss_states,
+    near_miss_commands,
+    near_miss_motions,
     events_at_one_instant,
     grazes,
     bounces_without_end,
