@@ -40,8 +40,9 @@ if TYPE_CHECKING:
 # entries of A and P times the order, and links, up to which straight-line code serves: beyond, it
 # takes seconds to make and is more than Python compiles
 STRAIGHT, MOST_LINKS = 6000, 120
+LEAST_CLOSED = 10  # the order from which on steps are worth their closing
 COMPILED_STEPS = 4096
-TOGETHER = 8 * STEPS  # of those in Python that are looked at for events: looks cost as many calls
+TOGETHER = 8 * STEPS  # of those in Python: looks at a chunk, for events or leaps, cost as many calls
 KEPT = 32768  # steps whose series are kept at a time, of one link
 AHEAD = 4  # where an event ends the run, or a phase of it, at first
 CALL = 0.1  # s that a call of compiled code may take
@@ -70,10 +71,11 @@ def stepping_engine(
 
     Raises InputError where a torque has no series, SingularError where a freedom has no inertia.
     """
+    closes = bool(mechanism.rows) and project
     if order is None:
-        order = default_order(max(rtol, atol))
+        order = max(default_order(max(rtol, atol)), LEAST_CLOSED if closes else 0)
     closing = None
-    if mechanism.rows and project:
+    if closes:
         from robodyn.loops.projection import float_closing
 
         closing = float_closing(mechanism)
@@ -230,14 +232,13 @@ def taylor_run(
                 return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
             status = Status.FULL
         else:
-            near = held or (misses is not None and misses.distance(y[: mechanism.n]) < FAR)
-            if near and not isinstance(stepping, SteppingEngine):
-                slow = slow or careful()
-                runner: Engine = slow
-            else:
-                runner = stepping
+            runner: Engine = stepping
+            if not isinstance(stepping, SteppingEngine):
+                near = held or (misses is not None and misses.distance(y[: mechanism.n]) < FAR)
+                if near:
+                    runner = slow = slow or careful()
             left = recorder.max_evaluations - recorder.report.evaluations
-            most = TOGETHER if watched and isinstance(runner, SteppingEngine) else runner.most
+            most = runner.most if waits or not isinstance(runner, SteppingEngine) else TOGETHER
             steps = 1 if max_step < math.inf else max(1, min(most, left + 1))
             called = time.perf_counter()
             if runner.keeps is not watched:
