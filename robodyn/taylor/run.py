@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 STRAIGHT, MOST_LINKS = 6000, 120
 LEAST_CLOSED = 10  # the order from which on steps are worth their closing
 COMPILED_STEPS = 4096
-TOGETHER = 8 * STEPS  # of those in Python: looks at a chunk, for events or leaps, cost as many calls
+TOGETHER = 8 * STEPS  # of those in Python: looks for events or leaps cost as many calls
 KEPT = 32768  # steps whose series are kept at a time, of one link
 AHEAD = 4  # where an event ends the run, or a phase of it, at first
 CALL = 0.1  # s that a call of compiled code may take
