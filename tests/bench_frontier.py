@@ -28,7 +28,7 @@ from robodyn.engines import machine
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
-from robodyn.taylor.run import compiled_engine, stepping_engine
+from robodyn.taylor.engine_choice import compiled_engine, stepping_engine
 from yardsticks import four_bar_rates, two_link_rates
 
 Array = NDArray[np.float64]
