@@ -28,7 +28,7 @@ from robodyn.engines import machine
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
-from robodyn.taylor.run import compiled_engine, stepping_engine
+from robodyn.taylor.engine_choice import compiled_engine, stepping_engine
 from yardsticks import four_bar_rates, two_link_rates
 
 Array = NDArray[np.float64]
@@ -121,7 +121,7 @@ def lsoda(case: Case, tolerance: float) -> Array:
 
 @dataclass
 class Curve:
-    """Seconds against error of one method over all tolerances."""
+    """Seconds of the processor against error of one method over all tolerances."""
 
     problem: Case
     runs: list[Run]
@@ -131,7 +131,7 @@ class Curve:
         self.seconds = np.full(len(self.runs), np.inf)
 
     def turn(self) -> None:
-        turns = [timeit(run, number=1) for run in self.runs]
+        turns = [timeit(run, timer=process_time, number=1) for run in self.runs]
         self.seconds = np.minimum(self.seconds, turns)
 
     def time(self, target: float) -> float:
@@ -153,8 +153,9 @@ def curves(problem: Case, repeats: int) -> dict[str, Curve]:
     if machine.available():
         found["compiled"] = Curve(problem, [taylor(problem, "compiled", x) for x in loose])
     for engine in found.keys() & {"python", "compiled"}:
-        # fewer than engines in machine code that are kept for the next call
-        calls: list[Run] = [partial(call, problem, engine, x) for x in loose[::2]]
+        # in machine code fewer than engines that are kept for the next call
+        chosen = loose if engine == "python" else loose[::2]
+        calls: list[Run] = [partial(call, problem, engine, x) for x in chosen]
         found[f"whole call, {engine}"] = Curve(problem, calls)
     for curve in found.values():
         curve.measure()

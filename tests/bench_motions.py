@@ -27,8 +27,8 @@ from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
 from robodyn.simulation.benchmark import benchmark
 from robodyn.simulation.right_hand_side import right_hand_side
+from robodyn.taylor.engine_choice import compiled_engine, stepping_engine
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine, step_text
-from robodyn.taylor.run import compiled_engine, stepping_engine
 
 TIME = 0.5  # s, of the N-four-bar falling from the vertical: before the horizontal
 LOOPS = (1, 2, 5, 10, 20, 40)

@@ -116,7 +116,7 @@ def test_what_has_no_series_leaves_the_compiled_series_out():
 
 
 def test_without_llvmlite(monkeypatch):
-    monkeypatch.setattr("robodyn.taylor.run.find_spec", lambda name: None)
+    monkeypatch.setattr("robodyn.taylor.engine_choice.find_spec", lambda name: None)
     result = arm(tolerances=(1e-8,))
     assert "taylor" in methods(result)
     assert "taylor compiled" not in methods(result)

@@ -20,7 +20,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.expressions import FUNCTIONS
 from robodyn.simulation.simulation import simulate
-from robodyn.taylor import run
+from robodyn.taylor import engine_choice
 
 Array = NDArray[np.float64]
 
@@ -109,9 +109,9 @@ def test_the_state_stays_in_its_box(scene: str, kind: str, rtol: float) -> None:
     mechanism, *_ = start(scene, 0.0)
     still = Actuation((0.0,) * mechanism.n)
     if kind == "compiled":
-        engine: Any = run.compiled_engine(mechanism, still, rtol, rtol, None)
+        engine: Any = engine_choice.compiled_engine(mechanism, still, rtol, rtol, None)
     else:
-        engine = run.stepping_engine(mechanism, still, rtol, rtol)
+        engine = engine_choice.stepping_engine(mechanism, still, rtol, rtol)
     engine.keeps = True
     for rate in (0.0, 2.0, -9.0):
         _, q, qd = start(scene, rate)

@@ -102,7 +102,7 @@ def check(
     for method, engine, one_by_one in ways:
         with pytest.MonkeyPatch.context() as patch:
             if one_by_one:
-                patch.setattr("robodyn.taylor.run.STRAIGHT", -1)
+                patch.setattr("robodyn.taylor.engine_choice.STRAIGHT", -1)
             given = {"method": method, "engine": engine, "t_eval": times(end), **TIGHT}
             run = rd.simulate(mech, *start, end, tau, sensitivity=names, **given)
             plain = rd.simulate(mech, *start, end, tau, **given) if method == "taylor" else run
@@ -565,7 +565,7 @@ def test_random_scenes(kind: str, scene: Scene) -> None:
     for method, engine, one_by_one in WAYS:
         with pytest.MonkeyPatch.context() as patch:
             if one_by_one:
-                patch.setattr("robodyn.taylor.run.STRAIGHT", -1)
+                patch.setattr("robodyn.taylor.engine_choice.STRAIGHT", -1)
             elif engine == "python" and not straight:
                 continue
             given = {"method": method, "engine": engine, **tight}

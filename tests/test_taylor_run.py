@@ -24,8 +24,7 @@ from robodyn.simulation.extended import reference as longdouble_reference
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
-from robodyn.taylor import compiled
-from robodyn.taylor import run as taylor_run
+from robodyn.taylor import compiled, engine_choice
 
 ENGINE = ["python"]
 
@@ -158,7 +157,7 @@ class TestEngines:
             taylor(hard_case("massless-tip"), [0.0, 0.0], [0.0, 0.0], 1.0)
 
     def test_no_compiled_engine_without_llvmlite(self, monkeypatch):
-        monkeypatch.setattr(taylor_run, "find_spec", lambda name: None)
+        monkeypatch.setattr(engine_choice, "find_spec", lambda name: None)
         with pytest.raises(InputError, match=r"engine = compiled: needs the extra `fast`"):
             taylor(scene("2r"), *START, 1.0, engine="compiled")
         assert taylor(scene("2r"), *START, 1.0, engine="auto").outcome is Outcome.FINISHED
@@ -169,7 +168,7 @@ class TestEngines:
 
     def test_auto_goes_on_compiled(self, monkeypatch):
         pytest.importorskip("llvmlite")
-        monkeypatch.setattr(taylor_run, "WORTH", 140)
+        monkeypatch.setattr(engine_choice, "WORTH", 140)
         start = ([0.1, 0.2], [1.0, 0.0])
         options = {"tolerance": 1e-12, "t_eval": [10.0]}
         mech = load(ROOT / "robots/2r.yaml")

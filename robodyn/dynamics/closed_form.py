@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.placed import Placed, absolute_rates, as_states, columns, matvec, placed
+from robodyn.dynamics.placed import Placed, absolute_rates, as_states, columns, placed
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.mechanics.modes import Mode, in_mode, pressed
@@ -184,14 +184,6 @@ def scaled_jacobian(mechanism: Mechanism, q: ArrayLike) -> Array:
 def absolute_jacobian(mechanism: Mechanism, at: Placed) -> Array:
     """Psi in x, (..., r, n)."""
     return jacobian_at(mechanism, mechanism.arrays, at)
-
-
-def closure_rate(mechanism: Mechanism, q: ArrayLike, rates: Array) -> Array:
-    """Psi qd, how fast the gap opens at rates `rates` (..., n) of x, (..., r), m/s.
-
-    Of accelerations the part of the gap's acceleration that `closure_bias` is not.
-    """
-    return matvec(absolute_jacobian(mechanism, placed(mechanism, q)), rates)
 
 
 def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:

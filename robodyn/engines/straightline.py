@@ -93,6 +93,9 @@ def compile_closing(
     lines, outputs = source_text.float_source(formula.outputs + formula.pivots)
     n = len(formula.inputs) // 2
     gaps = len(formula.pivots)
+    again = formula.outputs[:n] + formula.outputs[2 * n :] + formula.pivots
+    names = {f"t{node.index}" for node in expression.needed(again)}
+    once = [line for line in lines if line.split()[0] not in names]  # for the rates alone
     q, qd = formula.inputs[:n], outputs[n : 2 * n]
     gap, pivots = outputs[2 * n : 2 * n + gaps], outputs[2 * n + gaps :]
 
@@ -101,7 +104,7 @@ def compile_closing(
 
     least = f"min({', '.join(pivots)})" if gaps > 1 else pivots[0]
     body = [
-        *lines,
+        *(line for line in lines if line not in once),
         f"quality = {least}",
         f"if not quality > {least_pivot!r}: return None",
         f"if {within(rounding)}: break",
@@ -111,8 +114,8 @@ def compile_closing(
     ]
     head = f"def close(y):\n  {', '.join(formula.inputs)}, = y[:{2 * n}]\n"
     loop = f"  for _ in range({passes}):\n    " + "\n    ".join(body)
-    source = f"{head}{loop}\n  return [{', '.join([*q, *qd])}, *y[{2 * n}:]], quality\n"
-    return define(source, "close")
+    found = f"return [{', '.join([*q, *qd])}, *y[{2 * n}:]], quality\n"
+    return define("\n  ".join([head + loop, *once, found]), "close")
 
 
 def compile_arrays(formula: Formula, name: str) -> tuple[ArrayFunction, int]:

@@ -9,11 +9,13 @@ hold it); Psi itself loses rank at a **change point** (the mechanism gains a fre
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_rate, scaled_jacobian
-from robodyn.dynamics.placed import absolute_rates, as_states, matvec, placed
+from robodyn.dynamics.closed_form import absolute_jacobian, closure_bias, gap_at, scaled_jacobian
+from robodyn.dynamics.placed import Placed, absolute_rates, as_states, matvec, placed
 from robodyn.errors import InputError
 from robodyn.loops.change_points import NEAR, nearest_singular, nearness, rank, rank_beside
 from robodyn.loops.closing import loop_size, singular_at
@@ -109,17 +111,17 @@ def check_closed(
     """The first of the states (..., n) that does not keep the closures, with the error to raise."""
     if not mechanism.rows or q.size == 0:
         return None
-    sizes = np.array([row.size for row in mechanism.rows])
-    opening = closure_gap(mechanism, q) + _turned_over(mechanism, q)
+    sizes, at = _sizes(mechanism), placed(mechanism, q)
+    opening = gap_at(mechanism, mechanism.arrays, at) + _turned_over(mechanism, at)
     checks = [("position", "m", opening, loop_size(mechanism))]
     if qd is not None:
-        rates = absolute_rates(mechanism, qd)
+        rates, Psi = absolute_rates(mechanism, qd), absolute_jacobian(mechanism, at)
         fastest = np.abs(rates).max(axis=-1, keepdims=True)
-        opening = closure_rate(mechanism, q, rates)
+        opening = matvec(Psi, rates)
         checks.append(("velocity", "m/s", opening, sizes * fastest))
         if qdd is not None:
             turning = absolute_rates(mechanism, qdd)
-            bending = closure_rate(mechanism, q, turning) + closure_bias(mechanism, q, qd)
+            bending = matvec(Psi, turning) + closure_bias(mechanism, q, qd)
             size = np.abs(turning).max(axis=-1, keepdims=True) + fastest**2
             checks.append(("acceleration", "m/s^2", bending, sizes * size))
     for what, unit, gap, size in checks:
@@ -132,16 +134,22 @@ def check_closed(
     return None
 
 
-def _turned_over(mechanism: Mechanism, q: Array) -> Array:
+@lru_cache(maxsize=64)
+def _sizes(mechanism: Mechanism) -> Array:
+    """Of each row the sum of its terms' sizes, (r,) m."""
+    return np.array([row.size for row in mechanism.rows])
+
+
+def _turned_over(mechanism: Mechanism, at: Placed) -> Array | float:
     """What is added to the gap, (..., r) m, of angles that are kept, but for half a turn.
 
     Their gap is a sine, which vanishes there too.
     """
-    more = np.zeros((*q.shape[:-1], len(mechanism.rows)))
     kept = [r for r, row in enumerate(mechanism.rows) if row.closure is not None and row.arm]
-    at = placed(mechanism, q) if kept else None
+    if not kept:
+        return 0.0
+    more = np.zeros((*at.x.shape[:-1], len(mechanism.rows)))
     for r in kept:
-        assert at is not None
         row = mechanism.rows[r]
         line = 1.0 if row.line is None else at.E[..., row.line].conj()
         cosine = (1j * line * (row.ground + at.X @ mechanism.arrays.P[r])).real

@@ -28,7 +28,7 @@ from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
 from robodyn.tables.arrays import Array
-from robodyn.taylor.run import stepping_engine
+from robodyn.taylor.engine_choice import stepping_engine
 
 AUTO = "auto"
 SAMPLES = 200  # times at which runs are compared, besides those of the steps

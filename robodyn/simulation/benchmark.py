@@ -21,7 +21,7 @@ from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.settings import METHODS, Settings
 from robodyn.simulation.simulation import run
 from robodyn.tables.arrays import Array
-from robodyn.taylor.run import compiled_engine, stepping_engine
+from robodyn.taylor.engine_choice import compiled_engine, stepping_engine
 
 Watch = Callable[[float], object]  # the part that is done
 

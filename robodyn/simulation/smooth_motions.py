@@ -67,9 +67,9 @@ class SmoothMotions:
         try:
             if settings.method != "taylor":
                 return self._by_scipy(mechanism, t, y, recorder, projects)
-            from robodyn.taylor.run import taylor_run
+            from robodyn.taylor.run import TaylorRun
 
-            return taylor_run(
+            return TaylorRun(
                 mechanism,
                 self.actuation,
                 y,
@@ -82,9 +82,9 @@ class SmoothMotions:
                 project=projects,
                 max_step=float(settings.max_step),
                 side=lambda: self.side(mechanism),
-                begin=t,
                 engines=self._engines,
-            )
+                t=t,
+            ).run()
         except StopRun as stop:
             if stop.outcome is not Outcome.EVENT:
                 raise

@@ -45,7 +45,7 @@ METHODS: dict[str, type[OdeSolver]] = {
     "LSODA": LSODA,
 }
 EXPLICIT = ("DOP853", "RK45", "RK23")
-MULTISTEP = ("BDF", "LSODA")  # which look at the rates at the ends of a step alone
+MULTISTEP = (BDF, LSODA)  # which look at the rates at the ends of a step alone
 FIRST = 0.1  # of a pulse, how far their first step goes into it: it may end as it begins, at zero
 COUNTS = ("nfev", "njev", "nlu")  # what scipy's solvers count
 UNBOUNDED = 1e50  # a tolerance from which what it is for chooses no step
@@ -58,212 +58,218 @@ class StiffError(Exception):
     """An explicit method is held back by its stability, not by its accuracy."""
 
 
+_Solver: Any = OdeSolver  # one of its kinds, with what those have
+
+
+class Projecting(_Solver):  # type: ignore[misc]
+    """What is added to one of scipy's solvers, which stands behind it: see the module."""
+
+    explicit = True
+    edge = np.inf  # |h lambda| near the limit of stability, where it is watched
+
+    def __init__(
+        self,
+        fun: Callable[..., Any],
+        t0: float,
+        y0: Array,
+        t_bound: float,
+        *,
+        projection: Callable[[Array], Array] | None = None,
+        observer: Observer | None = None,
+        kinks: Sequence[float] = (),
+        leaves: Sequence[float] = (),
+        told: Steps | None = None,
+        near: NearSingular | None = None,
+        slipping: Mechanism | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(fun, t0, y0, t_bound, **options)
+        self.t: float
+        self.y: Array
+        self.f: Any
+        self.h_abs: float
+        self.nfev: int
+        self.projection = projection
+        self.misses = projection.misses if isinstance(projection, Projection) else None
+        self.observer = observer
+        self.kinks = sorted(kinks)
+        self.leaves = leaves
+        self.told = told
+        self._slipping = slipping  # whose friction a step may leap over
+        self._jumped = False  # whether the torque may have, at self.t
+        self._options = options
+        self.steps = 0
+        self._longest = math.inf  # s, of the next step
+        self._tolerances: tuple[Any, Array] | None = None  # as they were given
+        self._stiff_steps = 0
+        self._rates = fun  # not counted
+        self.near = near if self.explicit else None
+        if self.explicit:
+            self._plain = self.fun = self._counted(fun)
+        if self.near is not None:
+            self._careful = self._counted(self.near.rates)
+            self.near.met = False
+
+    def _counted(self, fun: Callable[..., Any]) -> Callable[..., Any]:
+        """`fun` less scipy's conversion to an array: a stage takes its list as it is."""
+
+        def counted(t: float, y: Array) -> Any:
+            self.nfev += 1
+            return fun(t, y)
+
+        return counted
+
+    def _step_impl(self) -> tuple[bool, str | None]:
+        fresh = self._jumped or not self.steps
+        if self._jumped:
+            self._restart()
+        end = self.t_bound
+        begun = self.t, self.y, self.f if self.explicit else None
+        self._begun = self.y
+        stop = next_stop(self.kinks, self.leaves, self.t, end, NEAR)
+        if fresh and self.leaves and isinstance(self, MULTISTEP):
+            stop = self.t + FIRST * (stop - self.t)
+        self._bound(stop)
+        self._hold()
+        if self._longest < abs(self.t_bound - self.t):
+            self._bound(self.t + self.direction * self._longest)
+        try:
+            success, message = self._take_step()
+        except ValueError as error:  # an implicit method met a rate that is not finite
+            success, message = False, str(error)
+        self._bound(end)
+        if success and not self.explicit:  # those go on where a rate is not finite
+            success = bool(np.isfinite(np.asarray(self._rates(self.t, self.y))).all())
+        if not success:
+            return success, message
+        if self._leapt(*begun[:2]):
+            self.t, self.y, self.f = begun
+            self._restart()
+            return self._step_impl()
+        self.steps += 1
+        if self.edge < np.inf:
+            self._watch_stability()
+        if self.told is not None:
+            self._reach(self.told)
+        return success, message
+
+    def _leapt(self, t: float, y: Array) -> bool:
+        """Project the step from (t, y); whether it leapt over what turns the motion on its way."""
+        if self.projection is not None:
+            closed = self.projection(self.y)
+            times, ends = np.array([t, self.t]), np.stack([y, closed])
+            if self.misses is not None and self.misses.leaps(times, ends):
+                return True
+            if closed is not self.y:
+                self._accept(closed)
+        if self._slipping is None:
+            return False
+        over = falls_over(self._slipping, y.tolist(), self.y.tolist())
+        self._longest = 0.5 * abs(self.t - t) if over else math.inf
+        return over
+
+    def _hold(self) -> None:
+        """Bound the step near a missed change point, and its error."""
+        if self.misses is None:
+            return
+        longest, fine, rounding = self.misses.holds(self.y)
+        if longest < abs(self.t_bound - self.t):
+            self._bound(self.t + self.direction * longest)
+        if self._tolerances is None:
+            if fine == np.inf:
+                return
+            self._tolerances = self._options["rtol"], np.array(self._options["atol"])
+        rtol, atol = self._tolerances
+        self.rtol = min(rtol, fine)
+        self.atol = np.where(atol < UNBOUNDED, np.minimum(atol, fine), atol)
+        n = self.misses.mechanism.n
+        self.atol[n : 2 * n] = np.maximum(self.atol[n : 2 * n], rounding)
+        if isinstance(self, LSODA):
+            self._lsoda_solver._integrator.call_args[:2] = self.rtol, self.atol
+
+    def _reach(self, told: Steps) -> None:
+        """Tell a kink that the step ended on.  The dense output of the step stays as it is."""
+        kink = kink_at(self.kinks, self.t)
+        if kink is not None:
+            if self.t * self.direction < kink * self.direction <= self.t_bound * self.direction:
+                self.t = kink  # missed by rounding
+            told.reach(kink, self.y.tolist())
+            self._jumped = told.restarts
+
+    def _restart(self) -> None:
+        """Start the method afresh: beyond this time the rates are others."""
+        self._jumped = False
+        if self.explicit:
+            self.f = self.fun(self.t, self.y)
+            return
+        before = {name: getattr(self, name) for name in COUNTS}
+        super().__init__(self._rates, self.t, self.y, self.t_bound, **self._options)
+        for name in COUNTS:
+            setattr(self, name, before[name] + getattr(self, name))
+
+    def _take_step(self) -> tuple[bool, str | None]:
+        """A step of the method; near a singularity, one with every stage projected."""
+        near = self.near
+        if near is None:
+            return super()._step_impl()  # type: ignore[no-any-return]
+        self.fun = self._careful if near.met else self._plain
+        begun = self.t, self.y, self.f, self.h_abs
+        near.met = False
+        success, message = super()._step_impl()
+        if near.met and self.fun is self._plain:
+            self.t, self.y, self.f, self.h_abs = begun
+            self.fun = self._careful
+            success, message = super()._step_impl()
+        return success, message
+
+    def step(self) -> str | None:
+        message: str | None = super().step()
+        if self.status != "failed" and self.observer is not None:
+            self.observer(self)
+        return message
+
+    def _dense_output_impl(self) -> DenseOutput:
+        dense = super()._dense_output_impl()
+        if isinstance(self, LSODA):  # whose polynomial misses where the step began by its tolerance
+            dense = _JoinedOutput(dense, self._begun)
+        return dense if self.projection is None else _ProjectedOutput(dense, self.projection)
+
+    def _bound(self, t: float) -> None:
+        self.t_bound = t
+        if isinstance(self, LSODA):  # its core keeps the bound in its work array
+            self._lsoda_solver._integrator.rwork[0] = t
+
+    def _accept(self, y: Array) -> None:
+        """Make the projected state the solver's own."""
+        self.y = y
+        if isinstance(self, BDF):
+            self.D[0] = y
+        elif isinstance(self, LSODA):
+            solver = self._lsoda_solver
+            solver._y = y.copy()
+            solver._integrator.rwork[20 : 20 + self.n] = y
+        else:
+            self.f = self.fun(self.t, y)
+
+    def _watch_stability(self) -> None:
+        """Hairer's test: the last stage and the new state tell |h lambda| where it is large."""
+        if self.steps % STIFF_SAMPLE:
+            return
+        last = self.n_stages - 1
+        stage = self.y_old + self.h_previous * (self.A[last, :last] @ self.K[:last])
+        moved = np.linalg.norm(self.y - stage)
+        turned = np.linalg.norm(self.K[-1] - self.K[last])
+        held = moved > 0.0 and abs(self.h_previous) * turned > self.edge * moved
+        self._stiff_steps = self._stiff_steps + 1 if held else self._stiff_steps // 2
+        if self._stiff_steps * STIFF_SAMPLE >= STIFF_STEPS:
+            raise StiffError
+
+
 @cache
 def projected(method: str) -> type[OdeSolver]:
     """The scipy solver called `method`, with projection, observation and steps onto kinks."""
-    base = METHODS[method]
-    edge = STABILITY_EDGE.get(method, np.inf)
-
-    class Projected(base):  # type: ignore[misc, valid-type]
-        """See the module."""
-
-        def __init__(
-            self,
-            fun: Callable[..., Any],
-            t0: float,
-            y0: Array,
-            t_bound: float,
-            *,
-            projection: Callable[[Array], Array] | None = None,
-            observer: Observer | None = None,
-            kinks: Sequence[float] = (),
-            leaves: Sequence[float] = (),
-            told: Steps | None = None,
-            near: NearSingular | None = None,
-            slipping: Mechanism | None = None,
-            **options: Any,
-        ) -> None:
-            super().__init__(fun, t0, y0, t_bound, **options)
-            self.t: float
-            self.y: Array
-            self.f: Any
-            self.h_abs: float
-            self.nfev: int
-            self.projection = projection
-            self.misses = projection.misses if isinstance(projection, Projection) else None
-            self.observer = observer
-            self.kinks = sorted(kinks)
-            self.leaves = leaves
-            self.told = told
-            self._slipping = slipping  # whose friction a step may leap over
-            self._jumped = False  # whether the torque may have, at self.t
-            self._options = options
-            self.steps = 0
-            self._longest = math.inf  # s, of the next step
-            self._tolerances: tuple[Any, Array] | None = None  # as they were given
-            self._stiff_steps = 0
-            self._rates = fun  # not counted
-            self.near = near if method in EXPLICIT else None
-            if method in EXPLICIT:
-                self._plain = self.fun = self._counted(fun)
-            if self.near is not None:
-                self._careful = self._counted(self.near.rates)
-                self.near.met = False
-
-        def _counted(self, fun: Callable[..., Any]) -> Callable[..., Any]:
-            """`fun` less scipy's conversion to an array: a stage takes its list as it is."""
-
-            def counted(t: float, y: Array) -> Any:
-                self.nfev += 1
-                return fun(t, y)
-
-            return counted
-
-        def _step_impl(self) -> tuple[bool, str | None]:
-            fresh = self._jumped or not self.steps
-            if self._jumped:
-                self._restart()
-            end = self.t_bound
-            begun = self.t, self.y, self.f if method in EXPLICIT else None
-            self._begun = self.y
-            stop = next_stop(self.kinks, self.leaves, self.t, end, NEAR)
-            if fresh and self.leaves and method in MULTISTEP:
-                stop = self.t + FIRST * (stop - self.t)
-            self._bound(stop)
-            self._hold()
-            if self._longest < abs(self.t_bound - self.t):
-                self._bound(self.t + self.direction * self._longest)
-            try:
-                success, message = self._take_step()
-            except ValueError as error:  # an implicit method met a rate that is not finite
-                success, message = False, str(error)
-            self._bound(end)
-            if success and method not in EXPLICIT:  # those go on where a rate is not finite
-                success = bool(np.isfinite(np.asarray(self._rates(self.t, self.y))).all())
-            if not success:
-                return success, message
-            if self.projection is not None:
-                y = self.projection(self.y)
-                times, ends = np.array([begun[0], self.t]), np.stack([begun[1], y])
-                if self.misses is not None and self.misses.leaps(times, ends):
-                    self.t, self.y, self.f = begun
-                    self._restart()
-                    return self._step_impl()
-                if y is not self.y:
-                    self._accept(y)
-            if self._slipping is not None:
-                moved = self.t - begun[0]
-                if falls_over(self._slipping, begun[1].tolist(), self.y.tolist()):
-                    self._longest = 0.5 * abs(moved)
-                    self.t, self.y, self.f = begun
-                    self._restart()
-                    return self._step_impl()
-                self._longest = math.inf
-            self.steps += 1
-            if edge < np.inf:
-                self._watch_stability()
-            if self.told is not None:
-                self._reach(self.told)
-            return success, message
-
-        def _hold(self) -> None:
-            """Bound the step near a missed change point, and its error."""
-            if self.misses is None:
-                return
-            longest, fine, rounding = self.misses.holds(self.y)
-            if longest < abs(self.t_bound - self.t):
-                self._bound(self.t + self.direction * longest)
-            if self._tolerances is None:
-                if fine == np.inf:
-                    return
-                self._tolerances = self._options["rtol"], np.array(self._options["atol"])
-            rtol, atol = self._tolerances
-            self.rtol = min(rtol, fine)
-            self.atol = np.where(atol < UNBOUNDED, np.minimum(atol, fine), atol)
-            n = self.misses.mechanism.n
-            self.atol[n : 2 * n] = np.maximum(self.atol[n : 2 * n], rounding)
-            if base is LSODA:
-                self._lsoda_solver._integrator.call_args[:2] = self.rtol, self.atol
-
-        def _reach(self, told: Steps) -> None:
-            """Tell a kink that the step ended on.  The dense output of the step stays as it is."""
-            kink = kink_at(self.kinks, self.t)
-            if kink is not None:
-                if self.t * self.direction < kink * self.direction <= self.t_bound * self.direction:
-                    self.t = kink  # missed by rounding
-                told.reach(kink, self.y.tolist())
-                self._jumped = told.restarts
-
-        def _restart(self) -> None:
-            """Start the method afresh: beyond this time the rates are others."""
-            self._jumped = False
-            if method in EXPLICIT:
-                self.f = self.fun(self.t, self.y)
-                return
-            before = {name: getattr(self, name) for name in COUNTS}
-            super().__init__(self._rates, self.t, self.y, self.t_bound, **self._options)
-            for name in COUNTS:
-                setattr(self, name, before[name] + getattr(self, name))
-
-        def _take_step(self) -> tuple[bool, str | None]:
-            """A step of the method; near a singularity, one with every stage projected."""
-            near = self.near
-            if near is None:
-                return super()._step_impl()  # type: ignore[no-any-return]
-            self.fun = self._careful if near.met else self._plain
-            begun = self.t, self.y, self.f, self.h_abs
-            near.met = False
-            success, message = super()._step_impl()
-            if near.met and self.fun is self._plain:
-                self.t, self.y, self.f, self.h_abs = begun
-                self.fun = self._careful
-                success, message = super()._step_impl()
-            return success, message
-
-        def step(self) -> str | None:
-            message: str | None = super().step()
-            if self.status != "failed" and self.observer is not None:
-                self.observer(self)
-            return message
-
-        def _dense_output_impl(self) -> DenseOutput:
-            dense = super()._dense_output_impl()
-            if base is LSODA:  # whose polynomial misses where the step began by its tolerance
-                dense = _JoinedOutput(dense, self._begun)
-            return dense if self.projection is None else _ProjectedOutput(dense, self.projection)
-
-        def _bound(self, t: float) -> None:
-            self.t_bound = t
-            if base is LSODA:  # its core keeps the bound in its work array
-                self._lsoda_solver._integrator.rwork[0] = t
-
-        def _accept(self, y: Array) -> None:
-            """Make the projected state the solver's own."""
-            self.y = y
-            if base is BDF:
-                self.D[0] = y
-            elif base is LSODA:
-                solver = self._lsoda_solver
-                solver._y = y.copy()
-                solver._integrator.rwork[20 : 20 + self.n] = y
-            else:
-                self.f = self.fun(self.t, y)
-
-        def _watch_stability(self) -> None:
-            """Hairer's test: the last stage and the new state tell |h lambda| where it is large."""
-            if self.steps % STIFF_SAMPLE:
-                return
-            last = self.n_stages - 1
-            stage = self.y_old + self.h_previous * (self.A[last, :last] @ self.K[:last])
-            moved = np.linalg.norm(self.y - stage)
-            turned = np.linalg.norm(self.K[-1] - self.K[last])
-            held = moved > 0.0 and abs(self.h_previous) * turned > edge * moved
-            self._stiff_steps = self._stiff_steps + 1 if held else self._stiff_steps // 2
-            if self._stiff_steps * STIFF_SAMPLE >= STIFF_STEPS:
-                raise StiffError
-
-    Projected.__name__ = Projected.__qualname__ = f"Projected{method}"
-    return Projected
+    kind = {"explicit": method in EXPLICIT, "edge": STABILITY_EDGE.get(method, np.inf)}
+    return type(f"Projected{method}", (Projecting, METHODS[method]), kind)
 
 
 def solver_of(

@@ -22,10 +22,13 @@ LANES = 2  # of the text, in place of any number
 _CONSTANT = re.compile(r"<(double|i64|i1) ([^,>]+), \1 \2>")
 _TYPES = {"<2 x double>": "vector", "<2 x i64>": "wholes", "<2 x i1>": "mask"}
 _NAME = re.compile(r"%([avsic]\d+)\b")
-_SYMBOLS = {
-    "fadd": "+", "fsub": "-", "fmul": "*", "add": "+", "sub": "-", "mul": "*", "and": "&",
-    "or": "|", "lshr": ">>", "shl": "<<",
+_WRITTEN = {
+    "fadd": "{} + {}", "fsub": "{} - {}", "fmul": "{} * {}", "fdiv": "divide({}, {})",
+    "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "and": "{} & {}", "or": "{} | {}",
+    "lshr": "{} >> {}", "shl": "{} << {}", "xor": "invert({})", "fneg": "-{}",
+    "select": "where({}, {}, {})",
 }  # fmt: skip
+_LAID_OUT = "phi", "insertelement", "shufflevector", "extractelement", "insertvalue", "extractvalue"
 _COMPARED = {
     "olt": "{} < {}", "ole": "{} <= {}", "ogt": "{} > {}", "oge": "{} >= {}", "oeq": "{} == {}",
     "une": "{} != {}", "slt": "{} < {}", "sge": "{} >= {}", "ne": "{} != {}",
@@ -196,62 +199,58 @@ class _Function:
         """The line of Python, or the value; None where there is nothing to do."""
         op, _, rest = line.partition(" ")
         if op == "br":
-            where = re.findall(r"label %(\w+)", rest)
-            if len(where) == 1:
-                return self._jump(label, where[0])
-            yes, no = (self._jump(label, x) for x in where)
-            return (
-                f"if {self._value(rest.split(',')[0])}:\n        {yes}\n      else:\n        {no}"
-            )
+            return self._branch(label, rest)
         if op == "ret":
             return f"return {'None' if rest == 'void' else self._value(rest)}"
         if op == "call":
             return self._call(rest)
+        if " to " in rest:
+            (kind, word), to = rest.split(" to ")[0].split(), rest.split(" to ")[1]
+            return _CONVERTED[f"{op} {kind} {to}"].format(self._value(word))
         parts = [x.strip() for x in rest.split(",")]
-        if op == "alloca":
-            count = int(parts[1].split()[1])
-            self.stack[name] = name if count == 1 else f"{name}[0]"
-            return None if count == 1 else f"[None] * {count}"
-        if op == "getelementptr":
-            base, index = self._value(parts[1]), self._value(parts[2])
-            if base in self.stack:
-                self.stack[name] = f"{base}[{index}]"
-                return None
-            return f"{base} + {index}"
+        if op in ("alloca", "getelementptr"):
+            return self._address(op, name, parts)
         if op in ("load", "store"):
             place = self._value(parts[1])
             place = self.stack.get(place, f"M[{place}]")
             return place if op == "load" else f"{place} = {self._value(parts[0])}"
-        if op in ("phi", "insertelement", "shufflevector", "extractelement"):
-            return self._moved(op, parts)
-        if op == "insertvalue":
-            before = self._value(parts[-3])
-            return f"({'' if before == 'None' else f'*{before}, '}{self._value(parts[-2])},)"
-        if op == "extractvalue":
-            return f"{self._value(parts[-2])}[{parts[-1]}]"
         if op in ("fcmp", "icmp"):
             how, _, parts[0] = parts[0].partition(" ")
             if parts[0].startswith("i2 "):
                 return f"any_lane({self._value(parts[0])})"
             return _COMPARED[how].format(*map(self._value, parts))
-        if op == "fneg":
-            return f"-{self._value(rest)}"
-        if op == "select":
-            return f"where({', '.join(map(self._value, parts))})"
-        if " to " in rest:
-            (kind, word), to = rest.split(" to ")[0].split(), rest.split(" to ")[1]
-            return _CONVERTED[f"{op} {kind} {to}"].format(self._value(word))
-        a, b = map(self._value, parts)
-        if op == "fdiv":
-            return f"divide({a}, {b})"
-        if op == "xor":
-            return f"invert({a})"
-        return f"{a} {_SYMBOLS[op]} {b}"
+        if op in _LAID_OUT:
+            return self._laid_out(op, parts)
+        return _WRITTEN[op].format(*map(self._value, parts))
 
-    def _moved(self, op: str, parts: list[str]) -> str | None:
-        """All lanes are one word."""
+    def _branch(self, label: str, rest: str) -> str:
+        where = re.findall(r"label %(\w+)", rest)
+        yes, *no = (self._jump(label, x) for x in where)
+        if not no:
+            return yes
+        return f"if {self._value(rest.split(',')[0])}:\n        {yes}\n      else:\n        {no[0]}"
+
+    def _address(self, op: str, name: str, parts: list[str]) -> str | None:
+        """Of an item of the block, or on the stack."""
+        if op == "alloca":
+            count = int(parts[1].split()[1])
+            self.stack[name] = name if count == 1 else f"{name}[0]"
+            return None if count == 1 else f"[None] * {count}"
+        base, index = self._value(parts[1]), self._value(parts[2])
+        if base in self.stack:
+            self.stack[name] = f"{base}[{index}]"
+            return None
+        return f"{base} + {index}"
+
+    def _laid_out(self, op: str, parts: list[str]) -> str | None:
+        """What moves words; all lanes are one."""
         if op == "phi":
             return None
+        if op == "insertvalue":
+            before = self._value(parts[-3])
+            return f"({'' if before == 'None' else f'*{before}, '}{self._value(parts[-2])},)"
+        if op == "extractvalue":
+            return f"{self._value(parts[-2])}[{parts[-1]}]"
         return self._value(parts[1] if op == "insertelement" else parts[0])
 
     def _call(self, text: str) -> str:

@@ -17,7 +17,7 @@ from robodyn.control.laws import controller
 from robodyn.dynamics import closed_form
 from robodyn.errors import RobodynError, SingularError
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation.report import Outcome
+from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.settings import SCIPY_RTOL
 from robodyn.simulation.simulation import Motion, simulate
 from robodyn.sweeps.lanes import Aims, Ends, Motions
@@ -88,9 +88,17 @@ def single(
         return Outcome.SINGULAR.label, ""
     except RobodynError:
         return CANNOT_START, ""
+    if len(motion.t):
+        _fill(ends, lane, motion, report, inner, aims.link, given.angle[k])
+    return motion.outcome.label, report.missed
+
+
+def _fill(
+    ends: Ends, lane: int, motion: Motion, report: Report, inner: bool, link: int, angle: float
+) -> None:
+    """What the run of this report left; `inner`: of a motion at the quarters of its steps."""
+    mechanism, t = motion.mechanism, motion.t
     states = np.concatenate([motion.q, motion.qd], axis=1)
-    if not len(states):
-        return motion.outcome.label, report.missed
     energy = np.sum(closed_form.energies(mechanism, motion.q, motion.qd), axis=0)
     energy -= mechanism.energy_offset
     ends.t[lane], ends.y[lane], ends.steps[lane] = t[-1], states[-1], report.steps
@@ -106,13 +114,12 @@ def single(
         beyond = [[begin + low, rate_low], [begin + high, rate_high]]
         states = np.concatenate([states, *(np.hstack(pair) for pair in beyond)])
     ends.low[lane], ends.high[lane] = states.min(axis=0), states.max(axis=0)
-    if inner and aims.link >= 0:
-        path = mechanism.arrays.J[aims.link]
-        angles = given.angle[k] + (begin - begin[0]) @ path
+    if inner and link >= 0:
+        path = mechanism.arrays.J[link]
+        angles = angle + (begin - begin[0]) @ path
         x = crossings(angles, np.einsum("kjb,j->kb", rates, path), h, math.pi)
         flips = motion.t[:-1] + x
         ends.flip[lane] = min(flips[~np.isnan(x)], key=abs, default=math.nan)
-    return motion.outcome.label, report.missed
 
 
 def _torques(plan: Plan, given: Motions, k: int) -> Actuation | list[float]:

@@ -45,11 +45,11 @@ FINISHED = Outcome.FINISHED.label
 
 
 _OUTCOMES = {
-    Status.REACHED: Outcome.FINISHED,
-    Status.FULL: Outcome.TOO_MANY_EVALUATIONS,
-    Status.SINGULAR: Outcome.SINGULAR,
-    Status.STUCK: Outcome.STEP_TOO_SMALL,
-    Status.NOT_FINITE: Outcome.STEP_TOO_SMALL,
+    int(Status.REACHED): Outcome.FINISHED.label,
+    int(Status.FULL): Outcome.TOO_MANY_EVALUATIONS.label,
+    int(Status.SINGULAR): Outcome.SINGULAR.label,
+    int(Status.STUCK): Outcome.STEP_TOO_SMALL.label,
+    int(Status.NOT_FINITE): Outcome.STEP_TOO_SMALL.label,
 }
 
 
@@ -97,13 +97,13 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
     """The points, a group for each mechanism, less those that cannot be assembled."""
     axes = plan.variation.axes
     changed = list(plan.scene_axes)
-    scene = read_numbers(plan.scene, plan.source, plan.numbers)
+    scene = read_numbers(plan.scene, plan.source, plan.numbers) if changed else None
     members: dict[tuple[float, ...], list[int]] = {}
     for k, key in enumerate(map(tuple, points[:, changed].tolist())):
         members.setdefault(key, []).append(k)
     for key, indices in members.items():
         mechanism = plan.mechanism
-        if changed:
+        if scene is not None:
             names = [axes[k].name for k in changed]
             try:
                 mechanism = build(scene.replaced(dict(zip(names, key, strict=True))))
@@ -255,22 +255,19 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
         again = integrate(members, plan.t_end, aims, driven, compiled=False)
         together = [a or b for a, b in zip(together, again, strict=True)]
     for group, member, found in zip(groups, members, together, strict=True):
-        statuses: list[Status | None] = [None] * len(group.points)
-        alone: set[Status | None] = {None}
-        if base.rows:
-            alone |= {Status.SINGULAR, Status.STUCK}
-        if group.mechanism.has_state_forces:  # a series may not get beyond where they bend
-            alone.add(Status.STUCK)
+        alone = list(_OUTCOMES)
         if found is not None:
-            statuses = [Status(x) for x in found.status.tolist()]
             for name in Ends.__slots__:
                 getattr(ends, name)[group.points] = getattr(found, name)
-        for i, (k, status) in enumerate(zip(group.points.tolist(), statuses, strict=True)):
-            if status is None or status in alone:
-                outcomes[k], remark = single(plan, member, i, aims, ends, k, told[k])
-                said.append(remark)
-            else:
-                outcomes[k] = _OUTCOMES[status].label
+            for k, status in zip(group.points.tolist(), found.status.tolist(), strict=True):
+                outcomes[k] = _OUTCOMES[status]
+            alone = [Status.SINGULAR, Status.STUCK] if base.rows else []
+            if group.mechanism.has_state_forces:  # a series may not get beyond where they bend
+                alone.append(Status.STUCK)
+        for i in np.flatnonzero(np.isin(ends.status[group.points], alone)).tolist():
+            k = int(group.points[i])
+            outcomes[k], remark = single(plan, member, i, aims, ends, k, told[k])
+            said.append(remark)
     _fill(plan, ends, offset, told, values)
     return said
 

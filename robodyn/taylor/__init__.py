@@ -2,8 +2,8 @@
 
 The series of a motion costs a few convolutions an order and a link for any planar linkage, as
 `engines/series.py` says.  Three engines make them: straight-line floats, the rows of the program
-one by one (`steps.py`), and machine code (`compiled.py`, with the extra `fast`); `run.py` chooses
-one and drives it.
+one by one (`steps.py`), and machine code (`compiled.py`, with the extra `fast`); `engine_choice.py`
+chooses one, `run.py` drives it.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from robodyn.engines.expansion import (
     horner,
     longest_step,
 )
-from robodyn.engines.expression import Expression, Value
+from robodyn.engines.expression import Expression, Value, greatest, least
 from robodyn.engines.formulas import RECORDED
 from robodyn.engines.series import FLOATS, State
 from robodyn.mechanics.actuation import Actuation
@@ -32,6 +32,18 @@ from robodyn.taylor.steps import Expanded, SteppingEngine, Steps
 def _parts(found: Coefficients) -> list[list[Any]]:
     """The series as `Steps` has them."""
     return [*found.rho, *found.theta, *([found.power] if found.power else []), *found.watched]
+
+
+def _turning(mechanism: Mechanism, rates: Sequence[Any], longest: Any) -> Any:
+    """A step in which no joint turns so far that a loop's way is not told (see `loops.misses`)."""
+    if not mechanism.rows:
+        return longest
+    from robodyn.loops.misses import SLOWEST, TURN
+
+    fastest: Value = SLOWEST
+    for rate in rates:
+        fastest = greatest(fastest, abs(rate))
+    return least(longest, TURN / fastest)
 
 
 def step_text(
@@ -47,6 +59,7 @@ def step_text(
     found = motion.expand(RECORDED, start.numbers, order, start.state)
     variable, w = start.graph.variable, start.state.w
     longest = longest_step(found, w, variable("rtol"), variable("atol"), slides=mechanism.slides)
+    longest = _turning(mechanism, [variable(f"qd{k}") for k in range(n)], longest)
     state = end_of_step(mechanism, found, start.steady, work, variable)
     series = _parts(found)
     lines, shown = source_text.float_source(
@@ -163,6 +176,7 @@ def step_rows(
     ) -> Expanded:
         found, start = expanded(order, t, y, tau, dtau)
         longest = longest_step(found, start.w, rtol, atol, slides=mechanism.slides)
+        longest = _turning(mechanism, y[mechanism.n : 2 * mechanism.n], longest)
         if math.isnan(longest):
             return 0.0, y, ()
         h = min(most, longest)

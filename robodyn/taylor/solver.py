@@ -22,7 +22,8 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_times import over_a_scene_run
 from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk, Status
-from robodyn.taylor.run import reach, stepping_engine
+from robodyn.taylor.engine_choice import stepping_engine
+from robodyn.taylor.run import reach
 from robodyn.taylor.steps import SteppingEngine
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from struct import Struct
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 Expanded = tuple[float, list[float], tuple[Sequence[float], ...]]  # h, the end, the series
 Pieces = tuple[Sequence[float], Sequence[float]]  # torques and their slopes, of a table
+NONE: Pieces = ((), ())
 
 
 class Steps(NamedTuple):
@@ -69,11 +71,13 @@ class SteppingEngine:
     ) -> None:
         self.mechanism, self.closing, self.actuation = mechanism, closing, actuation
         self.suspect, self.misses = 0.0, None
+        self._met: Sequence[object] = ()  # change points, or misses of one, that hold steps
         if closing is not None:
-            from robodyn.loops.change_points import suspect_quality
+            from robodyn.loops.change_points import known, suspect_quality
             from robodyn.loops.misses import Misses
 
             self.suspect, self.misses = suspect_quality(mechanism), Misses(mechanism)
+            self._met = known(mechanism)
         self.order, self.work = order, work
         self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
         self._given = self.tolerances  # near a missed change point they are tighter
@@ -82,13 +86,12 @@ class SteppingEngine:
         self.halts: Callable[[float], bool] | None = None  # asked after each step
         self.keeps, self.most = False, STEPS
         self.forms: Forms | None = None  # not looked at
-        self._held: tuple[float, ...] | None = None
         self._made: dict[tuple[float, ...] | None, Steps] = {}
         self._torques = actuation.function(mechanism.n)
         if actuation.pieces is not None:
             with suppress(ZeroDivisionError):  # of numbers that no switch holds
                 self.make(None)  # every branch must have a series
-        self._at(0.0)
+        self._now = self._at(0.0)  # what expanded the motion last
 
     def make(self, held: tuple[float, ...] | None) -> Steps:
         """What expands the motion while the switches of an expression are held so."""
@@ -96,31 +99,25 @@ class SteppingEngine:
 
     def _at(self, t: float) -> Steps:
         """What expands the motion from t on."""
-        if self.actuation.pieces is not None:
-            self._held = self.actuation.pieces.at(t)
-        return self._now
-
-    @property
-    def _now(self) -> Steps:
-        """What expanded the motion last."""
-        found = self._made.get(self._held)
-        if found is None:
-            found = self._made[self._held] = self.make(self._held)
-        return found
+        held = None if self.actuation.pieces is None else self.actuation.pieces.at(t)
+        if held not in self._made:
+            self._made[held] = self.make(held)
+        return self._made[held]
 
     def _table(self, t: float, y: list[float], direction: float) -> Pieces:
         """The torques at t, and their slopes, of a table; else nothing."""
         if self.actuation.constants is not None or not self.actuation.linear:
-            return (), ()
+            return NONE
         return linear_piece(self.actuation, self._torques, t, y, direction)
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         """The series at y, a step h of at most `most`, and the state at its end."""
-        steady = self.actuation.constants is not None
-        given = ((), ()) if steady else self._table(t, y, direction)
+        (rtol, atol), actuation = self.tolerances, self.actuation
+        tau, slope = NONE if actuation.constants is not None else self._table(t, y, direction)
         try:
-            steps = self._now if self.actuation.pieces is None else self._at(t)
-            return steps.expand(t, y, *given, most, direction, *self.tolerances)
+            if actuation.pieces is not None:
+                self._now = self._at(t)
+            return self._now.expand(t, y, tau, slope, most, direction, rtol, atol)
         except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
             return 0.0, y, ()
 
@@ -152,61 +149,56 @@ class SteppingEngine:
         states: list[list[float]] = []
         asked: list[_Asked] = []
         kept: list[bytes] = []
-        packed = Struct(f"{self.order + 2}d").pack
-        due = 0
-        status, n, begin = Status.FULL, self.mechanism.n, t
-        while len(ends) < steps:
-            left = most = (bound - t) * direction
-            if self.misses is not None:
-                longest, fine, _ = self.misses.holds(state)
-                most = min(most, longest)
-                self.tolerances = self._given
-                if fine < math.inf:
-                    self.tolerances = min(self._given[0], fine), min(self._given[1], fine)
+        packed, both = Struct(f"{self.order + 2}d").pack, 2 * self.mechanism.n
+        whens = (times * direction).tolist() or [math.inf]
+        due, status, begin, closing, halts = 0, Status.FULL, t, self.closing, self.halts
+        for _ in range(steps):
+            most = left = (bound - t) * direction
+            if self._met:
+                most = self._held(state, left)
             h, new, series = self.expand(t, state, most, direction)
-            if not len(series):
+            if not series:
                 status = Status.NOT_FINITE
                 break
-            now = self._now
-            if now.arms:
+            if self._now.arms:
                 h, new = self._shorten(t, state, h, new, series, direction)
-            if h < 4.0 * math.ulp(t) and h != left:
+            end = t + h * direction
+            if h == left:
+                end = bound
+            elif h < 4.0 * math.ulp(t):
                 status = Status.STUCK
                 break
-            crosses = False
-            if self.closing is not None and self.misses is not None:
-                new, quality = self.closing(new)
-                if quality < self.suspect and self.misses.crosses(np.array(new[:n])):
-                    h, new, quality = self._land(state, h, new, quality, series, direction)
-                    crosses = quality < self.suspect
-            end = bound if h == left else t + h * direction
-            if due < len(times) and (times[due] - end) * direction <= 0.0:
-                last = due + int(np.searchsorted((times[due:] - end) * direction, 0.0, "right"))
+            if closing is not None:
+                new, quality = closing(new)
+                if quality < self.suspect:
+                    h, new, status = self._land(state, h, new, quality, series, direction)
+                    end = bound if h == left else t + h * direction
+            if whens[due] <= end * direction:
+                last = bisect_right(whens, end * direction, due)
                 ended = new if times[last - 1] == end else None
-                asked.append(_Asked(state, series, now.works, times[due:last] - t, ended))
+                asked.append(_Asked(state, series, self._now.works, times[due:last] - t, ended))
                 due = last
             self.last = t, state, series
             if self.keeps:
-                for row in series[: 2 * n]:  # faster than a starmap's extension of the list
+                for row in series[:both]:  # faster than extending by a starmap
                     kept.append(packed(*row))
             t, state = end, new
             ends.append(t)
             states.append(state)
             if t == bound:
                 status = Status.REACHED
-                break
-            if crosses:
-                status = Status.SINGULAR
-                break
-            if (due and due == len(times)) or (self.halts is not None and self.halts(t)):
+            if status is not Status.FULL or due == len(whens) or (halts is not None and halts(t)):
                 break
         made = np.array(states).reshape(len(states), len(y))
-        if len(asked) == 1 and due == 1 and asked[0].end is not None:  # the end of the last step
-            row_y = made[-1:]
-        else:
-            row_y = self._rows(asked) if asked else np.zeros((0, len(y)))
-        found = Chunk(np.array(ends), made, times[:due], row_y, status)
+        found = Chunk(np.array(ends), made, times[:due], self._rows(asked), status)
         return found._replace(kept=self._kept(begin, y, found, kept)) if kept else found
+
+    def _held(self, state: list[float], left: float) -> float:
+        """How long a step may be; near a missed change point its tolerances are tighter."""
+        assert self.misses is not None
+        longest, fine, _ = self.misses.holds(state)
+        self.tolerances = min(self._given[0], fine), min(self._given[1], fine)
+        return min(left, longest)
 
     def _kept(self, t: float, y: Array, steps: Chunk, kept: list[bytes]) -> Kept:
         """Of steps from (t, y), by their series."""
@@ -273,9 +265,15 @@ class SteppingEngine:
         quality: float,
         series: Any,
         direction: float,
-    ) -> tuple[float, list[float], float]:
-        """The step's end moved along the series, to where a next one starts well."""
+    ) -> tuple[float, list[float], Status]:
+        """The step's end moved along the series, to where a next one starts well, if that is known.
+
+        SINGULAR where there is none near a change point.
+        """
         assert self.closing is not None
+        assert self.misses is not None
+        if not self.misses.crosses(np.array(new[: self.mechanism.n])):
+            return h, new, Status.FULL
         best = h, new, quality
         for part in PARTS[1:]:
             there = self.states(state, series, np.array([part * h * direction]))[0]
@@ -284,7 +282,8 @@ class SteppingEngine:
                 best = part * h, there.tolist(), quality
             if quality >= self.suspect:
                 break
-        return best
+        h, new, quality = best
+        return h, new, Status.SINGULAR if quality < self.suspect else Status.FULL
 
     def states(self, state: list[float], series: Any, x: Array) -> Array:
         """The states (k, N), closed, at times x (k,) after `state`, where the series begins."""
@@ -293,6 +292,10 @@ class SteppingEngine:
     def _rows(self, asked: Sequence[_Asked]) -> Array:
         """The same within many steps, one after another."""
         n, counts = self.mechanism.n, [len(some.x) for some in asked]
+        if not counts:
+            return np.zeros((0, 2 * n + self.work))
+        if counts == [1] and asked[0].end is not None:
+            return np.array([asked[0].end])
         step = np.repeat(np.arange(len(asked)), counts)
         x = np.concatenate([some.x for some in asked])
         y = np.array([some.state for some in asked])[step]
