@@ -197,7 +197,7 @@ class Mechanism:
         """Whether laws or loads depend on rates."""
         return any(name.startswith(("v", "qd")) for x in self.signals for name in x.names)
 
-    @property
+    @cached_property
     def timed(self) -> bool:
         """Whether what acts depends on the time too."""
         return any("t" in signal.names for signal in self.signals)

@@ -343,9 +343,15 @@ def check_span(actuation: Actuation, t_end: float) -> None:
 
 
 def _check_times(times: Array, t_end: float) -> None:
-    if times.ndim != 1 or not np.isfinite(times).all():
+    if times.ndim != 1:
         raise InputError("t_eval", limit="must be a list of finite times")
-    ahead = -times if t_end < 0.0 else times
-    ordered = (np.diff(ahead) > 0.0).all()
-    if len(ahead) and not (ordered and ahead[0] >= 0.0 and ahead[-1] <= abs(t_end)):
-        raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")
+    if not len(times):
+        return
+    direction = -1.0 if t_end < 0.0 else 1.0
+    first, last = float(times[0]) * direction, float(times[-1]) * direction
+    ordered = len(times) < 2 or (np.diff(times) * direction > 0.0).all()
+    if ordered and first >= 0.0 and last <= t_end * direction:  # so all are finite
+        return
+    if not np.isfinite(times).all():
+        raise InputError("t_eval", limit="must be a list of finite times")
+    raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib.util import find_spec
 from typing import Any
 
@@ -155,7 +155,7 @@ class EngineChoice:
         made: Engine | None = self.kept[self.mechanism, "compiled"]
         return made
 
-    @property
+    @cached_property
     def _key(self) -> tuple[object, ...]:
         given = self.mechanism, self.actuation.constants, self.rtol, self.atol
         return *given, self.order, self.project, self.work

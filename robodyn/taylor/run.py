@@ -230,9 +230,10 @@ class TaylorRun:
         return chunk
 
     def _held_by_stability(self, chunk: Chunk) -> bool:
-        self.recent.append(chunk)
         if chunk.status is not Status.FULL:
             self.recent.clear()
+            return False
+        self.recent.append(chunk)
         if sum(len(some.t) for some in self.recent) < STEPS:
             return False
         recent, self.recent = self.recent, []
