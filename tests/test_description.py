@@ -185,6 +185,12 @@ def test_line_ends_byte_order_mark_and_document_marks_do_not_matter(
     assert read(path) == from_text(ARM, "")._replace(source=str(path))
 
 
+def test_equal_descriptions_look_alike() -> None:
+    one, other = from_text(ARM, "a"), from_text(ARM, "a")
+    assert one == other
+    assert repr(one) == repr(other)
+
+
 # Files that are none
 
 

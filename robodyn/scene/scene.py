@@ -227,6 +227,9 @@ class Written:
     def __hash__(self) -> int:
         return 0
 
+    def __repr__(self) -> str:
+        return "Written()"
+
 
 class Description(Record):
     """What a scene file says; `source` is the file's name for messages.
