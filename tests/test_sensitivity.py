@@ -425,6 +425,19 @@ def test_backwards_events_and_rows_in_steps() -> None:
         assert relative_error(run.sensitivity[-1], ended[0].sensitivity[-1]) < 1e-7
 
 
+def test_loose_steps_of_loops_vary_by_the_order_that_they_have() -> None:
+    mechanism = rd.load("slider-crank")
+    q = rd.assemble(mechanism, [1.0])
+    qd = rd.loop_velocities(mechanism, q, [2.0])
+    told = {"rtol": 1e-4, "atol": 1e-4, "method": "taylor", "engine": "python"}
+    own, ten = (
+        rd.simulate(mechanism, q, qd, 0.3, order=order, sensitivity=["q1"], **told)
+        for order in (None, 10)
+    )
+    np.testing.assert_array_equal(own.q, ten.q)
+    np.testing.assert_array_equal(own.sensitivity, ten.sensitivity)
+
+
 def test_a_change_point_is_named() -> None:
     mech = rd.load(ROOT / "robots/parallelogram.yaml")
     q = rd.assemble(mech, [0.7])

@@ -44,16 +44,20 @@ def stepping_engine(
 
     Raises InputError where a torque has no series, SingularError where a freedom has no inertia.
     """
-    closes = bool(mechanism.rows) and project
-    if order is None:
-        order = max(default_order(max(rtol, atol)), LEAST_CLOSED if closes else 0)
+    order = order or order_in_python(mechanism, max(rtol, atol), project)
     closing = None
-    if closes:
+    if mechanism.rows and project:
         from robodyn.loops.projection import float_closing
 
         closing = float_closing(mechanism)
     kind = StraightEngine if _straight(mechanism, order) else InterpretedEngine
     return kind(mechanism, closing, order, rtol, atol, actuation, work)
+
+
+def order_in_python(mechanism: Mechanism, tolerance: float, project: bool) -> int:
+    """The order of steps in Python where none is asked for."""
+    closes = bool(mechanism.rows) and project
+    return max(default_order(tolerance), LEAST_CLOSED if closes else 0)
 
 
 def _straight(mechanism: Mechanism, order: int) -> bool:
@@ -116,7 +120,8 @@ class EngineChoice:
     def __post_init__(self) -> None:
         self.begun, self.seen, self.worth = time.perf_counter(), _seen(self.mechanism), math.inf
         if self.wanted == "auto":
-            order = self.order or default_order(max(self.rtol, self.atol))
+            tolerance = max(self.rtol, self.atol)
+            order = self.order or order_in_python(self.mechanism, tolerance, self.project)
             self.worth = WORTH if _straight(self.mechanism, order) else ROW_BY_ROW
         fast: Engine | None = None
         if self.wanted == "compiled" or self.seen[0] >= self.worth:

@@ -23,7 +23,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.program import Program
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
-from robodyn.taylor import Chunk, default_order
+from robodyn.taylor import Chunk
 from robodyn.taylor.varied_steps import Along, Group, Steps, row_steps, straight_steps
 
 TOGETHER = 4  # names of which one call of machine code makes the tangents
@@ -160,13 +160,12 @@ def _kept(*given: object) -> dict[object, Any]:
 
 
 def variations_of(
-    mechanism: Mechanism, actuation: Actuation, y: Array, tolerance: float, order: int | None
+    mechanism: Mechanism, actuation: Actuation, y: Array, order: int
 ) -> tuple[Variations, Array]:
-    """Those that torques carry in the state y, and the state without them."""
+    """Those that torques carry in the state y, of the order of steps, and the state without."""
     assert actuation.alone is not None
     first, last = 2 * mechanism.n, 2 * mechanism.n + actuation.states
     s = y[first:last].reshape(-1, first).copy()
-    order = order or default_order(tolerance)
     numbers = actuation.by(actuation.modes.mode if actuation.modes else None)
     found = Variations(mechanism, actuation.alone, order, numbers, s, actuation.control)
     return found, np.concatenate([y[:first], y[last:]])
