@@ -246,8 +246,8 @@ def _changed(
             case (int() as joint, float() as ratio):
                 return joint, near(ratio)
             case tuple():
-                parts = map(moved, value)
-                return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+                inner = map(moved, value)
+                return type(value)(*inner) if hasattr(value, "_fields") else tuple(inner)
         return value
 
     changed = moved(base)

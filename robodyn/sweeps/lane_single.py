@@ -33,7 +33,7 @@ CANNOT_START = "cannot start"
 def single(
     plan: Plan, given: Motions, k: int, aims: Aims, ends: Ends, lane: int, told: Array
 ) -> tuple[str, str]:
-    """Motion k of those given, into lane `lane` of `ends`; its outcome, and which miss it passed.
+    """Motion k of those given, into lane `lane` of `ends`; its outcome, and the miss it passed.
 
     `told` has, for each event of the plan, how often it happened, and when first; then the results
     of columns.
