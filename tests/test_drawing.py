@@ -548,3 +548,16 @@ def test_no_centre_line_runs_along_a_spring() -> None:
     assert not shapes_of(drawing(mech, first_pose(mech)), "axis")
     mech = robodyn.load(ROOT / "robots/slider-crank.yaml")
     assert shapes_of(drawing(mech, first_pose(mech)), "axis")
+
+
+@pytest.mark.parametrize("at", [[0.44, -0.14], [0.3, 0.3], [-0.2, 0.1]])
+def test_the_name_of_a_point_stands_within_the_picture(at: list[float]) -> None:
+    mech = scene(
+        "links: [{name: arm, m: 1, l: 0.3, r: 0.1, I: 0.01}]\n"
+        f"points: {{the-far-point: {{link: arm, at: {at}}}}}\n"
+    )
+    figure = robodyn.draw(mech, [0.0], of=["the-far-point"])
+    (text,) = [x for x in figure.axes[0].texts if x.get_text() == "the-far-point"]
+    shown, whole = text.get_window_extent(), figure.bbox
+    assert (shown.min >= whole.min).all()
+    assert (shown.max <= whole.max).all()

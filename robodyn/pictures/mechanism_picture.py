@@ -136,7 +136,14 @@ class Picture:
             colour = COLOURS[(k + 1) % len(COLOURS)]
             self.axes.plot(z.real, z.imag, color=colour, lw=1.3, zorder=2.5)
             self.axes.plot(z[-1].real, z[-1].imag, "+", color=colour, ms=9.0, mew=1.8, zorder=9)
-            self._text(z[-1] + self.extent(name) * 0.7, name, colour, 9)
+            self._text(self._beside(z[-1], name), name, colour, 9)
+
+    def _beside(self, z: complex, text: str) -> complex:
+        """Where a text stands beside a point: at its upper right, or within the frame."""
+        far = self.extent(text) * 1.2  # the text's other end
+        right = 1.0 if z.real + far.real <= self.frame.right else -1.0
+        up = 1.0 if z.imag + far.imag <= self.frame.top else -1.0
+        return z + complex(right * far.real, up * far.imag) * (0.7 / 1.2)
 
     def annotate(
         self,
