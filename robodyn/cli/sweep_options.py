@@ -20,8 +20,8 @@ from robodyn.control.laws import controller
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import DEFAULT_POINTS
+from robodyn.simulation.run_torques import check_span
 from robodyn.simulation.settings import Engine
-from robodyn.simulation.simulation import check_span
 from robodyn.sweeps import sweep_request
 from robodyn.sweeps.row_results import TAKEN
 from robodyn.sweeps.sweep_plan import EVENTS, RESULTS, Plan

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from robodyn.errors import RobodynError
+from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -80,3 +80,12 @@ def check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) 
     if not all(map(math.isfinite, torques)):
         limit = "the torque is not finite there"
         raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+
+
+def check_span(actuation: Actuation, t_end: float) -> None:
+    """Raise InputError where the torques do not reach over a run to t_end."""
+    if actuation.span is not None:
+        what, first, last = actuation.span
+        if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
+            span = f"{first:g} to {last:g} s"
+            raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")

@@ -26,7 +26,7 @@ from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.recording import Recorder, Sink, joined
 from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.run_statistics import RunStatistics
-from robodyn.simulation.run_torques import applied_torques, as_actuation, over_run
+from robodyn.simulation.run_torques import applied_torques, as_actuation, check_span, over_run
 from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
 from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
 from robodyn.tables.arrays import Array
@@ -331,15 +331,6 @@ def _begun(
 
         rows_of(parts.acting, mechanism).check_tables(y[:n], y[n : 2 * n])
     return y
-
-
-def check_span(actuation: Actuation, t_end: float) -> None:
-    """Raise InputError where the torques do not reach over a run to t_end."""
-    if actuation.span is not None:
-        what, first, last = actuation.span
-        if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
-            span = f"{first:g} to {last:g} s"
-            raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
 
 
 def _check_times(times: Array, t_end: float) -> None:
