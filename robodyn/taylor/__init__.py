@@ -99,10 +99,13 @@ class Engine(Protocol):
 
 
 def best_order(rtol: float) -> int:
-    """The order at which a second of motion costs the least with the generic loops."""
+    """The order that measured cheapest where a step costs much beside its series.
+
+    So it is in machine code, whose series cost little, and in arrays of many motions.
+    """
     return max(8, math.ceil(6 - 0.7 * math.log(max(rtol, 1e-16))))
 
 
 def default_order(tolerance: float) -> int:
-    """The order that measured cheapest: a step's cost grows with it, the number of steps falls."""
+    """The order that measured cheapest where the series is most of a step: in floats and lanes."""
     return 2 * max(3, round((4.0 - 0.5 * math.log(tolerance)) / 2.0))

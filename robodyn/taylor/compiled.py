@@ -22,7 +22,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
-from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, default_order
+from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, best_order
 from robodyn.taylor.step_boxes import Kept, terms_of
 from robodyn.taylor.watched_code import FOUND, ROOM, WATCH, ZERO, looks
 
@@ -162,7 +162,7 @@ class CompiledEngine:
         family: str = "",
     ) -> None:
         self.mechanism, self.actuation = mechanism, actuation
-        self.order = default_order(max(rtol, atol)) if order is None else order
+        self.order = best_order(max(rtol, atol)) if order is None else order
         self._options, self._tolerances = (work, project, family), (float(rtol), float(atol))
         self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes

@@ -24,7 +24,7 @@ from robodyn.simulation.report import Outcome
 from robodyn.simulation.run_torques import check_start
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Engine, NoCodeError, Status
-from robodyn.taylor.engine_choice import EngineChoice, order_in_python
+from robodyn.taylor.engine_choice import EngineChoice, highest_order
 from robodyn.taylor.held_steps import held_by_stability
 from robodyn.taylor.steps import SteppingEngine
 
@@ -74,8 +74,7 @@ class TaylorRun:
         if self.actuation.by and self.actuation.alone is not None:
             from robodyn.taylor.variations import variations_of
 
-            # no engine's steps are of a higher order
-            order = self.order or order_in_python(mechanism, tolerance, self.project)
+            order = self.order or highest_order(self.engine, mechanism, tolerance, self.project)
             self.variations, self.y = variations_of(mechanism, self.actuation, self.y, order)
             self.actuation = self.actuation.alone
         self.closing, self.misses, self.suspect = None, None, 0.0
