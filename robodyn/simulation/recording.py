@@ -49,6 +49,12 @@ def joined(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
     return np.concatenate(t), np.concatenate(y)
 
 
+@cache
+def rows_at_once(n: int) -> int:
+    """How many rows of n joints are handed on together."""
+    return max(1, min(ROWS_AT_ONCE, WORK_AT_ONCE // n**3))
+
+
 @dataclass(eq=False, repr=False)
 class Recorder:
     """Sees every accepted step: makes the rows, keeps the statistics."""
@@ -170,16 +176,12 @@ class Recorder:
         finally:
             self.ended += solver.nfev
 
-    @property
-    def rows_at_once(self) -> int:
-        return max(1, min(ROWS_AT_ONCE, WORK_AT_ONCE // self.mechanism.n**3))
-
     def times_until(self, bound: float) -> Array:
         """The output times still to come, up to `bound`; of many the first."""
         if self.times is None or self.next_row == len(self.times):
             return np.zeros(0)
         sign = -1.0 if self.times[-1] < 0.0 else 1.0
-        last = min(len(self.times), self.next_row + self.rows_at_once)
+        last = min(len(self.times), self.next_row + rows_at_once(self.mechanism.n))
         end = bisect_right(self.times, bound * sign, self.next_row, last, key=lambda t: t * sign)
         return self.times[self.next_row : end]
 
@@ -273,7 +275,7 @@ class Recorder:
         self.rows.append((t, y))
         self.last_row = float(t[-1]) if len(t) else self.last_row
         self.waiting += len(t)
-        if self.waiting >= self.rows_at_once:
+        if self.waiting >= rows_at_once(self.mechanism.n):
             self.flush_rows()
 
     def flush_rows(self) -> None:

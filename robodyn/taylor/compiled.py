@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from itertools import accumulate
 from operator import is_not
+from struct import Struct
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
-from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
-from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
+from robodyn.engines.machine_motion import RUNNING, Loaded
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
 from robodyn.events.told import Found
@@ -23,89 +23,14 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, best_order
+from robodyn.taylor.function_code import binomials
+from robodyn.taylor.kept_code import GIVEN, LOOKS, TABLE, Rows
 from robodyn.taylor.step_boxes import Kept, terms_of
 from robodyn.taylor.watched_code import FOUND, ROOM, WATCH, ZERO, looks
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
-ROWS = 16384  # of one call: no step begins when there are more
-# what the observer is told: addresses, of the functions `box` and `look` too, how many times, rows
-# so far, whether boxes and series are kept, whether functions are watched
-TABLE = (
-    "times", "rows", "ends", "states", "boxes", "series", "watch", "box", "look",
-    "count", "given", "keeps", "watches",
-)  # fmt: skip
-LOOKS = slice(TABLE.index("box"), TABLE.index("count"))
-
-
-class Rows(Observer):
-    """Keeps every step's end, its series where asked to, and rows at given times; of one lane."""
-
-    key = "rows " + " ".join(TABLE)
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-
-    def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
-        watch = self._told(k, own, "watch")
-        leave(k.compare("sge", k.load(k.at(watch, WATCH.index("unsure")), WHOLE), k.whole(1)))
-        given, count = self._told(k, own, "given"), self._told(k, own, "count")
-        leave(k.compare("sge", given, k.whole(ROWS)))
-        wanted = k.compare("sge", count, k.whole(1))
-        leave(k.both(wanted, k.compare("sge", given, count)))
-
-    def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
-        with k.when(take):
-            self._keep(k, block, own, taken, end)
-
-    def _told(self, k: Kernel, own: Word, name: str) -> Word:
-        place = TABLE.index(name)
-        return k.load(k.at(own, place), ADDRESS if place < TABLE.index("count") else WHOLE)
-
-    def _keep(self, k: Kernel, block: Word, own: Word, taken: Word, end: Word) -> None:
-        scene, count = self.scene, len(self.scene.state)
-        wide, to = k.whole(count), scene.at(k, block, "to_q0")
-        begin, direction = scene.get(k, block, "t"), scene.get(k, block, "direction")
-        there = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
-        k.each(count, lambda i: k.store(k.load(k.at(to, i)), k.at(there, i)))
-        k.store(end, k.at(self._told(k, own, "ends"), taken))
-        with k.when(k.compare("sge", self._told(k, own, "keeps"), k.whole(1))):
-            turns, orders = 2 * scene.mechanism.n, scene.order + 2
-            with k.loop(k.whole(orders)) as m:
-                place = k.multiply(k.add(k.multiply(taken, k.whole(orders)), m), k.whole(turns))
-                source = scene.row(k, block, m)
-                target = k.at(self._told(k, own, "series"), place)
-                k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
-            box = k.at(self._told(k, own, "boxes"), k.multiply(taken, k.whole(2 * turns)))
-            k.line(f"call void {self._told(k, own, 'box').text}({block}, {end}, {there}, {box})")
-            self._again(k, there, to)
-        with k.when(k.compare("sge", self._told(k, own, "watches"), k.whole(1))):
-            watch = self._told(k, own, "watch")
-            k.line(f"call void {self._told(k, own, 'look').text}({block}, {watch}, {there}, {end})")
-            self._again(k, there, to)
-        with k.forever() as done:
-            given = self._told(k, own, "given")
-            k.leave(k.compare("sge", given, self._told(k, own, "count")), done)
-            time = k.load(k.at(self._told(k, own, "times"), given), SCALAR)
-            ahead = k.multiply(k.subtract(time, end), direction)
-            k.leave(k.less(k.number(0.0), ahead), done)
-            scene.put(k, block, "x", k.subtract(time, begin))
-            k.line(f"call void @evaluate({block})")
-            if scene.closes:
-                k.line(f"call void @close({block})")
-            row = k.at(self._told(k, own, "rows"), k.multiply(given, wide))
-            at_end = k.compare("oeq", time, end)
-
-            def keep(i: Word | int) -> None:
-                value = k.select(at_end, k.load(k.at(there, i)), k.load(k.at(to, i)))
-                k.store(value, k.at(row, i))
-
-            k.each(count, keep)
-            k.store(k.add(given, k.whole(1)), k.at(own, TABLE.index("given")))
-            self._again(k, there, to)
-
-    def _again(self, k: Kernel, there: Word, to: Word) -> None:
-        """The state at the step's end, where another one was made."""
-        k.each(len(self.scene.state), lambda i: k.store(k.load(k.at(there, i)), k.at(to, i)))
+_BEGUN, _ASKED = Struct("5d").pack_into, Struct("3q").pack_into  # faster than a slice of an array
+_STATUS = {RUNNING: Status.FULL} | {float(status): status for status in Status}
 
 
 class _Ready(NamedTuple):
@@ -234,7 +159,8 @@ class CompiledEngine:
         if len(linear) != len(self._linear) or any(map(is_not, linear, self._linear)):
             self._linear = linear
             self._forms = np.pad(linear, ((0, 0), (0, 1)))
-            watch[:FOUND] = self._forms.ctypes.data, self._zeros.ctypes.data, len(linear)
+            rooms = self._forms, self._zeros, binomials(self.order)
+            watch[:FOUND] = *(room.ctypes.data for room in rooms), len(linear)
         self._forms[:, -1] = signs
         watch[FOUND] = 0
         made = self._advance(t, y, bound, times, steps, watches=True)
@@ -293,7 +219,7 @@ class CompiledEngine:
         direction = 1.0 if bound >= t else -1.0
         status = Status.REACHED if t == bound else RUNNING
         begin = place["t"]
-        block[begin : begin + 5] = t, bound, direction, status, 0.0
+        _BEGUN(block.data, 8 * begin, t, bound, direction, status, 0.0)
         if scene.linear:
             n, base = self.mechanism.n, place["base0"]
             values, slopes = linear_piece(self.actuation, self._torques, t, y.tolist(), direction)
@@ -303,39 +229,39 @@ class CompiledEngine:
             code.close(address)
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
-        layout = len(times), N, steps, keeps, watches
-        _, at, table, asked, rows, ends, states, boxes, series = self._laid(layout)
-        table[TABLE.index("given")] = 0
+        laid = self._laid(len(times), N, steps, keeps)
+        _, at, table, asked, rows, ends, states, boxes, series = laid
+        _ASKED(table.data, 8 * GIVEN, 0, keeps, watches)
         if keeps or watches:
             table[LOOKS] = looks(scene, code.code)
         asked[:] = times
         code.advance(address, steps, at)
-        taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])
-        status = block[place["status"]]
-        found = Status.FULL if status == RUNNING else Status(int(status))
+        taken, given = int(block[place["steps"]]), int(table[GIVEN])
+        found = _STATUS[block[place["status"]]]
         kept: Kept | Found | None = self._found() if watches else None
         if keeps:
             kept = Kept(boxes[:taken], lambda at, h: terms_of(series[at].T, h))
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
         return Chunk(*made, found, kept)
 
-    def _laid(self, layout: tuple[int, int, int, bool, bool]) -> tuple[Any, ...]:
+    def _laid(self, wanted: int, N: int, steps: int, keeps: bool) -> tuple[Any, ...]:
         """Where the observer's table is, it, and the times, rows, ends, states, and series."""
+        most = 1 << steps.bit_length()  # how many are asked for changes from call to call
+        layout = wanted, N, most, keeps
         if layout == self._views[0]:
             return self._views
-        wanted, N, steps, keeps, _ = layout
         wide, orders = 2 * self.mechanism.n, self.order + 2
-        turns = steps * wide * keeps
-        sizes = len(TABLE), wanted, wanted * N, steps, steps * N, 2 * turns, turns * orders
+        turns = most * wide * keeps
+        sizes = len(TABLE), wanted, wanted * N, most, most * N, 2 * turns, turns * orders
         a, b, c, d, e, f, end = accumulate(sizes)
         if len(self._room) < end:
             self._room = np.empty(end)
         room, at = self._room, self._room.ctypes.data
         table = room[:a].view(np.int64)
         table[:6] = [at + 8 * x for x in (a, b, c, d, e, f)]
-        table[6:] = self._at_watch, 0, 0, wanted, 0, *layout[3:]
+        table[6:GIVEN] = self._at_watch, 0, 0, wanted
         boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end]
-        parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(steps, N)
+        parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(most, N)
         self._views = layout, at, table, *parts, boxes, series.reshape(-1, orders, wide // 2, 2)
         return self._views
 

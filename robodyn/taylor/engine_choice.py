@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any
 
@@ -167,7 +167,7 @@ class EngineChoice:
         made: Engine | None = self.kept[self.mechanism, "compiled"]
         return made
 
-    @cached_property
+    @property
     def _key(self) -> tuple[object, ...]:
         given = self.mechanism, self.actuation.constants, self.rtol, self.atol
         return *given, self.order, self.project, self.work

@@ -5,13 +5,13 @@ which a run keeps: the angles of z, the rates Im(z'/z).  On these, whatever the 
 the true motion, the following holds to rounding, of open chains:
 
 - a function that a box (`step_boxes.py`) tells the sign of has this sign on the whole step;
-- where a function may be zero, its slope stays within bounds that sums of |z_k| h^k give
-  (`box_code.write_slope`).  Where they have one sign it is monotone, and its signs at the ends,
+- where a function may be zero, its slope stays within bounds that its polynomial about the middle
+  gives (`function_code.py`).  Where they have one sign it is monotone, and its signs at the ends,
   those of the states themselves, tell whether it passes zero.  Where it has one sign at both ends
   it keeps it if the lines of these slopes from the ends meet before zero;
-- what neither holds of is halved, and each part looked at with the series as it is from its begin
-  on, to 1/1024 of a step.  What is not known then is `unsure`, and so is the whole call: the steps
-  are made once more, and looked at from Python;
+- what neither holds of is halved, and each part looked at likewise, to 1/1024 of a step.  What is
+  not known then is `unsure`, and so is the whole call: the steps are made once more, and looked at
+  from Python;
 - a time at which it passes zero is found on the states, to rounding.
 
 States of closed chains are brought back onto the closures, by a miss known at the step's end.  Of
@@ -29,13 +29,15 @@ from robodyn.engines.machine_steps import Scene
 from robodyn.events.rounding import EPS, STATE
 from robodyn.events.signs import DEGREE, MISSED, ROUNDING, SLOPES
 from robodyn.taylor import NoCodeError
-from robodyn.taylor.box_code import write_box, write_on, write_shift, write_slope
+from robodyn.taylor.box_code import write_box
+from robodyn.taylor.function_code import terms, write_function
 
 PIECES = 1024  # of a step, those that it is looked at by at most
 ROUNDS = 8  # of secants on the states
+GUESSES = 3  # steps of Newton's on the polynomial before
 ROOM = 4096  # zeros that a call may find
 # of the table of a watch: addresses, then how many functions, zeros found, whether it is unsure
-WATCH = ("forms", "zeros", "functions", "found", "unsure")
+WATCH = ("forms", "zeros", "binomials", "functions", "found", "unsure")
 FOUND = WATCH.index("found")
 ZERO = ("function", "t", "apart", "sign")  # what `Found` has of each, before the state
 
@@ -65,9 +67,8 @@ class Watch:
         for name in ("evaluate", "close")[: 1 + self.scene.closes]:
             module.declare(name, "void", ADDRESS)
         write_box(self.scene, module)
-        write_shift(self.scene, module)
+        write_function(self.scene, module)
         self._write_value(module)
-        write_on(self.scene, module)
         self._write_state(module)
         self._write_locate(module)
         self._write_look(module)
@@ -120,9 +121,8 @@ class Watch:
         block, watch, f, form, there, end = k.arguments
         scene, zero = self.scene, k.number(0.0)
         begin, here = scene.get(k, block, "t"), scene.at(k, block, "q0")
-        x, rows = k.subtract(end, begin), k.room(SCALAR, (scene.order + 2) * self.count)
-        unit = k.divide(x, k.number(float(PIECES)))
-        series = k.slot(scene.row(k, block, 0)), k.slot(k.whole(len(scene.loop.columns)))
+        x, rows = k.subtract(end, begin), k.room(SCALAR, terms(scene.order))
+        unit, slope = k.divide(x, k.number(float(PIECES))), k.room(SCALAR, 2)
         first, last = self._value(k, form, here, begin), self._value(k, form, there, end)
         noise = self._noise(k, form, here, there, begin, end)
         size = k.add(k.intrinsic("fabs", first), k.intrinsic("fabs", last))
@@ -146,18 +146,17 @@ class Watch:
                 then = k.op(SCALAR, f"call double @event_at({block}, {form}, {there_x})")
                 k.set(reaches, then)
             then = k.get(reaches, SCALAR)
-            z = k.get(series[0], ADDRESS), k.get(series[1], WHOLE)
-            goes_on, passes, ends, slope = self._seen(k, z, form, wide, now, then, noise, missed)
+            half = k.multiply(k.number(0.5), wide)
+            along = block, form, k.add(start, half), half, self._told(k, watch, "binomials")
+            k.line(f"call void @event_along({', '.join(map(str, (*along, rows, slope)))})")
+            goes_on, passes, ends = self._seen(k, slope, form, now, then, noise, missed)
             sure = k.either(goes_on, passes)
             with k.when(sure):
                 k.store(ends, k.at(form, self.sign))
                 with k.when(k.invert(goes_on)):
-                    given = block, watch, f, form, start, wide, now, then, slope, noise
+                    given = block, watch, f, form, k.add(start, half), half, rows, now, then, noise
                     k.line(f"call void @event_locate({', '.join(map(str, given))})")
                 k.leave(k.compare("sge", to, k.whole(PIECES)), done)
-                k.line(f"call void @event_on({block}, {k.add(start, wide)}, {rows})")
-                k.set(series[0], rows)
-                k.set(series[1], k.whole(self.count))
                 k.set(place, to)
                 k.set(value, then)
                 odd = k.both(to, many)  # where it is even the next part may be twice as long
@@ -172,19 +171,17 @@ class Watch:
     def _seen(
         self,
         k: Kernel,
-        series: tuple[Word, Word],
+        slope: Word,
         form: Word,
-        x: Word,
         first: Word,
         last: Word,
         noise: Word,
         missed: Word,
-    ) -> tuple[Word, Word, Word, Word]:
-        """Along a piece: whether it goes on with a sign, or passes once; that sign; its slope."""
-        zero, h = k.number(0.0), k.intrinsic("fabs", x)
-        slope, reach = write_slope(self.scene, k, *series, h, form)
-        most = k.multiply(k.number(2.0 * SLOPES[DEGREE]), missed)
-        wide = k.add(k.multiply(reach, h), most)
+    ) -> tuple[Word, Word, Word]:
+        """Along a piece: whether it goes on with a sign, or passes once; and that sign."""
+        zero = k.number(0.0)
+        change, reach = (k.multiply(k.number(2.0), k.load(k.at(slope, i))) for i in (0, 1))
+        wide = k.add(reach, k.multiply(k.number(2.0 * SLOPES[DEGREE]), missed))
         old = k.load(k.at(form, self.sign))
 
         def sign(word: Word) -> Word:
@@ -193,7 +190,6 @@ class Watch:
 
         begins, ends = sign(first), sign(last)
         product = k.multiply(begins, ends)
-        change = k.multiply(slope, x)
         steady = k.less(wide, k.intrinsic("fabs", change))
         # what has one sign at both ends falls from them no steeper than its slopes permit
         low, high, change = (k.multiply(begins, each) for each in (first, last, change))
@@ -208,27 +204,31 @@ class Watch:
         goes_on = k.both(k.both(goes_on, fits), k.compare("une", ends, zero))
         fits = k.either(k.compare("oeq", old, zero), k.compare("oeq", old, begins))
         passes = k.both(k.both(steady, fits), k.less(product, zero))
-        return goes_on, passes, ends, slope
+        return goes_on, passes, ends
 
     def _write_locate(self, module: Module) -> None:
-        """event_locate(block, watch, f, form, start, x, first, last, slope, noise): of a piece.
+        """event_locate(block, watch, f, form, x, half, rows, first, last, noise): of a piece.
 
-        Where it passes zero: from a parabola with this slope through both ends on, by secants.
+        Where it passes zero: by secants, from the zero of its polynomial about x on.
         """
-        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, *(SCALAR,) * 6)
+        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, SCALAR, SCALAR, ADDRESS, *(SCALAR,) * 3)
         k = Kernel(module, "event_locate", types, "void")
-        block, watch, f, form, start, x, first, last, slope, noise = k.arguments
-        scene, zero = self.scene, k.number(0.0)
-        begin = scene.get(k, block, "t")
-        change = k.multiply(slope, x)
-        bend = k.subtract(k.subtract(last, first), change)
-        square = k.multiply(k.multiply(k.number(4.0), bend), first)
-        square = k.subtract(k.multiply(change, change), square)
-        root = k.intrinsic("sqrt", k.select(k.less(zero, square), square, zero))
-        root = k.intrinsic("copysign", root, change)
-        guess = k.divide(k.multiply(k.number(-2.0), first), k.add(change, root))
-        speed = k.add(change, k.multiply(bend, k.add(guess, guess)))
-        at, speed = k.slot(k.add(start, k.multiply(guess, x))), k.slot(k.divide(speed, x))
+        block, watch, f, form, x, half, rows, first, last, noise = k.arguments
+        scene, zero, one = self.scene, k.number(0.0), k.number(1.0)
+        begin, start = scene.get(k, block, "t"), k.subtract(x, half)
+        k.store(zero, rows)
+        k.store(k.subtract(first, self._polynomial(k, rows, k.negate(one))[0]), rows)
+        part = k.divide(first, k.subtract(first, last))
+        place, rate = k.slot(k.subtract(k.add(part, part), one)), k.slot(zero)
+        with k.loop(k.whole(GUESSES)):
+            now = k.get(place)
+            value, change = self._polynomial(k, rows, now)
+            k.set(rate, change)
+            now = k.subtract(now, k.divide(value, change))
+            now = k.select(k.less(now, k.negate(one)), k.negate(one), now)
+            k.set(place, k.select(k.less(one, now), one, now))
+        at, speed = k.slot(k.add(x, k.multiply(k.get(place), half))), k.slot(k.get(rate))
+        k.set(speed, k.divide(k.get(speed), half))
         before, missed = k.slot(zero), k.slot(zero)
         sure, count = k.slot(k.all_lanes(False)), k.slot(k.whole(0))
         with k.forever() as done:
@@ -250,7 +250,7 @@ class Watch:
             k.set(count, k.add(tried, k.whole(1)))
             k.leave(k.compare("sge", tried, k.whole(ROUNDS)), done)
         now, found = k.get(at, SCALAR), self._told(k, watch, "found")
-        part = k.divide(k.subtract(now, start), x)
+        part = k.divide(k.subtract(now, start), k.add(half, half))
         good = k.both(k.less(zero, part), k.compare("ole", part, k.number(1.0)))
         good = k.both(good, k.compare("slt", found, k.whole(ROOM)))
         good = k.both(good, k.get(sure, k.mask))
@@ -268,6 +268,16 @@ class Watch:
             k.each(self.count, lambda i: k.store(k.load(k.at(state, i)), k.at(states, i)))
             self._tell(k, watch, "found", k.add(found, k.whole(1)))
         k.done()
+
+    def _polynomial(self, k: Kernel, rows: Word, s: Word) -> tuple[Word, Word]:
+        """Its value at s, and its slope there."""
+        last = self.scene.order + 1
+        with k.loop(k.whole(last + 1)) as i:
+            value, slope = k.carried(k.number(0.0)), k.carried(k.number(0.0))
+            k.becomes(slope, k.add(k.multiply(slope, s), value))
+            c = k.load(k.at(rows, k.subtract(k.whole(last), i)))
+            k.becomes(value, k.add(k.multiply(value, s), c))
+        return value, slope
 
     def _tell_where(self, k: Kernel, watch: Word, unsure: Word) -> None:
         with k.when(unsure):
