@@ -1,5 +1,6 @@
 """Events found in machine code: the same as those found from Python, and where it hands over."""
 
+import ctypes
 from collections import Counter
 from typing import Any
 
@@ -13,8 +14,11 @@ import robodyn
 from robodyn.engines import machine
 from robodyn.events.functions import event_functions
 from robodyn.events.watch import EventWatch
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.taylor.compiled import CompiledEngine
+from robodyn.taylor.function_code import binomials, terms
+from robodyn.taylor.watched_code import looks
 
 Array = NDArray[np.float64]
 
@@ -89,6 +93,51 @@ def test_the_same_events(scene: str, calls: Counter[bool], monkeypatch: pytest.M
         found += len(pairs)
     assert found >= 15
     assert calls[True] > calls[False]  # those where it was sure
+
+
+@pytest.mark.parametrize("order", [9, 14, 21])
+def test_the_slope_of_a_function_stays_within_its_bounds(order: int) -> None:
+    """Along random pieces of a step; its polynomial is what its angles and rates are."""
+    rng, polynomial = np.random.default_rng(order), np.polynomial.polynomial
+    for name in ("cart-pole", "2r", "rp-arm", "3r"):
+        mechanism, q, qd = start(name, 1.5)
+        n, still = mechanism.n, Actuation((0.0,) * mechanism.n)
+        engine = CompiledEngine(mechanism, still, rtol=1e-9, atol=1e-9, order=order)
+        end = engine.advance(0.0, np.concatenate([q, qd]), 3.0, np.zeros(0), 1).t[0]
+        scene, code, block, address = engine._made(None)
+        looks(scene, code.code)
+        types = [*[ctypes.c_void_p] * 2, *[ctypes.c_double] * 2, *[ctypes.c_void_p] * 3]
+        along = code.code.function("event_along", *types, result=None)
+        width = len(scene.loop.columns)
+        z = block[scene.whole["rows"] :][: (order + 2) * width].reshape(-1, width)[:, : 2 * n]
+        for _ in range(20):
+            form, rows, slope = np.zeros(3 + 4 * n), np.zeros(terms(order)), np.zeros(2)
+            form[1] = rng.normal()
+            form[2 + 2 * n : -1] = rng.normal(size=2 * n) * rng.integers(0, 2, 2 * n)
+            cut = np.sort(rng.uniform(0.0, end, 2)) if rng.integers(0, 2) else np.array([0.0, end])
+            x, half = cut.mean(), 0.5 * (cut[1] - cut[0])
+            arrays = [a.ctypes.data for a in (form, binomials(order), rows, slope)]
+            along(address, arrays[0], x, half, *arrays[1:])
+            s = np.linspace(-1.0, 1.0, 41)
+            t = x + half * s
+            values, slopes = form[1] * t, np.full(len(t), form[1])
+            for j in range(n):
+                turn = [z[:, 2 * j] + 1j * z[:, 2 * j + 1]]
+                turn += [polynomial.polyder(turn[0], m) for m in (1, 2)]
+                e, ed, edd = (polynomial.polyval(t, x) for x in turn)
+                way, rate = np.unwrap(np.angle(e)), (ed / e).imag
+                change = (edd / e - (ed / e) ** 2).imag
+                if j in mechanism.slides:
+                    way, rate, change = e.imag, ed.imag, edd.imag
+                by, by_rate = form[2 + 2 * n + j], form[2 + 3 * n + j]
+                values += by * way + by_rate * rate
+                slopes += by * rate + by_rate * change
+            assert (np.abs(half * slopes - slope[0]) <= slope[1] * (1.0 + 1e-9) + 1e-15).all()
+            assert slope[1] < 0.5 * np.abs(form).max() * (1.0 + np.abs(qd).max())
+            rows[0] = values[20]
+            size = 1.0 + np.abs(values).max()
+            missed = np.abs(polynomial.polyval(s, rows) - values).max()
+            assert missed <= (1e-5 if order == 9 else 1e-8) * size
 
 
 def test_a_pendulum_by_elliptic_integrals(calls: Counter[bool]) -> None:
