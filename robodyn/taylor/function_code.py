@@ -234,8 +234,8 @@ class _Turn:
         return [self._total(sizes), self._total(weighted)]
 
     def _total(self, vectors: Sequence[Word]) -> Word:
-        k = self.k
-        lanes = [k.lane(reduce(k.add, vectors), i) for i in range(WIDE)]
+        k, total = self.k, reduce(self.k.add, vectors)
+        lanes = [k.lane(total, i) for i in range(WIDE)]
         while len(lanes) > 1:
             lanes = [k.add(*pair) for pair in zip(lanes[::2], lanes[1::2], strict=True)]
         return lanes[0]
