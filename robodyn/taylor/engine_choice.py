@@ -15,7 +15,7 @@ from robodyn.loops.closing import loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Recorder
-from robodyn.taylor import Engine, NoCodeError, best_order, default_order
+from robodyn.taylor import Engine, NoCodeError, default_order
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 from robodyn.taylor.steps import SteppingEngine
 
@@ -58,13 +58,6 @@ def order_in_python(mechanism: Mechanism, tolerance: float, project: bool) -> in
     """The order of steps in Python where none is asked for."""
     closes = bool(mechanism.rows) and project
     return max(default_order(tolerance), LEAST_CLOSED if closes else 0)
-
-
-def highest_order(engine: str, mechanism: Mechanism, tolerance: float, project: bool) -> int:
-    """The highest order of steps that `engine` may take where none is asked for."""
-    found = order_in_python(mechanism, tolerance, project)
-    in_code = engine != "python" and find_spec("llvmlite") is not None
-    return max(found, best_order(tolerance)) if in_code else found
 
 
 def _straight(mechanism: Mechanism, order: int) -> bool:

@@ -24,7 +24,7 @@ from robodyn.simulation.report import Outcome
 from robodyn.simulation.run_torques import check_start
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Engine, NoCodeError, Status
-from robodyn.taylor.engine_choice import EngineChoice, highest_order
+from robodyn.taylor.engine_choice import EngineChoice
 from robodyn.taylor.held_steps import held_by_stability
 from robodyn.taylor.steps import SteppingEngine
 
@@ -68,14 +68,13 @@ class TaylorRun:
     t: float = 0.0
 
     def __post_init__(self) -> None:
-        mechanism, tolerance = self.mechanism, max(self.rtol, self.atol)
+        mechanism = self.mechanism
         self.variations: Variations | None = None
         self.carried = self.actuation
         if self.actuation.by and self.actuation.alone is not None:
             from robodyn.taylor.variations import variations_of
 
-            order = self.order or highest_order(self.engine, mechanism, tolerance, self.project)
-            self.variations, self.y = variations_of(mechanism, self.actuation, self.y, order)
+            self.variations, self.y = variations_of(mechanism, self.actuation, self.y)
             self.actuation = self.actuation.alone
         self.closing, self.misses, self.suspect = None, None, 0.0
         if self.project and mechanism.rows:
@@ -216,8 +215,7 @@ class TaylorRun:
             chunk, within, stop = with_events(*given)
         told = chunk
         if variations is not None:
-            kind = type(runner).__name__
-            told, within = variations.along(self.t, self.y, chunk, kind, within)
+            told, within = variations.along(self.t, self.y, chunk, runner, within)
         if len(chunk.t):
             self.t, self.y = float(chunk.t[-1]), chunk.y[-1]
             reach(self.carried, self.t, told.y[-1])

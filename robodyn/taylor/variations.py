@@ -23,7 +23,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.program import Program
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
-from robodyn.taylor import Chunk
+from robodyn.taylor import Chunk, Engine
 from robodyn.taylor.varied_steps import Along, Group, Steps, row_steps, straight_steps
 
 TOGETHER = 4  # names of which one call of machine code makes the tangents
@@ -49,25 +49,24 @@ class Variations:
         self,
         mechanism: Mechanism,
         actuation: Actuation,
-        order: int,
         numbers: Sequence[Number],
         s: Array,
         control: Any = None,
     ) -> None:
-        self.mechanism, self.actuation, self.order = mechanism, actuation, order
+        self.mechanism, self.actuation = mechanism, actuation
         self.numbers, self.s, self.control = numbers, s, control
         self._torques = actuation.function(mechanism.n)
         self._driven = np.array(mechanism.actuated, int)
         self._made: dict[object, Any] = {}
         if actuation.constants is not None:
-            self._made = _kept(mechanism, actuation.constants, order, tuple(numbers))
+            self._made = _kept(mechanism, actuation.constants, tuple(numbers))
 
     def along(
-        self, t: float, y: Array, chunk: Chunk, kind: str, within: Callable[[Array], Array]
+        self, t: float, y: Array, chunk: Chunk, engine: Engine, within: Callable[[Array], Array]
     ) -> tuple[Chunk, Callable[[Array], Array]]:
         """The chunk from (t, y) with s in its states, and what has so `within` its last step.
 
-        `kind` is the name of the engine that made it.
+        `engine` made it: theirs are series of the order of its steps.
         """
         count, wide, s = len(chunk.t), 2 * self.mechanism.n, self.s
         if not count:
@@ -77,12 +76,12 @@ class Variations:
         states[0], states[1:] = y[:wide], chunk.y[:-1, :wide]
         torques = self._acting(t, y, float(chunk.t[-1]))
         held = None if self.actuation.pieces is None else self.actuation.pieces.at(t)
-        if (held, kind) not in self._made:
-            make = MAKERS.get(kind, _compiled)
-            self._made[held, kind] = [
-                (group.places, make(self.order, group)) for group in self._groups(held)
-            ]
-        parts = self._made[held, kind]
+        make = MAKERS.get(type(engine).__name__, _compiled)
+        key = held, make, engine.order
+        if key not in self._made:
+            groups = self._groups(held)
+            self._made[key] = [(group.places, make(engine.order, group)) for group in groups]
+        parts = self._made[key]
         at_ends, at_rows = _every(parts, (begins, chunk.t, states, chunk.row_t), torques, s)
         self.s = at_ends[-1]
         if not np.isfinite(self.s).all():
@@ -159,15 +158,13 @@ def _kept(*given: object) -> dict[object, Any]:
     return {}
 
 
-def variations_of(
-    mechanism: Mechanism, actuation: Actuation, y: Array, order: int
-) -> tuple[Variations, Array]:
-    """Those that torques carry in the state y, of the order of steps, and the state without."""
+def variations_of(mechanism: Mechanism, actuation: Actuation, y: Array) -> tuple[Variations, Array]:
+    """Those that torques carry in the state y, and the state without."""
     assert actuation.alone is not None
     first, last = 2 * mechanism.n, 2 * mechanism.n + actuation.states
     s = y[first:last].reshape(-1, first).copy()
     numbers = actuation.by(actuation.modes.mode if actuation.modes else None)
-    found = Variations(mechanism, actuation.alone, order, numbers, s, actuation.control)
+    found = Variations(mechanism, actuation.alone, numbers, s, actuation.control)
     return found, np.concatenate([y[:first], y[last:]])
 
 
