@@ -16,7 +16,7 @@ from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.animation_files import Animation, check_animation, check_programs
+from robodyn.pictures.animation_files import MovingPicture, check_animation, check_programs
 from robodyn.pictures.column_units import scene_units
 from robodyn.pictures.motion_frames import Frames, frames
 from robodyn.tables.table import Reader
@@ -74,7 +74,7 @@ def animate(
         else:
             shown_frames = _of_mode(mechanism, mode or 0, q, tau, fps, speed)
     watched = partial(progress, "drawing", silent=0.0)
-    Animation.of(mechanism, shown_frames, speed, traced, extent).write(out, watched)
+    MovingPicture.of(mechanism, shown_frames, speed, traced, extent).write(out, watched)
 
 
 def _of_mode(
