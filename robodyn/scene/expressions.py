@@ -235,9 +235,8 @@ def _parsed(given: Marked) -> Sequence[ast.expr]:
             raise SyntaxError(f"{what} at character {given.places[at] + 1}") from None
     for node in ast.walk(tree):
         if isinstance(node, ast.expr):
-            node.col_offset, node.end_col_offset = (
-                x + begin for x in (node.col_offset, node.end_col_offset or 0)
-            )
+            node.col_offset += begin
+            node.end_col_offset = begin + (node.end_col_offset or 0)
     return tree.elts if isinstance(tree, ast.Tuple) else [tree]
 
 
@@ -251,8 +250,5 @@ def _float(value: float) -> float:
 def _exponent(node: ast.expr) -> float:
     while isinstance(node, ast.UnaryOp):
         node = node.operand
-    return (
-        _float(node.value)
-        if isinstance(node, ast.Constant) and isinstance(node.value, int | float)
-        else 0.5  # may be any: no whole number
-    )
+    value = getattr(node, "value", None)  # of a constant
+    return _float(value) if isinstance(value, int | float) else 0.5  # may be any: no whole number

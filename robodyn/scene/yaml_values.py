@@ -151,12 +151,9 @@ class ValueReader:
             self.fault(place, node, reason.replace("is not", "must be"), self.shown(node))
             return 0.0
         limit = NUMBERS[key.kind]
-        low = value < 0.0 and limit not in ("", "not 0")
-        if (
-            low
-            or (value > 1.0 and limit == "in [0, 1]")
-            or (value == 0.0 and limit in ("> 0", "not 0"))
-        ):
+        kept = {">= 0": value >= 0.0, "> 0": value > 0.0, "not 0": value != 0.0}
+        kept["in [0, 1]"] = 0.0 <= value <= 1.0
+        if not kept.get(limit, True):
             told = "must not be 0" if limit == "not 0" else f"must be {limit}"
             self.fault(place, node, f"{told}{key.hint}", self.shown(node))
             return 0.0

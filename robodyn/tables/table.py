@@ -22,11 +22,11 @@ import math
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from itertools import chain, compress, repeat
 from operator import contains
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from robodyn.errors import InputError
 from robodyn.tables.csv_fields import IN_DEGREES, ends_open, finite, shown, split_fields, unquoted
-from robodyn.tables.delimited import columns_told, delimiter_hint
+from robodyn.tables.delimited import LONGEST_ROW, READ_BYTES, columns_told, delimiter_hint
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,9 +34,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-READ_BYTES = 1 << 17  # asked of the stream at once; more is no faster
 FEW = 50  # lines that loadtxt reads in less time
-LONGEST_ROW = 1 << 20  # bytes; keeps memory bounded where a line or a quote never ends
 
 
 class Chunk(NamedTuple):
@@ -73,9 +71,8 @@ def plain_numbers(rows: Sequence[str], width: int, places: Sequence[int]) -> Arr
             if set(map(str.count, lines, repeat(","))) != {width - 1}:
                 return None
             try:
-                found = np.loadtxt(
-                    lines, delimiter=",", comments=None, usecols=places, ndmin=2, encoding=None
-                )
+                plain: Any = {"delimiter": ",", "comments": None, "encoding": None}
+                found = np.loadtxt(lines, usecols=places, ndmin=2, **plain)
             except ValueError:
                 return None
         values[chosen] = found
