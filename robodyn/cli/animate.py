@@ -86,9 +86,8 @@ def _of_mode(
     (pose,) = single_state(mechanism, [Quantity("q", q, True)])
     torques = None if tau is None else joint_torques(mechanism, tau)
     with named_options(["mode"]):
-        t, poses = mode_motion(
-            mechanism, linearize(mechanism, pose, None, torques), mode, SHOWN * speed
-        )
+        model = linearize(mechanism, pose, None, torques)
+        t, poses = mode_motion(mechanism, model, mode, SHOWN * speed)
     return frames(mechanism, t, poses, None, fps, speed)
 
 

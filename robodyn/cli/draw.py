@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.figures import PictureOptions
-from robodyn.cli.options import Model, Q, Qd, Qdd, States, option, refuse, switch
+from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, option, refuse, switch
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.row_files import read_columns
@@ -41,7 +40,6 @@ DEFAULT_POSES = 8
 MOST_POSES = 200
 Labels = Literal["names", "numbers"]  # what is written beside the links
 _TAU = "Joint torques, N m, in place of --qdd, for --forces."
-Tau = Annotated[str | None, Option("--tau", metavar="VECTOR", help=_TAU)]
 
 
 def draw(
@@ -50,7 +48,7 @@ def draw(
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
-    tau: Tau = None,
+    tau: Text = option(_TAU, "VECTOR"),
     forces: bool = switch("Arrows: weights, and the force in every pin."),
     of: list[str] | None = option(OF, POINTS),
     labels: Labels | None = option("Beside each link."),

@@ -90,13 +90,11 @@ class TrajectoryOptions:
 
     def limits(self, mechanism: Mechanism) -> Limits:
         given = {"qd": self.max_qd, "qdd": self.max_qdd, "tau": self.max_tau}
-        return limits_of(
-            mechanism,
-            *(
-                None if text is None else joint_values(mechanism, text, kind, f"--max-{kind}")
-                for kind, text in given.items()
-            ),
+        most = (
+            None if text is None else joint_values(mechanism, text, kind, f"--max-{kind}")
+            for kind, text in given.items()
         )
+        return limits_of(mechanism, *most)
 
 
 @dataclass(frozen=True, slots=True)

@@ -168,9 +168,8 @@ def _read(file: str) -> _File:
     points = values[:, :-1] if timed else values
     same = np.flatnonzero(~np.diff(points[:, :2], axis=0).any(axis=1))
     if len(same) and not timed:
-        turns = np.diff(points, axis=0)[same[0]].any()
         limit = "are the same: leave one out, or give times (t)"
-        if turns:
+        if np.diff(points, axis=0)[same[0]].any():
             limit = "are at one place, with other angles: such a turn needs times (t)"
         raise InputError(f"points {same[0] + 1} and {same[0] + 2}", where=source, limit=limit)
     return _File(points, values[:, -1] if timed else None, source)
