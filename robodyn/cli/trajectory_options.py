@@ -134,6 +134,18 @@ def points_from(mechanism: Mechanism, given: TrajectoryOptions) -> Points:
     return Points(np.concatenate([first, rows, last]), times, source)
 
 
+def when(times: np.ndarray | None, source: str, duration: float | None) -> tuple[float, float]:
+    """Where a motion begins and its duration, s (NaN: the shortest), by --time or its points'."""
+    if times is None:
+        if duration is None:
+            raise InputError("--time", limit="missing: give seconds, or min and a limit")
+        return 0.0, duration
+    if duration is not None and not math.isnan(duration):
+        limit = f"{source} has the times (t): leave one of them out, or take min"
+        raise InputError("--time", value=f"{duration:g}", limit=limit)
+    return float(times[0]), float(np.ptp(times)) if duration is None else duration
+
+
 def _joints(mechanism: Mechanism, whole: bool) -> list[int]:
     return list(range(mechanism.n) if whole else mechanism.actuated)
 

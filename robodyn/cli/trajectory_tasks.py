@@ -10,7 +10,7 @@ import numpy as np
 
 from robodyn.cli.options import refuse
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles
+from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, when
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.kinematics.named_points import named_point
 from robodyn.mechanics.mechanism import Mechanism
@@ -70,15 +70,8 @@ def task_motion(
     pose = pose_of(task, given_angles(mechanism, given.from_, "from"))
     path = _path(task, given, file, pose)
 
-    begin, seconds = 0.0, duration
-    if file is not None and file.times is not None:
-        if duration is not None and not math.isnan(duration):
-            limit = f"{file.source} has the times (t): leave one of them out, or take min"
-            raise InputError("--time", value=f"{duration:g}", limit=limit)
-        begin = float(file.times[0])
-        seconds = float(np.ptp(file.times)) if duration is None else duration
-    if seconds is None:
-        raise InputError("--time", limit="missing: give seconds, or min and a limit")
+    times, source = (None, "") if file is None else (file.times, file.source)
+    begin, seconds = when(times, source, duration)
     shortest = math.isnan(seconds)
     if not shortest:
         check_duration(seconds)
