@@ -12,25 +12,11 @@ from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, option, refuse,
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.states import (
-    Quantity,
-    Source,
-    complete,
-    remarks,
-    single_state,
-    table_source,
-)
+from robodyn.cli.states import Quantity, Source, complete, remarks, single_state, table_source
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
-from robodyn.pictures.drawing import (
-    Trace,
-    drawing,
-    drawing_lines,
-    even_rows,
-    first_pose,
-    traced,
-)
+from robodyn.pictures.drawing import Trace, drawing, drawing_lines, even_rows, first_pose, traced
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:

@@ -14,13 +14,7 @@ import numpy as np
 from robodyn.cli.files import input_file, model_file, output_file, rows_file
 from robodyn.cli.options import EACH, Number, Text, option, refuse, switch
 from robodyn.cli.output import note
-from robodyn.cli.states import (
-    Quantity,
-    Source,
-    complete,
-    option_source,
-    remarks,
-)
+from robodyn.cli.states import Quantity, Source, complete, option_source, remarks
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation

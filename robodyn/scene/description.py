@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import partialmethod
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -176,8 +175,8 @@ class _Reader(PointReader, SignalReader):
         values.pop("joint")
         return Link(**values | {"r": complex(values["r"]), "hangs_from": above})
 
-    def _motor(self, form: str, node: Node, place: str) -> Motor:
-        motor = Motor(**self.form(form, node, place))
+    def motor(self, node: Node, place: str, kind: str) -> Motor:
+        motor = Motor(**self.form(kind, node, place))
         pair = {"torque_constant": motor.torque_constant, "resistance": motor.resistance}
         missing = [name for name, value in pair.items() if value is None]
         if len(missing) == 1:
@@ -185,10 +184,7 @@ class _Reader(PointReader, SignalReader):
             self.fault(f"{place}.{missing[0]}", node, f"is missing: {other} needs it beside itself")
         return motor
 
-    motor = partialmethod(_motor, "motor")
-    slide_motor = partialmethod(_motor, "slide_motor")
-
-    def _friction(self, kind: str, node: Node, place: str) -> Friction | DryFriction:
+    def friction(self, node: Node, place: str, kind: str) -> Friction | DryFriction:
         faults = len(self.faults)
         values = list(self.form(kind, node, place).items())
         if len(values) == 2:
@@ -199,7 +195,7 @@ class _Reader(PointReader, SignalReader):
             self.fault(f"{place}.static", node, limit, f"{static:g}")
         return DryFriction(moving, static, stribeck)
 
-    def _limits(self, kind: str, node: Node, place: str) -> Limits:
+    def limits(self, node: Node, place: str, kind: str) -> Limits:
         faults = len(self.faults)
         values: dict[str, Any] = self.form(kind, node, place)
         low, high = values.pop("min"), values.pop("max")
@@ -210,11 +206,6 @@ class _Reader(PointReader, SignalReader):
         elif low is not None and high is not None and not low < high:
             self.fault(f"{place}.max", node, f"must be above min, {low:g}", f"{high:g}")
         return Limits(low, high, **values)
-
-    friction = partialmethod(_friction, "friction")
-    slide_friction = partialmethod(_friction, "slide_friction")
-    limits = partialmethod(_limits, "limits")
-    slide_limits = partialmethod(_limits, "slide_limits")
 
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""

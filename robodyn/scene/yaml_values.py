@@ -114,12 +114,13 @@ class ValueReader:
             return self.vector(node, place, key.unit) if vector else self.number(node, place, plain)
         if key.kind in WORDS:
             return self.word(node, place, WORDS[key.kind])
-        unit = (key.unit,) if key.kind in WITH_UNIT else ()
-        return getattr(self, key.kind)(node, place, *unit)
+        more = (key.unit,) if key.kind in WITH_UNIT else ()
+        name = key.kind.removeprefix("slide_")
+        if name in ("friction", "limits", "motor"):  # of joints that turn, or slide
+            more = (key.kind,)
+        return getattr(self, name)(node, place, *more)
 
-    def items(self, node: Node | None, place: str) -> list[Node]:
-        if node is None:
-            return []
+    def items(self, node: Node, place: str) -> list[Node]:
         if isinstance(node, Sequence):
             return node.items
         self.fault(place, node, "must be a list", self.shown(node))
