@@ -147,11 +147,8 @@ class _Reader(PointReader, SignalReader):
                 self.slides.add(i)
             if isinstance(entry, Mapping):
                 self.survey_link(i, {key.text: value for key, value in reversed(entry.pairs)})
-            if "name" not in given:
-                continue
-            name = given["name"]
-            earlier = self.index.setdefault(name.text, i)
-            if earlier != i:
+            name = given.get("name")
+            if name and (earlier := self.index.setdefault(name.text, i)) != i:
                 limit = f"is the name of links[{earlier}] too; names must differ"
                 self.fault(f"links[{i}].name", name, limit, name.text)
 
@@ -299,26 +296,18 @@ class _Reader(PointReader, SignalReader):
         text = self.name(node, place)
         try:
             joint, value = parse_coupling(text)
-        except ValueError as error:
-            if text:
-                self.fault(place, node, str(error), self.shown(node))
-            return None
-        terms = value.joints
-        unknown = [k for k in (joint, *terms) if not 1 <= k <= count]
-        if unknown:
-            limit = f"names q{unknown[0]}; the joints are q1 to q{count}"
-            self.fault(place, node, limit, self.shown(node))
-            return None
-        if joint in terms:
-            self.fault(place, node, f"has q{joint} on both sides", self.shown(node))
-            return None
-        units = {k: "m" if k - 1 in self.slides else "rad" for k in (joint, *terms)}
-        own = units[joint]
-        try:
-            ratios = {k: in_unit(x, f"{own}/{units[k]}") for k, x in terms.items()}
+            named = joint, *value.joints
+            if unknown := [k for k in named if not 1 <= k <= count]:
+                raise ValueError(f"names q{unknown[0]}; the joints are q1 to q{count}")
+            if joint in value.joints:
+                raise ValueError(f"has q{joint} on both sides")
+            units = {k: "m" if k - 1 in self.slides else "rad" for k in named}
+            own = units[joint]
+            ratios = {k: in_unit(x, f"{own}/{units[k]}") for k, x in value.joints.items()}
             constant = in_unit(value._replace(joints={}), own)
         except ValueError as error:
-            self.fault(place, node, str(error), self.shown(node))
+            if text:  # else it is told that it is no name
+                self.fault(place, node, str(error), self.shown(node))
             return None
         return Coupling(joint - 1, tuple((k - 1, x) for k, x in ratios.items() if x), constant)
 

@@ -161,11 +161,9 @@ class ValueReader:
         return value
 
     def vector(self, node: Node, place: str, unit: str = "") -> complex:
-        if not isinstance(node, Sequence):
-            self.fault(place, node, "must be two numbers, [x, y]", self.shown(node))
-            return 0j
-        if len(node.items) != 2:
-            self.fault(place, node, "must be two numbers, [x, y]", f"{len(node.items)} values")
+        if not isinstance(node, Sequence) or len(node.items) != 2:
+            count = f"{len(node.items)} values" if isinstance(node, Sequence) else self.shown(node)
+            self.fault(place, node, "must be two numbers, [x, y]", count)
             return 0j
         key = Key("number", "", unit)
         x, y = (self.number(item, f"{place}[{k}]", key) for k, item in enumerate(node.items))
