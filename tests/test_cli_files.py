@@ -14,7 +14,6 @@ from conftest import ROOT, Outcome
 from named_case import case
 
 from robodyn import cli
-from robodyn.cli import files
 
 Run = Callable[..., Outcome]
 ARM = (ROOT / "robots/2r.yaml").read_text()
@@ -25,12 +24,12 @@ OTHERS["fit"] = ["--vary", "gravity=1:2"]
 
 def declared(command: str) -> list[tuple[Any, str]]:
     """The options and arguments of a command, and what it does with the files that they name."""
-    roles = {files._reads: "reads", files._writes: "writes", files._writes_and_keeps: "writes"}
+    roles = {"_reads": "reads", "writes": "writes"}
     group: Any = typer.main.get_command(cli._application([command]))
-    return [
-        (param, roles.get(getattr(param.callback, "__wrapped__", None), ""))
-        for param in group.commands[command].params
-    ]
+    params = group.commands[command].params
+    called = [getattr(param.callback, "__wrapped__", None) for param in params]
+    names = [getattr(function, "__name__", "") for function in called]
+    return [(param, roles.get(name, "")) for param, name in zip(params, names, strict=True)]
 
 
 def clashes(command: str) -> list[tuple[Any, Any]]:

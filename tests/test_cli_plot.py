@@ -216,11 +216,17 @@ def test_on_a_terminal(motion: Path) -> None:
     assert "q [rad]" in plain
 
 
-def test_no_color(motion: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_color(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
+        return [asked.append(colours) or ""]
+
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
-    assert figures._colour(None)
-    monkeypatch.setenv("NO_COLOR", "1")
-    assert not figures._colour(None)
+    for without in ("", "1"):
+        monkeypatch.setenv("NO_COLOR", without)
+        figures.write_characters(lines, ascii=False, out=None)
+    assert [bool(colours) for colours in asked] == [True, False]
 
 
 def test_stdin_beside_a_file(robodyn: Run, motion: Path) -> None:

@@ -392,16 +392,15 @@ def test_a_bar_and_a_ternary_link() -> None:
     bar = rounded_hull(np.array([0j, 2, 1]), 0.5)
     area = 0.5 * (np.conj(bar) * np.roll(bar, -1)).imag.sum()
     assert area == pytest.approx(2 + np.pi / 4, rel=0.01)
-    mech = build(
-        from_text(
-            "links:\n"
-            "  - {name: plate, m: 1, l: 1, r: 0.5, I: 0}\n"
-            "  - {name: a, m: 1, l: 1, r: 0.5, I: 0, from: {link: plate, at: [0.4, 0.3]}}\n",
-            "x.yaml",
-        )
+    text = (
+        "links:\n"
+        "  - {name: plate, m: 1, l: 1, r: 0.5, I: 0}\n"
+        "  - {name: a, m: 1, l: 1, r: 0.5, I: 0, from: {link: plate, at: [0.4, 0.3]}}\n"
+        "points: {blade: {link: a, at: [2, -1]}}\n"
     )
+    mech = build(from_text(text, "x.yaml"))
     assert set(link_points(mech, 0).tolist()) == {0, 1, 0.4 + 0.3j}
-    assert set(link_points(mech, 1).tolist()) == {0, 1}
+    assert set(link_points(mech, 1).tolist()) == {0, 1, 2 - 1j}
 
 
 def test_span_and_size() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import types
 from typing import NamedTuple
 
 import pytest
@@ -65,3 +66,7 @@ def test_what_is_no_record_is_refused():
         Recorded(1)._replace(w=1)
     with pytest.raises(AttributeError):
         Recorded(1).x = 2
+    declared = {"__annotations__": {"x": "float", "y": "int", "z": "int"}, "x": 1.0, "z": 1}
+    for base in (Record, NamedTuple):
+        with pytest.raises(TypeError, match="default"):
+            types.new_class("Wrong", (base,), exec_body=lambda own: own.update(declared))

@@ -3,6 +3,7 @@
 import itertools
 import math
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -19,13 +20,15 @@ from robodyn import (
     potential_energy,
     simulate,
 )
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.engines import machine
 from robodyn.errors import DescriptionError, InputError, RobodynError
 from robodyn.loops import loop_rates
+from robodyn.loops.change_points import MISSES
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
 from robodyn.scene.scene_values import SceneValues
-from robodyn.sweeps import sweep_workers
+from robodyn.sweeps import sweep_chunks, sweep_workers
 from robodyn.sweeps.sweep_chunks import Rows, run_chunk
 from robodyn.sweeps.sweep_plan import Plan, best_engine, check
 from robodyn.sweeps.sweep_workers import results
@@ -288,6 +291,14 @@ def test_what_no_point_could_have_is_refused() -> None:
     with pytest.raises(DescriptionError, match="must be >= 0"):
         check(plan("2r", Axis("links.forearm.m", low=-0.5, high=1.0), sample=5))
     assert check(SWING).n == 2
+
+
+def test_warnings_of_others_are_handed_on(recwarn: Any) -> None:
+    with sweep_chunks._misses() as said:
+        warnings.warn("of another package", UserWarning, stacklevel=1)
+        warnings.warn(f"{MISSES} here; else", RobodynWarning, stacklevel=1)
+    assert said == [f"{MISSES} here"]
+    assert [str(x.message) for x in recwarn] == ["of another package"]
 
 
 def test_a_chunk_is_part_of_the_whole() -> None:

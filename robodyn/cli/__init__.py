@@ -88,13 +88,9 @@ def run(arguments: list[str]) -> int:
             return 128 + signals.received[-1]  # compiled code makes another error of a signal
         if debug:
             raise
-        _tell(_described(error))
+        print(printable_lines(_described(error)), file=sys.stderr)
         return error.exit_code if isinstance(error, RobodynError) else 1
     return code if isinstance(code, int) else 0
-
-
-def _tell(text: str) -> None:
-    print(printable_lines(text), file=sys.stderr)
 
 
 def _described(error: Exception) -> str:

@@ -16,7 +16,7 @@ from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.animation_files import Animation, check_animation, check_programs
+from robodyn.pictures.animation_files import MovingPicture, check_animation, check_programs
 from robodyn.pictures.column_units import scene_units
 from robodyn.pictures.motion_frames import Frames, frames
 from robodyn.tables.table import Reader
@@ -74,7 +74,7 @@ def animate(
         else:
             shown_frames = _of_mode(mechanism, mode or 0, q, tau, fps, speed)
     watched = partial(progress, "drawing", silent=0.0)
-    Animation.of(mechanism, shown_frames, speed, traced, extent).write(out, watched)
+    MovingPicture.of(mechanism, shown_frames, speed, traced, extent).write(out, watched)
 
 
 def _of_mode(
@@ -86,9 +86,8 @@ def _of_mode(
     (pose,) = single_state(mechanism, [Quantity("q", q, True)])
     torques = None if tau is None else joint_torques(mechanism, tau)
     with named_options(["mode"]):
-        t, poses = mode_motion(
-            mechanism, linearize(mechanism, pose, None, torques), mode, SHOWN * speed
-        )
+        model = linearize(mechanism, pose, None, torques)
+        t, poses = mode_motion(mechanism, model, mode, SHOWN * speed)
     return frames(mechanism, t, poses, None, fps, speed)
 
 

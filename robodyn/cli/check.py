@@ -19,13 +19,7 @@ from robodyn.loops import assembly
 from robodyn.mechanics.loop_rows import loop_class
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
-from robodyn.pictures.column_units import (
-    DEGREES,
-    IN_DEGREES,
-    TURNING,
-    in_degrees,
-    scene_units,
-)
+from robodyn.pictures.column_units import DEGREES, IN_DEGREES, TURNING, in_degrees, scene_units
 from robodyn.scene.grammar import Form, form_of
 from robodyn.scene.scene import (
     FRAMES,

@@ -137,23 +137,26 @@ class Command(TyperCommand):
         try:
             return super().parse_args(ctx, given)
         except USAGE_ERROR as error:
-            error.message += self._negative(getattr(error, "option_name", ""), args)
+            self._propose(error, getattr(error, "option_name", ""), args)
             if not meant or "unexpected extra" not in error.message:
                 raise
         return super().parse_args(ctx, args)  # the option tells what is wrong
 
-    def _negative(self, unknown: str, words: Iterable[str]) -> str:
-        """How a negative number is given, where the unknown option is the beginning of one."""
+    def _propose(self, error: Any, unknown: str, words: Iterable[str]) -> None:
+        """Tell how a negative number is given that an unknown option begins, or of two dashes."""
+        from difflib import get_close_matches  # only a faulty option pays for the import
+
         from robodyn.scene.unit_arithmetic import read_value
 
         word = next((x for x in words if unknown and x.startswith(unknown)), "")
+        flags = [flag for parameter in self.params for flag in parameter.opts]
         try:
             read_value(word.partition(",")[0])
+            flag = "--q" if "--q" in flags else "--OPTION"
+            error.message += f"; give a negative number with its option and =, as {flag}={word}"
         except ValueError:
-            return ""
-        flags = [flag for parameter in self.params for flag in parameter.opts]
-        flag = "--q" if "--q" in flags else "--OPTION"
-        return f"; give a negative number with its option and =, as {flag}={word}"
+            if not word.startswith("--"):
+                error.possibilities = get_close_matches(f"-{word.partition('=')[0]}", flags)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         order = ["Arguments", OWN, *_OPTIONS.get(self.name or "", _OTHERS)]

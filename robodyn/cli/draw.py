@@ -3,35 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.figures import PictureOptions
-from robodyn.cli.options import Model, Q, Qd, Qdd, States, option, refuse, switch
+from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, option, refuse, switch
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.states import (
-    Quantity,
-    Source,
-    complete,
-    remarks,
-    single_state,
-    table_source,
-)
+from robodyn.cli.states import Quantity, Source, complete, remarks, single_state, table_source
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
-from robodyn.pictures.drawing import (
-    Trace,
-    drawing,
-    drawing_lines,
-    even_rows,
-    first_pose,
-    traced,
-)
+from robodyn.pictures.drawing import Trace, drawing, drawing_lines, even_rows, first_pose, traced
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -41,7 +26,6 @@ DEFAULT_POSES = 8
 MOST_POSES = 200
 Labels = Literal["names", "numbers"]  # what is written beside the links
 _TAU = "Joint torques, N m, in place of --qdd, for --forces."
-Tau = Annotated[str | None, Option("--tau", metavar="VECTOR", help=_TAU)]
 
 
 def draw(
@@ -50,7 +34,7 @@ def draw(
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
-    tau: Tau = None,
+    tau: Text = option(_TAU, "VECTOR"),
     forces: bool = switch("Arrows: weights, and the force in every pin."),
     of: list[str] | None = option(OF, POINTS),
     labels: Labels | None = option("Beside each link."),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Text, option, switch
+from robodyn.cli.options import Size, Text, option, switch
 from robodyn.errors import InputError
 from robodyn.pictures.chart_figure import DOTS, check_matplotlib, save
 from robodyn.tables.csv_fields import finite
@@ -47,7 +47,7 @@ _SUFFIX = "Default: by the suffix of --out; on a terminal text, made of characte
 class PictureOptions:
     """What a picture is like, and where it goes."""
 
-    size: Text = option("Of the picture, inches, such as 8x5.", "WxH")
+    size: Size = None
     dpi: int = option("Dots an inch of a .png: 300 is twice as sharp.", "N", default=DOTS)
     format: PictureFormat | None = option(_SUFFIX)
     ascii: bool = switch("Text of plain characters, not of braille dots.")
@@ -112,7 +112,8 @@ def write_characters(lines: Lines, ascii: bool, out: str | None) -> None:
     width, height = max(30, min(size.columns, WIDEST)), max(10, min(size.lines, HIGHEST))
     encoding = "utf-8" if out not in (None, "-") else sys.stdout.encoding or "ascii"
     deep = os.environ.get("COLORTERM") in ("truecolor", "24bit")
-    colours = ("deep" if deep else "palette") if _colour(out) else ""
+    coloured = on_terminal(out) and not os.environ.get("NO_COLOR")
+    colours = ("deep" if deep else "palette") if coloured else ""
     drawn = lines(width - 1, height, ascii or not _has_dots(encoding), colours)
     with open_output(out, styled=True) as stream:
         stream.write(("\n".join(drawn) + "\n").encode(encoding, "replace"))
@@ -123,7 +124,3 @@ def _has_dots(encoding: str) -> bool:
         return bool("\u2801┤".encode(encoding))
     except UnicodeEncodeError:
         return False
-
-
-def _colour(out: str | None) -> bool:
-    return on_terminal(out) and not os.environ.get("NO_COLOR")

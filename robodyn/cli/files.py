@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Sequence
 from contextvars import ContextVar
 from typing import Annotated, Any
 
@@ -76,8 +75,17 @@ def scene_file(name: str) -> str:
 
 def output_file(*flags: str, help: str, kept: bool = False) -> Any:
     """An option that is a file to write, and the files that are `kept` beside it."""
-    callback = _writes_and_keeps if kept else _writes
-    return typer.Option(*flags, metavar="FILE", help=help, callback=callback)
+
+    def writes(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
+        if named(value) is not None or param.name == "out":  # which is stdout where it is left out
+            name = value or "-"
+            places = _places(name, 1)
+            if kept and name != "-" and places:
+                places = places.union(*(_places(os.path.realpath(name) + end, 1) for end in KEPT))
+            _declare(ctx, _File(_option(param), name, True, places))
+        return value
+
+    return typer.Option(*flags, metavar="FILE", help=help, callback=writes)
 
 
 def _delimiter(value: str | None) -> str:
@@ -110,26 +118,6 @@ def _reads(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
     for name in value if isinstance(value, list | tuple) else [value]:
         if named(name) is not None:
             _declare(ctx, _File(_option(param), name, False, _places(name, 0)))
-    return value
-
-
-def _writes(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
-    return _written(ctx, param, value, ())
-
-
-def _writes_and_keeps(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
-    return _written(ctx, param, value, KEPT)
-
-
-def _written(
-    ctx: typer.Context, param: typer.CallbackParam, value: str | None, suffixes: Sequence[str]
-) -> str | None:
-    if named(value) is not None or param.name == "out":  # which is stdout where it is left out
-        name = value or "-"
-        places = _places(name, 1)
-        if suffixes and name != "-" and places:
-            places = places.union(*(_places(os.path.realpath(name) + end, 1) for end in suffixes))
-        _declare(ctx, _File(_option(param), name, True, places))
     return value
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,7 +29,7 @@ from robodyn.cli.output import Grid, in_told_units, note, row_writer, write_stru
 from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.states import remarks
-from robodyn.errors import InputError, named_options
+from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.quantities import parse_quantity
@@ -154,7 +154,8 @@ def fit(
     bounds = _bounds(mechanism, values, vary)
     rows = given.rows(mechanism, states)
     renamed = named_options((), **({"column": "minimize"} if given.minimize else {}))
-    with remarks(), _of_the_table(rows), renamed, progress("fitting", quiet) as tell:
+    there = at_place(rows.source, "rows", "t") if rows.source else nullcontext()
+    with remarks(), there, renamed, progress("fitting", quiet) as tell:
         found = given.found(mechanism, bounds, rows, tell)
     if found.untold:
         text = "the columns do not tell, alone or beside the others"
@@ -169,17 +170,6 @@ def fit(
     elif out != "-":
         content = in_told_units(_content(found), units)
         write_structure(format, None, content, lambda: _tables(found, bounds, content, units))
-
-
-@contextmanager
-def _of_the_table(rows: FitRows) -> Iterator[None]:
-    """What is wrong with rows is told with the name of their file."""
-    try:
-        yield
-    except InputError as error:
-        if error.what in ("rows", "t") and rows.source:
-            error.add_place(rows.source)
-        raise
 
 
 def _bounds(mechanism: Mechanism, values: SceneValues, vary: Sequence[str]) -> Bounds:
@@ -198,8 +188,6 @@ def _bounds(mechanism: Mechanism, values: SceneValues, vary: Sequence[str]) -> B
             found[name] = parse_quantity(low, unit), parse_quantity(high, unit)
         except ValueError as error:
             raise InputError("--vary", value=shown(text), limit=str(error)) from None
-        if not found[name][0] < found[name][1]:
-            raise InputError("--vary", value=shown(text), limit="needs LOW < HIGH")
     return found
 
 

@@ -214,10 +214,8 @@ def _check_gap(t: Array, numbers: Sequence[int], source: str) -> None:
     steps = np.diff(t)
     k = int(np.argmax(steps)) if len(steps) else 0
     if len(steps) and steps[k] > GAP * (usual := float(np.median(steps))):
-        limit = (
-            f"{GAP:g} steps of {usual:.6g} s at most, for rates to be found across: give qd and "
-        )
-        limit += "qdd, or the parts on their own"
+        limit = f"{GAP:g} steps of {usual:.6g} s at most, for rates to be found across: "
+        limit += "give qd and qdd, or the parts on their own"
         where = f"{source}: line {numbers[k + 1]}"
         raise InputError("t leaps by", value=f"{steps[k]:.6g} s", where=where, limit=limit)
 

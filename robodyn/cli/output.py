@@ -11,13 +11,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
-from robodyn.cli.options import (
-    Extremes,
-    Format,
-    Out,
-    OutputFormat,
-    StructuredFormat,
-)
+from robodyn.cli.options import Extremes, Format, Out, OutputFormat
 from robodyn.errors import printable, printable_lines
 from robodyn.pictures.column_units import TURNING, in_degrees, structure_in_degrees, with_unit
 from robodyn.tables.csv_fields import finite, unquoted
@@ -173,7 +167,7 @@ class Grid(Record):
 
 
 def write_structure(
-    format: StructuredFormat | None,
+    format: Format | None,
     out: str | None,
     content: Mapping[str, object],
     tables: Callable[[], Sequence[Grid]],

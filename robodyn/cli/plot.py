@@ -8,7 +8,7 @@ from typer import Option
 
 from robodyn.cli.figures import PictureOptions
 from robodyn.cli.files import model_file, rows_argument
-from robodyn.cli.options import Degrees, option, switch
+from robodyn.cli.options import Degrees, Text, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError
@@ -19,24 +19,21 @@ from robodyn.pictures.column_units import TURNING, scene_units
 from robodyn.pictures.value_map import read_map
 from robodyn.tables.csv_fields import shown
 
-_X = "Along x. Default: t, else the row."
 _Y = "Separated by commas; q* is q1, q2, ... Default: q*,tau*, else all."
 _MODEL = "Scene of the rows: units of joints that slide."
 _COLOUR = "Draw a map: this column as colours over --x and --y."
-X = Annotated[str | None, Option("--x", metavar="COLUMN", help=_X)]
-Y = Annotated[str | None, Option("--y", metavar="COLUMNS", help=_Y)]
-Colour = Annotated[str | None, Option("--colour", "--color", metavar="COLUMN", help=_COLOUR)]
+Colour = Annotated[Text, Option("--colour", "--color", metavar="COLUMN", help=_COLOUR)]
 
 
 def plot(
     files: Annotated[list[str], rows_argument("CSV...", "Files of rows; - is stdin.")],
-    x: X = None,
-    y: Y = None,
+    x: Text = option("Along x. Default: t, else the row.", "COLUMN"),
+    y: Text = option(_Y, "COLUMNS"),
     colour: Colour = None,
-    model: Annotated[str | None, model_file("--model", _MODEL)] = None,
+    model: Annotated[Text, model_file("--model", _MODEL)] = None,
     log: bool = switch("Logarithmic --colour."),
     degrees: Degrees = False,
-    title: str | None = option("Above it.", "TEXT"),
+    title: Text = option("Above it.", "TEXT"),
     picture: PictureOptions = PictureOptions(),
 ) -> None:
     """Columns of CSV files against time, or against each other; a map of one over two others.

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
-from robodyn.cli.options import Force, Model, Qdd, Text, load_with, option, vector
+from robodyn.cli.options import Force, Model, Qdd, Text, load_with, option
 from robodyn.cli.states import Quantity, TableOptions, evaluate, overflow
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.state_columns import reaction_columns, reaction_values
@@ -17,7 +16,6 @@ from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism
 
 _TAU = "Joint torques, N m, in place of --qdd: all joints, or the actuated ones."
-Tau = Annotated[Text, vector("--tau", _TAU)]
 _HARMONICS = "In place of the rows, a turn: orders of the shaking force and moment, 0 to N or 10."
 AGREE = 1e-6  # part of the accelerations by which those given may miss those of the torques given
 
@@ -26,7 +24,7 @@ def reactions(
     model: Model,
     given: TableOptions = TableOptions(),
     qdd: Qdd = None,
-    tau: Tau = None,
+    tau: Text = option(_TAU, "VECTOR"),
     force: Force = None,
     harmonics: int | None = option(_HARMONICS, "[N]"),
 ) -> None:

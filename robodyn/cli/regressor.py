@@ -75,8 +75,7 @@ def _tell_base(mechanism: Mechanism, rows: TableOptions) -> None:
         found = base_parameters(mechanism)
     content = [{"name": x.name, "text": x.text, "value": x.value, "unit": x.unit} for x in found]
     table = Grid(["text", "value", "unit"], [[x.text, x.value, x.unit] for x in found])
-    format = "json" if rows.format == "csv" else rows.format
-    write_structure(format, rows.out, {"base": content}, lambda: [table])
+    write_structure(rows.format, rows.out, {"base": content}, lambda: [table])
 
 
 def _tell_condition(mechanism: Mechanism, rows: TableOptions, quantities: list[Quantity]) -> None:
@@ -102,5 +101,4 @@ def _tell_condition(mechanism: Mechanism, rows: TableOptions, quantities: list[Q
     words = [str(len(motion.t)), "none" if value is None else f"{value:.6g}"]
     tables = [Grid(["rows", "condition"], [words])]
     tables += [Grid(["not excited"], [[x] for x in untold])] if untold else []
-    format = "json" if rows.format == "csv" else rows.format
-    write_structure(format, rows.out, content, lambda: tables)
+    write_structure(rows.format, rows.out, content, lambda: tables)

@@ -19,5 +19,4 @@ def schema(out: Out = None) -> None:
       robodyn schema -o robodyn.schema.json
       robodyn schema | python -m json.tool
     """
-    text = json.dumps(scene_schema(), indent=2, ensure_ascii=False) + "\n"
-    write_text(text, out)
+    write_text(json.dumps(scene_schema(), indent=2, ensure_ascii=False) + "\n", out)

@@ -91,11 +91,8 @@ class ResultOptions:
 
     def opened(self) -> AbstractContextManager[BinaryIO]:
         """The stream of the rows; a note says where those of a run that fails are."""
-
-        def tell(name: str) -> None:
-            note(f"what was computed is in {name}")
-
-        return open_output(self.out, partial=tell, styled=self.format == "table")
+        where, styled = "what was computed is in", self.format == "table"
+        return open_output(self.out, lambda name: note(f"{where} {name}"), styled)
 
 
 def simulate(

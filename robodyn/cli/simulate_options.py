@@ -14,13 +14,7 @@ import numpy as np
 from robodyn.cli.files import input_file, model_file, output_file, rows_file
 from robodyn.cli.options import EACH, Number, Text, option, refuse, switch
 from robodyn.cli.output import note
-from robodyn.cli.states import (
-    Quantity,
-    Source,
-    complete,
-    option_source,
-    remarks,
-)
+from robodyn.cli.states import Quantity, Source, complete, option_source, remarks
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
@@ -254,12 +248,8 @@ def _units(mechanism: Mechanism, law: str, name: str, count: int) -> list[str]:
     accelerates = {"kp": "1/s^2", "kd": "1/s", "ki": "1/s^3"}
     turns = {"kp": "N m/rad", "kd": "N m s/rad", "ki": "N m/(rad s)"}
     slides = {"kp": "N/m", "kd": "N s/m", "ki": "N/(m s)"}
-    units = [
-        (accelerates if law == "computed-torque" else slides if k in mechanism.slides else turns)[
-            name
-        ]
-        for k in mechanism.actuated
-    ]
+    each = [slides if k in mechanism.slides else turns for k in mechanism.actuated]
+    units = [(accelerates if law == "computed-torque" else own)[name] for own in each]
     return [*units, *[""] * count][:count]
 
 

@@ -124,11 +124,7 @@ def _motion(
         return along(path, pose[None], seconds)
 
     points = ways.points_from(mechanism, given)
-    if points.times is not None and duration is not None and not minimal:
-        limit = f"{points.source} has the times (t): leave one of them out, or take min"
-        raise InputError("--time", value=f"{duration:g}", limit=limit)
-    if points.times is None and duration is None:
-        raise InputError("--time", limit="missing: give seconds, or min and a limit")
+    begin, seconds = ways.when(points.times, points.source, duration)
     alpha = ACCELERATION if given.acceleration is None else given.acceleration
     how = given.profile or "quintic", alpha, given.ends == "natural"
     with at_place(points.source, "times", "point") if points.source else nullcontext():
@@ -136,11 +132,7 @@ def _motion(
             q, times = points.q, points.times
             return _told(time_scaling.shortest_through(mechanism, q, limits, times, *how, watch))
         path = path_through(points.q[:, list(mechanism.actuated)], points.times, *how)
-    begin = 0.0
-    if points.times is not None:
-        begin, duration = float(points.times[0]), float(np.ptp(points.times))
-    assert duration is not None
-    return along(path, points.q, duration, begin)
+    return along(path, points.q, seconds, begin)
 
 
 def _checked(motion: ReferenceMotion, limits: Limits) -> ReferenceMotion:

@@ -90,13 +90,11 @@ class TrajectoryOptions:
 
     def limits(self, mechanism: Mechanism) -> Limits:
         given = {"qd": self.max_qd, "qdd": self.max_qdd, "tau": self.max_tau}
-        return limits_of(
-            mechanism,
-            *(
-                None if text is None else joint_values(mechanism, text, kind, f"--max-{kind}")
-                for kind, text in given.items()
-            ),
+        most = (
+            None if text is None else joint_values(mechanism, text, kind, f"--max-{kind}")
+            for kind, text in given.items()
         )
+        return limits_of(mechanism, *most)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +132,18 @@ def points_from(mechanism: Mechanism, given: TrajectoryOptions) -> Points:
         for name, text in ends.items()
     )
     return Points(np.concatenate([first, rows, last]), times, source)
+
+
+def when(times: np.ndarray | None, source: str, duration: float | None) -> tuple[float, float]:
+    """Where a motion begins and its duration, s (NaN: the shortest), by --time or its points'."""
+    if times is None:
+        if duration is None:
+            raise InputError("--time", limit="missing: give seconds, or min and a limit")
+        return 0.0, duration
+    if duration is not None and not math.isnan(duration):
+        limit = f"{source} has the times (t): leave one of them out, or take min"
+        raise InputError("--time", value=f"{duration:g}", limit=limit)
+    return float(times[0]), float(np.ptp(times)) if duration is None else duration
 
 
 def _joints(mechanism: Mechanism, whole: bool) -> list[int]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from robodyn.cli.options import refuse
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles
+from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, when
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.kinematics.named_points import named_point
 from robodyn.mechanics.mechanism import Mechanism
@@ -70,15 +70,8 @@ def task_motion(
     pose = pose_of(task, given_angles(mechanism, given.from_, "from"))
     path = _path(task, given, file, pose)
 
-    begin, seconds = 0.0, duration
-    if file is not None and file.times is not None:
-        if duration is not None and not math.isnan(duration):
-            limit = f"{file.source} has the times (t): leave one of them out, or take min"
-            raise InputError("--time", value=f"{duration:g}", limit=limit)
-        begin = float(file.times[0])
-        seconds = float(np.ptp(file.times)) if duration is None else duration
-    if seconds is None:
-        raise InputError("--time", limit="missing: give seconds, or min and a limit")
+    times, source = (None, "") if file is None else (file.times, file.source)
+    begin, seconds = when(times, source, duration)
     shortest = math.isnan(seconds)
     if not shortest:
         check_duration(seconds)
@@ -168,9 +161,8 @@ def _read(file: str) -> _File:
     points = values[:, :-1] if timed else values
     same = np.flatnonzero(~np.diff(points[:, :2], axis=0).any(axis=1))
     if len(same) and not timed:
-        turns = np.diff(points, axis=0)[same[0]].any()
         limit = "are the same: leave one out, or give times (t)"
-        if turns:
+        if np.diff(points, axis=0)[same[0]].any():
             limit = "are at one place, with other angles: such a turn needs times (t)"
         raise InputError(f"points {same[0] + 1} and {same[0] + 2}", where=source, limit=limit)
     return _File(points, values[:, -1] if timed else None, source)

@@ -12,7 +12,7 @@ from robodyn.cli.states import Quantity, TableOptions, evaluate
 from robodyn.dynamics.dynamics import inverse_dynamics
 from robodyn.dynamics.flywheel import Flywheel, flywheel
 from robodyn.dynamics.harmonics import harmonics
-from robodyn.errors import InputError, at_place
+from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 from robodyn.tables.summaries import KeptRows, Rows
@@ -66,15 +66,9 @@ def tell_shaking_orders(
 
     def told(_: Sequence[str], __: Array, own: Array) -> tuple[Sequence[str], Rows]:
         in_degrees = degrees.get()
-        try:
-            theta = np.radians(own[:, 0]) if in_degrees else own[:, 0]
+        theta = np.radians(own[:, 0]) if in_degrees else own[:, 0]
+        with named_options((), orders="harmonics"), at_place(ORDERS, "the "):
             amplitudes, phases = harmonics(theta, own[:, 1:], most)
-        except InputError as error:
-            if error.what == "orders":
-                error.what = ORDERS
-            else:
-                error.add_place(ORDERS)
-            raise
         phase = "phase_deg" if in_degrees else "phase"
         pairs = [amplitudes, np.degrees(phases) if in_degrees else phases]
         each = np.stack(pairs, axis=-1).reshape(len(amplitudes), -1)

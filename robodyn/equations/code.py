@@ -88,17 +88,13 @@ def _symbol(name: str) -> str:
     return f"{name}_" if name in BESSEL else name
 
 
-def _size(block: CodeBlock) -> str:
-    rows, columns = len(block.rows), len(block.rows[0])
-    return f"[{rows}]" if block.vector else f"[{rows}][{columns}]"
-
-
 def _c_function(block: CodeBlock, n: int) -> Iterator[str]:
     given = block.head
     lines, entries, used = _body(block, _symbol, "{0} < {1} ? {2} : {3}")
-    arguments = [_argument(name, n) for name in given.inputs]
+    arguments = ["double t" if x == "t" else f"const double {x}[{n}]" for x in given.inputs]
+    size = f"[{len(block.rows)}]" + ("" if block.vector else f"[{len(block.rows[0])}]")
     yield f"/* {given.meaning}, {given.unit} */"
-    yield f"void {block.name}({', '.join([*arguments, f'double out{_size(block)}'])})"
+    yield f"void {block.name}({', '.join([*arguments, f'double out{size}'])})"
     yield "{"
     for name in given.inputs:
         if name == "t" and name in used:
@@ -112,10 +108,6 @@ def _c_function(block: CodeBlock, n: int) -> Iterator[str]:
         for j, entry in enumerate(row):
             yield f"{TAB}out[{i}]{'' if block.vector else f'[{j}]'} = {entry};"
     yield "}"
-
-
-def _argument(name: str, n: int) -> str:
-    return "double t" if name == "t" else f"const double {name}[{n}]"
 
 
 def _head(equations: CodeEquations) -> Iterator[str]:

@@ -47,9 +47,8 @@ class Formula:
     @property
     def switches(self) -> bool:
         """Whether it has what `SWITCHES` explains."""
-        return any(
-            isinstance(x, ast.Name) and x.id in ("sign", "step") for x in ast.walk(self.tree)
-        )
+        names = (x.id for x in ast.walk(self.tree) if isinstance(x, ast.Name))
+        return not {"sign", "step"}.isdisjoint(names)
 
     def value(self, number: Callable[[Sum], Any], functions: Mapping[str, Any]) -> Any:
         """What it is, `number` telling what sums are."""

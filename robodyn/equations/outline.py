@@ -134,12 +134,8 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         if potentials != ["gravity"]:
             meaning = f"gradient of the potential energy ({', '.join(potentials)})"
         yield Head("left", "G", meaning, load, "vector")
-    acts: list[object] = [
-        *mechanism.forces,
-        *mechanism.varying_moments,
-        *mechanism.friction,
-        *mechanism.dry,
-    ]
+    acts: list[object] = [*mechanism.forces, *mechanism.varying_moments]
+    acts += [*mechanism.friction, *mechanism.dry]
     acts += [stop for _, stop in mechanism.limits if stop.stiffness is not None]
     acts += [law for law in laws if not conserves(law)]
     if acts or any(spring.damping for spring in mechanism.springs):
@@ -211,10 +207,10 @@ class Equations(Generic[Entry]):
             "gap = 0    Psi qd = 0    Psi qdd + Psidot qd = 0",
         ]
 
-    def driven(self, name: str, other: str = "0") -> list[str]:
+    def driven(self, name: str) -> list[str]:
         """The joint torques: `name` with a joint's number where it is driven."""
         joints, driven = range(self.mechanism.n), self.mechanism.actuated
-        return [name.format(k + 1) if k in driven else other for k in joints]
+        return [name.format(k + 1) if k in driven else "0" for k in joints]
 
     def defined(self) -> Iterator[tuple[list[Definition], Block[Entry]]]:
         """Each block, with the names that it is the first to use."""

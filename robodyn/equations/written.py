@@ -209,9 +209,8 @@ def _place(block: str, monomial: Monomial, seen: dict[tuple[int, ...], int]) -> 
     atoms: dict[int, list[Atom]] = defaultdict(list)
     for atom, _ in monomial:
         atoms[atom.role].append(atom)
-    body = [
-        (x.place[0], x.name[:2] == "mp", x.role) for x in atoms[Role.mass] + atoms[Role.inertia]
-    ]
+    bodies = atoms[Role.mass] + atoms[Role.inertia]
+    body = [(x.place[0], x.name[:2] == "mp", x.role) for x in bodies]
     lengths = [x.place for x in atoms[Role.length]]
     moved = [(x.place[0], "~") for x in atoms[Role.angle]]  # displacements
     calls = [x for x in atoms[Role.function] if x.speed is None]

@@ -113,15 +113,12 @@ def refuse_unsaid(
                 continue
             if value and getattr(value, "torque", True):  # friction without torque is none
                 shown = value if isinstance(value, (int, float, str)) else None
-                limit = reasons.get(key, f"{format} cannot say it")
-                raise InputError(
-                    f"{place}{key}", where=description.source, value=shown, limit=limit
-                )
+                what, limit = f"{place}{key}", reasons.get(key, f"{format} cannot say it")
+                raise InputError(what, where=description.source, value=shown, limit=limit)
     for place, signal in signals_of(description):
         limit = f"{format} cannot say it" if unsaid is None else unsaid(place, signal)
-        if not limit:
-            continue
-        raise InputError(place, where=description.source, value=told(signal), limit=limit)
+        if limit:
+            raise InputError(place, where=description.source, value=told(signal), limit=limit)
 
 
 def document(root: ElementTree.Element, lines: Iterable[str]) -> str:
@@ -130,6 +127,5 @@ def document(root: ElementTree.Element, lines: Iterable[str]) -> str:
     text = [printable(line).replace("--", "- -").replace("--", "- -") for line in lines]
     root.insert(0, ElementTree.Comment("\n    " + "\n    ".join(text) + "\n  "))
     ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + (
-        ElementTree.tostring(root, encoding="unicode") + "\n"
-    )
+    written = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{written}\n'

@@ -164,7 +164,7 @@ def _closed(mechanism: Mechanism, q: ArrayLike) -> Array:
     return poses
 
 
-class Animation(animation_files.Animation):
+class Animation(animation_files.MovingPicture):
     """A motion as a moving picture, which a notebook shows; `save` writes it to a file."""
 
     def __repr__(self) -> str:

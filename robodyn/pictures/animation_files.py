@@ -63,7 +63,7 @@ def check_programs(out: str) -> None:
 
 
 @dataclass(frozen=True, repr=False)
-class Animation:
+class MovingPicture:
     """A motion as a moving picture: bodies at frames, `speed` s of it in one, and paths behind."""
 
     drawn: Drawing
@@ -100,7 +100,7 @@ class Animation:
 class Film(Picture):
     """A picture that is moved from frame to frame, with the paths of traced points behind it."""
 
-    def __init__(self, shown: Animation) -> None:
+    def __init__(self, shown: MovingPicture) -> None:
         super().__init__(shown.drawn, shown.size)
         self.figure.set_dpi(DOTS)
         self.count, self._t, self._traces = len(shown.drawn.q), shown.frames.t, shown.traces
@@ -231,7 +231,7 @@ requestAnimationFrame(time => {{ offset = now = time; tick(time); }});
 """
 
 
-def page(shown: Animation) -> str:
+def page(shown: MovingPicture) -> str:
     """Shapes as svg in a page of html, each body moved by a matrix a frame."""
     drawn, t, rate = shown.drawn, shown.frames.t, shown.frames.rate
     view = frame(drawn.box(), LONGEST, shown.size, FOOT)

@@ -121,8 +121,9 @@ def _coil(length: float) -> list[complex]:
 
 
 def link_points(mechanism: Mechanism, k: int) -> Complex:
-    """The points of link k in its frame: its joint, its tip, and what hangs or closes there, m."""
+    """The points of link k in its frame: joint, tip, what hangs, closes or has a name there, m."""
     found = [0j, complex(mechanism.description.links[k].l), *_attached(mechanism, k)]
+    found += [point.at for _, point in mechanism.description.points if point.link == k]
     return np.array(list(dict.fromkeys(found)))
 
 

@@ -218,9 +218,7 @@ def _inside(content: ValueMap, flat: float | None) -> Any:
     even = np.where(counts > 2 * least, sides, np.ceil(least / counts) * counts / DOTS)
     if flat is None:
         return even
-    return (
-        even[0] / np.array([1, wide]) if counts[0] >= counts[1] else even[1] * np.array([wide, 1])
-    )
+    return even[0] / np.array([1, wide]) if counts[0] >= counts[1] else even[1] * [wide, 1]
 
 
 def _colour_bar(axes: Any, content: ValueMap) -> None:

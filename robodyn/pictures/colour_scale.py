@@ -87,8 +87,7 @@ def angle_ticks(low: float, high: float, most: int) -> tuple[list[float], list[s
         if len(numbers) <= most:
             break
     if not 3 <= len(numbers) <= most:
-        values = ticks(low, high, most)
-        return values, tick_texts(values)
+        return axis_ticks("", low, high, most)
     return [k * apart for k in numbers], [_multiple_of_pi(k * factor, parts) for k in numbers]
 
 

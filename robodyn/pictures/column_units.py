@@ -91,8 +91,7 @@ def structure_in_degrees(content: Mapping[str, Any], units: Mapping[str, str]) -
             case Mapping():
                 return structure_in_degrees(value, units)
             case list() | tuple():
-                number = range(1, len(value) + 1)
-                return [told(x, f"{name}{k}") for k, x in zip(number, value, strict=True)]
+                return [told(x, f"{name}{k}") for k, x in enumerate(value, start=1)]
         return value
 
     of_numbers = (float, list, tuple)

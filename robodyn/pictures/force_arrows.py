@@ -92,8 +92,7 @@ def forces_at(
     with np.errstate(all="ignore"):
         found = forces(mechanism, q, qd, qdd, multipliers)
     if not np.isfinite([item.force for item in found]).all():
-        limit = "the state or the scene is too large"
-        raise RobodynError("the result is not finite", limit=limit)
+        raise RobodynError("the result is not finite", limit="the state or the scene is too large")
     return found
 
 

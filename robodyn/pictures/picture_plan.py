@@ -169,11 +169,9 @@ def _beside(drawn: Drawing, pose: int, k: int, box: complex) -> Iterator[complex
     """Centres of a label on both sides of link k, from its middle outward."""
     b = drawn.body_of(k)
     place, direction = complex(drawn.place[pose, b]), complex(drawn.turn[pose, b])
-    own = drawn.bodies[b].shapes
-    shapes = [s for s in own if s.kind in ("link", "rail", "slider")]
-    outline = np.concatenate(
-        [_dense(np.append(s.points, s.points[0]), 0.2 * box.imag) for s in shapes]
-    )
+    shapes = [s for s in drawn.bodies[b].shapes if s.kind in ("link", "rail", "slider")]
+    rounds = (np.append(s.points, s.points[0]) for s in shapes)
+    outline = np.concatenate([_dense(z, 0.2 * box.imag) for z in rounds])
     slides = [s for x in drawn.bodies if x.link == k for s in x.shapes if s.kind == "slider"]
     further = (0.0, 1.0, 2.0) if slides or len(shapes) > 1 else (0.0,)  # out of where it slides
     along = 0.5 * (abs(direction.real) * box.real + abs(direction.imag) * box.imag)

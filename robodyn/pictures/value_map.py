@@ -159,16 +159,13 @@ def read_map(
     if log and words:
         limit = "needs a column of numbers; this one holds words"
         raise InputError("--log", value=shown(colour), limit=limit)
-    columns = zip((x, ys[0], colour), (*np.concatenate(blocks).T, values), strict=True)
-    pairs = [
-        (in_degrees(name, units) if degrees else (name, 1.0), column) for name, column in columns
-    ]
-    (x_name, y_name, name), (along, up, shades) = zip(
-        *((name, factor * column) for (name, factor), column in pairs), strict=True
-    )
-    shades = values if words else shades
+    columns, names = np.concatenate(blocks).T, (x, ys[0], colour)
+    scaled = [in_degrees(name, units) if degrees else (name, 1.0) for name in names]
+    (x_name, across), (y_name, up), (name, factor) = scaled
+    shades = values if words else factor * values
+    names = x_name, y_name, name
     with at_place(source, "no rows"):
-        mapped = value_map((x_name, y_name, name), along, up, shades, words, log)
+        mapped = value_map(names, across * columns[0], up * columns[1], shades, words, log)
     if mapped.grid is not None and mapped.grid.hidden:
         tell(f"Note: {mapped.grid.hidden} rows are hidden by later ones with the same {x}, {ys[0]}")
     return mapped._replace(units=units)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import partialmethod
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -148,11 +147,8 @@ class _Reader(PointReader, SignalReader):
                 self.slides.add(i)
             if isinstance(entry, Mapping):
                 self.survey_link(i, {key.text: value for key, value in reversed(entry.pairs)})
-            if "name" not in given:
-                continue
-            name = given["name"]
-            earlier = self.index.setdefault(name.text, i)
-            if earlier != i:
+            name = given.get("name")
+            if name and (earlier := self.index.setdefault(name.text, i)) != i:
                 limit = f"is the name of links[{earlier}] too; names must differ"
                 self.fault(f"links[{i}].name", name, limit, name.text)
 
@@ -176,8 +172,8 @@ class _Reader(PointReader, SignalReader):
         values.pop("joint")
         return Link(**values | {"r": complex(values["r"]), "hangs_from": above})
 
-    def _motor(self, form: str, node: Node, place: str) -> Motor:
-        motor = Motor(**self.form(form, node, place))
+    def motor(self, node: Node, place: str, kind: str) -> Motor:
+        motor = Motor(**self.form(kind, node, place))
         pair = {"torque_constant": motor.torque_constant, "resistance": motor.resistance}
         missing = [name for name, value in pair.items() if value is None]
         if len(missing) == 1:
@@ -185,10 +181,7 @@ class _Reader(PointReader, SignalReader):
             self.fault(f"{place}.{missing[0]}", node, f"is missing: {other} needs it beside itself")
         return motor
 
-    motor = partialmethod(_motor, "motor")
-    slide_motor = partialmethod(_motor, "slide_motor")
-
-    def _friction(self, kind: str, node: Node, place: str) -> Friction | DryFriction:
+    def friction(self, node: Node, place: str, kind: str) -> Friction | DryFriction:
         faults = len(self.faults)
         values = list(self.form(kind, node, place).items())
         if len(values) == 2:
@@ -199,7 +192,7 @@ class _Reader(PointReader, SignalReader):
             self.fault(f"{place}.static", node, limit, f"{static:g}")
         return DryFriction(moving, static, stribeck)
 
-    def _limits(self, kind: str, node: Node, place: str) -> Limits:
+    def limits(self, node: Node, place: str, kind: str) -> Limits:
         faults = len(self.faults)
         values: dict[str, Any] = self.form(kind, node, place)
         low, high = values.pop("min"), values.pop("max")
@@ -210,11 +203,6 @@ class _Reader(PointReader, SignalReader):
         elif low is not None and high is not None and not low < high:
             self.fault(f"{place}.max", node, f"must be above min, {low:g}", f"{high:g}")
         return Limits(low, high, **values)
-
-    friction = partialmethod(_friction, "friction")
-    slide_friction = partialmethod(_friction, "slide_friction")
-    limits = partialmethod(_limits, "limits")
-    slide_limits = partialmethod(_limits, "slide_limits")
 
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""
@@ -308,26 +296,18 @@ class _Reader(PointReader, SignalReader):
         text = self.name(node, place)
         try:
             joint, value = parse_coupling(text)
-        except ValueError as error:
-            if text:
-                self.fault(place, node, str(error), self.shown(node))
-            return None
-        terms = value.joints
-        unknown = [k for k in (joint, *terms) if not 1 <= k <= count]
-        if unknown:
-            limit = f"names q{unknown[0]}; the joints are q1 to q{count}"
-            self.fault(place, node, limit, self.shown(node))
-            return None
-        if joint in terms:
-            self.fault(place, node, f"has q{joint} on both sides", self.shown(node))
-            return None
-        units = {k: "m" if k - 1 in self.slides else "rad" for k in (joint, *terms)}
-        own = units[joint]
-        try:
-            ratios = {k: in_unit(x, f"{own}/{units[k]}") for k, x in terms.items()}
+            named = joint, *value.joints
+            if unknown := [k for k in named if not 1 <= k <= count]:
+                raise ValueError(f"names q{unknown[0]}; the joints are q1 to q{count}")
+            if joint in value.joints:
+                raise ValueError(f"has q{joint} on both sides")
+            units = {k: "m" if k - 1 in self.slides else "rad" for k in named}
+            own = units[joint]
+            ratios = {k: in_unit(x, f"{own}/{units[k]}") for k, x in value.joints.items()}
             constant = in_unit(value._replace(joints={}), own)
         except ValueError as error:
-            self.fault(place, node, str(error), self.shown(node))
+            if text:  # else it is told that it is no name
+                self.fault(place, node, str(error), self.shown(node))
             return None
         return Coupling(joint - 1, tuple((k - 1, x) for k, x in ratios.items() if x), constant)
 

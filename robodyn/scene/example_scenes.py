@@ -34,15 +34,20 @@ def example_file(name: str) -> Path | None:
 
 def like(missing: Path) -> str:
     """What the name of a file that is not there may mean: a scene beside it, or an example."""
-    from difflib import get_close_matches  # only a faulty name pays for the import
-
     if missing.stem in scene_names():
         return f"; the example of this name is {missing.stem}, without a folder or .yaml"
-    beside = [path.name for path in islice(missing.parent.glob("*.yaml"), MOST_LISTED)]
-    files = get_close_matches(missing.name, beside, n=1)
-    near = [str(missing.parent / name) for name in files]
-    near += [f"the example {x}" for x in get_close_matches(missing.stem, scene_names(), n=1)]
+    beside = [path.stem for path in islice(missing.parent.glob("*.yaml"), MOST_LISTED)]
+    near = [str(missing.with_name(f"{x}.yaml")) for x in _closest(missing.stem, beside)]
+    near += [f"the example {x}" for x in _closest(missing.stem, scene_names())]
     return f"; did you mean {' or '.join(near)}?" if near else ""
+
+
+def _closest(name: str, known: list[str]) -> list[str]:
+    """The one of these that is most like a name in whatever case; one of two letters may differ."""
+    from difflib import get_close_matches  # only a faulty name pays for the import
+
+    lower, least = {x.lower(): x for x in known}, 0.5 if len(name) == 2 else 0.6
+    return [lower[x] for x in get_close_matches(name.lower(), lower, n=1, cutoff=least)]
 
 
 def summary(text: str) -> str:

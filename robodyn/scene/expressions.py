@@ -54,6 +54,8 @@ NO_BENDS = "which bends or jumps: expressions of a scene are smooth; write a tab
 SMOOTH = tuple(name for name in FUNCTIONS if name not in BENDS)
 CONSTANTS = {"pi": math.pi, "e": math.e}
 MAX_LENGTH = 2000  # characters of one expression
+MISSING = "an expression is missing at the end"
+_BETWEEN = re.compile(r"[<>]=?(?!>)|[*/%]+|[,)]")  # what stands behind an expression
 MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
 
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod)
@@ -204,34 +206,32 @@ def check_smooth(codes: Sequence[str]) -> None:
 
 def value_of(code: str) -> float:
     """The number that code without variables is; ArithmeticError or ValueError for none."""
-    scope: dict[str, object] = {"__builtins__": {}}
-    scope |= SCOPE
-    try:
-        return float(eval(code, scope))
-    except TypeError as error:
-        raise ValueError(error) from None
+    return float(eval(code, {"__builtins__": {}, **SCOPE}))
 
 
 def _parsed(given: Marked) -> Sequence[ast.expr]:
     """The expressions in the text; their places are those in it."""
     line = re.sub("#[^\n]*", lambda comment: " " * len(comment[0]), given.text).replace("\n", " ")
-    if line.rstrip().endswith(","):
-        raise SyntaxError("an expression is missing at the end")
+    begin, end = len(line) - len(line.lstrip()), len(line.rstrip())
+    if line[:end].endswith(","):
+        raise SyntaxError(MISSING)
     if not line.isascii():  # Python would take other scripts' letters for our own
         raise SyntaxError("a character is not ASCII")
     with warnings.catch_warnings():  # what Python warns of it will not take one day
         warnings.simplefilter("error")
-        begin = len(line) - len(line.lstrip())
         try:
             tree = ast.parse(line[begin:], mode="eval").body
         except SyntaxError as error:
-            at = given.places[min(begin + (error.offset or 1) - 1, len(given.places) - 1)]
-            raise SyntaxError(f"{error.msg} at character {at + 1}") from None
+            at = begin + (error.offset or 0) - 1
+            if not begin <= at < end:
+                raise SyntaxError(MISSING) from None
+            sign = _BETWEEN.match(line, at) if error.msg == "invalid syntax" else None
+            what = f"an expression is missing before {sign[0]}" if sign else error.msg
+            raise SyntaxError(f"{what} at character {given.places[at] + 1}") from None
     for node in ast.walk(tree):
         if isinstance(node, ast.expr):
-            node.col_offset, node.end_col_offset = (
-                x + begin for x in (node.col_offset, node.end_col_offset or 0)
-            )
+            node.col_offset += begin
+            node.end_col_offset = begin + (node.end_col_offset or 0)
     return tree.elts if isinstance(tree, ast.Tuple) else [tree]
 
 
@@ -245,8 +245,5 @@ def _float(value: float) -> float:
 def _exponent(node: ast.expr) -> float:
     while isinstance(node, ast.UnaryOp):
         node = node.operand
-    return (
-        _float(node.value)
-        if isinstance(node, ast.Constant) and isinstance(node.value, int | float)
-        else 0.5  # may be any: no whole number
-    )
+    value = getattr(node, "value", None)  # of a constant
+    return _float(value) if isinstance(value, int | float) else 0.5  # may be any: no whole number

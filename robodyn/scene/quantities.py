@@ -129,9 +129,8 @@ def _entries(text: str, where: str, example: str) -> list[str]:
         try:
             found += _at_blanks(part)
         except ValueError as error:
-            raise InputError(
-                f"entry {len(found) + 1}", where=where, value=shown(part.strip()), limit=str(error)
-            ) from None
+            entry, value = f"entry {len(found) + 1}", shown(part.strip())
+            raise InputError(entry, where=where, value=value, limit=str(error)) from None
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 
 from robodyn.scene.grammar import Key
 from robodyn.scene.quantities import dimension_of
@@ -46,13 +47,11 @@ class SignalReader(ValueReader):
             return law or 0.0
         from robodyn.scene.expressions import value_of
 
-        try:
-            value = value_of(law.code)
-        except (ArithmeticError, ValueError):
-            value = math.nan
-        if not math.isfinite(value):
-            self.fault(place, node, "must be a finite number", self.shown(node))
-        return value if math.isfinite(value) else 0.0
+        with suppress(ArithmeticError, ValueError):
+            if math.isfinite(value := value_of(law.code)):
+                return value
+        self.fault(place, node, "must be a finite number", self.shown(node))
+        return 0.0
 
     def varying_vector(
         self, node: Node, place: str, unit: str
@@ -112,15 +111,13 @@ class SignalReader(ValueReader):
         try:
             written = expressions.Written(node.text, rename, known, None, dimensions)
             expressions.check_smooth(written.codes)
-            for found in written.measures:
-                if limit := misfit(found, unit):
-                    self.fault(place, node, limit, self.shown(node))
-                    return None
+            limit = next(filter(None, (misfit(x, unit) for x in written.measures)), "")
         except expressions.NotAllowedError as error:
-            self.fault(place, node, f"has {error}", self.shown(node))
-            return None
+            limit = f"has {error}"
         except ValueError as error:
-            self.fault(place, node, f"must be an expression: {error}", self.shown(node))
+            limit = f"must be an expression: {error}"
+        if limit:
+            self.fault(place, node, limit, self.shown(node))
             return None
         return Law(node.text.strip(), written.codes[0], frozenset(written.names))
 

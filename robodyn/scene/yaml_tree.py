@@ -44,13 +44,9 @@ class Mapping:
 Node = Scalar | Sequence | Mapping
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml where PyYAML was built with it
-_STANDARD_TAGS = {
-    "!",  # what the parser reports for a quoted scalar
-    *(
-        f"tag:yaml.org,2002:{name}"
-        for name in ("str", "int", "float", "bool", "null", "seq", "map")
-    ),
-}
+_KINDS = ("str", "int", "float", "bool", "null", "seq", "map")
+# ! is what the parser reports for a quoted scalar
+_STANDARD_TAGS = {"!", *(f"tag:yaml.org,2002:{kind}" for kind in _KINDS)}
 
 
 def read_text(path: Path) -> str:
@@ -91,10 +87,6 @@ def parse(text: str, source: str) -> Node | None:
         raise DescriptionError(source, [Fault("", f"is not YAML: {reason}", line=line)]) from None
 
 
-def _line(event: yaml.Event) -> int:
-    return 1 if event.start_mark is None else event.start_mark.line + 1
-
-
 class _Composer:
     """Builds the tree from the parser's events, within the limits above."""
 
@@ -108,7 +100,7 @@ class _Composer:
 
     def compose(self, text: str) -> Node | None:
         for event in yaml.parse(text, Loader=_Loader):
-            line = _line(event)
+            line = 1 if event.start_mark is None else event.start_mark.line + 1
             if isinstance(event, yaml.DocumentStartEvent):
                 self.documents += 1
                 if self.documents > 1:
@@ -121,7 +113,10 @@ class _Composer:
                     raise self._fault(f"alias *{event.anchor} stands inside its own anchor", line)
                 self._place(node, line)
             elif isinstance(event, yaml.NodeEvent):
-                self._check_tag(getattr(event, "tag", None), line)
+                tag = getattr(event, "tag", None)
+                if tag is not None and tag not in _STANDARD_TAGS:
+                    shown = tag.replace("tag:yaml.org,2002:", "!!")
+                    raise self._fault(f"tag {shown} is refused: a scene is plain data", line)
                 node = self._node(event, line)
                 if event.anchor is not None:
                     self.anchors[event.anchor] = node
@@ -165,11 +160,6 @@ class _Composer:
             self.keys[-1] = node
         else:
             raise self._fault("a key must be a plain name", line)
-
-    def _check_tag(self, tag: str | None, line: int) -> None:
-        if tag is not None and tag not in _STANDARD_TAGS:
-            shown = tag.replace("tag:yaml.org,2002:", "!!")
-            raise self._fault(f"tag {shown} is refused: a scene is plain data", line)
 
     def _fault(self, reason: str, line: int) -> DescriptionError:
         return DescriptionError(self.source, [Fault("", reason, line=line)])

@@ -114,12 +114,13 @@ class ValueReader:
             return self.vector(node, place, key.unit) if vector else self.number(node, place, plain)
         if key.kind in WORDS:
             return self.word(node, place, WORDS[key.kind])
-        unit = (key.unit,) if key.kind in WITH_UNIT else ()
-        return getattr(self, key.kind)(node, place, *unit)
+        more = (key.unit,) if key.kind in WITH_UNIT else ()
+        name = key.kind.removeprefix("slide_")
+        if name in ("friction", "limits", "motor"):  # of joints that turn, or slide
+            more = (key.kind,)
+        return getattr(self, name)(node, place, *more)
 
-    def items(self, node: Node | None, place: str) -> list[Node]:
-        if node is None:
-            return []
+    def items(self, node: Node, place: str) -> list[Node]:
         if isinstance(node, Sequence):
             return node.items
         self.fault(place, node, "must be a list", self.shown(node))
@@ -151,23 +152,18 @@ class ValueReader:
             self.fault(place, node, reason.replace("is not", "must be"), self.shown(node))
             return 0.0
         limit = NUMBERS[key.kind]
-        low = value < 0.0 and limit not in ("", "not 0")
-        if (
-            low
-            or (value > 1.0 and limit == "in [0, 1]")
-            or (value == 0.0 and limit in ("> 0", "not 0"))
-        ):
+        kept = {">= 0": value >= 0.0, "> 0": value > 0.0, "not 0": value != 0.0}
+        kept["in [0, 1]"] = 0.0 <= value <= 1.0
+        if not kept.get(limit, True):
             told = "must not be 0" if limit == "not 0" else f"must be {limit}"
             self.fault(place, node, f"{told}{key.hint}", self.shown(node))
             return 0.0
         return value
 
     def vector(self, node: Node, place: str, unit: str = "") -> complex:
-        if not isinstance(node, Sequence):
-            self.fault(place, node, "must be two numbers, [x, y]", self.shown(node))
-            return 0j
-        if len(node.items) != 2:
-            self.fault(place, node, "must be two numbers, [x, y]", f"{len(node.items)} values")
+        if not isinstance(node, Sequence) or len(node.items) != 2:
+            count = f"{len(node.items)} values" if isinstance(node, Sequence) else self.shown(node)
+            self.fault(place, node, "must be two numbers, [x, y]", count)
             return 0j
         key = Key("number", "", unit)
         x, y = (self.number(item, f"{place}[{k}]", key) for k, item in enumerate(node.items))

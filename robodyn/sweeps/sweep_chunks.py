@@ -197,6 +197,9 @@ def _misses() -> Iterator[list[str]]:
     with warnings.catch_warnings(record=True) as remarks:
         warnings.simplefilter("always", RobodynWarning)
         yield said
+    for x in remarks:
+        if not issubclass(x.category, RobodynWarning):
+            warnings.warn_explicit(x.message, x.category, x.filename, x.lineno)
     parts = "; ".join(str(x.message) for x in remarks).split("; ")
     said += [part for part in parts if part.startswith(MISSES)]
 

@@ -13,8 +13,8 @@ from typing import BinaryIO
 from robodyn.errors import nearest_first
 from robodyn.tables.csv_fields import DELIMITERS, LONGEST_SHOWN, shown
 
-READ_BYTES = 1 << 17  # asked of the stream at once
-LONGEST_ROW = 1 << 20  # bytes of a row: a longer one is handed on as it is, which is then refused
+READ_BYTES = 1 << 17  # asked of the stream at once; more is no faster
+LONGEST_ROW = 1 << 20  # bytes: a longer one is refused, so that memory is bounded
 _NUMBERS = b"0123456789+-.,;eE \r\n"
 _DECIMAL = re.compile(rb'("?)(\s*[-+]?[0-9]*),([0-9]*(?:[eE][-+]?[0-9]+)?\s*)\1')
 

@@ -26,6 +26,8 @@ class Record(tuple[Any, ...]):
         cls._field_defaults = {x: vars(cls)[x] for x in cls._fields if x in vars(cls)}
         cls._rest = tuple(cls._field_defaults.values())
         cls._needed = len(cls._fields) - len(cls._rest)
+        if cls._fields[cls._needed :] != tuple(cls._field_defaults):
+            raise TypeError(f"{cls.__name__}: a field with a default stands before one without")
         for place, name in enumerate(cls._fields):
             setattr(cls, name, property(itemgetter(place)))
 

@@ -32,13 +32,8 @@ def _fields(result: object) -> str:
         fields = getattr(kind, "__dataclass_fields__", {}).values()
         names = [field.name for field in fields if field.repr]
     values = {name: getattr(result, name) for name in names}
-    told = [f"{name}={_short(x)}" for name, x in values.items() if _says(x)]
-    return f"{kind.__name__}({', '.join(told)})"
-
-
-def _says(value: object) -> bool:
-    """Whether it is no empty text or list."""
-    return not (isinstance(value, (str, list, dict)) and not value)
+    says = {name: x for name, x in values.items() if not isinstance(x, (str, list, dict)) or x}
+    return f"{kind.__name__}({', '.join(f'{name}={_short(x)}' for name, x in says.items())})"
 
 
 def _short(value: object) -> str:

@@ -50,9 +50,8 @@ class SummaryWriter(Writer):
     def write_row(self, values: Sequence[float | str | None]) -> None:
         words = {k for k, value in enumerate(values) if isinstance(value, str)}
         self._worded |= words
-        self.write_columns(
-            np.array([[None if k in words else x for k, x in enumerate(values)]], float)
-        )
+        row = [None if k in words else x for k, x in enumerate(values)]
+        self.write_columns(np.array([row], float))
 
     def _begin(self) -> None:
         """Nothing is written yet."""
@@ -62,9 +61,7 @@ class SummaryWriter(Writer):
         rows[:, self._places] = values
         passed = self._numbers(lines)
         rows[:, self._passing] = passed
-        self._passing = [
-            k for k, x in zip(self._passing, passed.T, strict=True) if not np.isnan(x).any()
-        ]
+        self._passing = [self._passing[k] for k in np.flatnonzero(~np.isnan(passed).any(axis=0))]
         self.write_columns(rows)
 
     def close(self) -> None:
@@ -135,27 +132,18 @@ class Extremes(SummaryWriter):
         return self.numeric("q1_deg") if place is None else place
 
     def write_columns(self, values: Array) -> None:
-        count, every = len(values), np.arange(values.shape[1])
-        where = [np.full(count, np.nan)] * 2
-        for k, place in enumerate((self.numeric("t"), self._q1)):
-            if place is not None:
-                where[k] = values[:, place]
-        known = ~np.isnan(values)
-        for end, pick, beats, last in zip(
-            self._ends,
-            (np.argmin, np.argmax),
-            (np.less, np.greater),
-            (np.inf, -np.inf),
-            strict=True,
-        ):
+        known, every = ~np.isnan(values), np.arange(values.shape[1])
+        nowhere, places = np.full(len(values), np.nan), (self.numeric("t"), self._q1)
+        where = [nowhere if place is None else values[:, place] for place in places]
+        ways = ((np.argmin, np.less, np.inf), (np.argmax, np.greater, -np.inf))
+        for end, (pick, beats, last) in zip(self._ends, ways, strict=True):
             row = pick(np.where(known, values, last), axis=0)
             found = np.stack([values[row, every], *(x[row] for x in where)])
             new = beats(found[0], end[0])
             end[:, new] = found[:, new]
         self._count += known.sum(axis=0)
-        wide = np.where(known, values, 0.0).astype(
-            np.longdouble
-        )  # whose range holds the squares of all floats
+        # whose range holds the squares of all floats
+        wide = np.where(known, values, 0.0).astype(np.longdouble)
         self._sums += [wide.sum(axis=0), np.square(wide).sum(axis=0)]
 
     def tell(self) -> tuple[Sequence[str], Rows]:
@@ -174,10 +162,8 @@ class Extremes(SummaryWriter):
             for value, at_t, at_q1 in self._ends[:, :, k].tolist():
                 row += [value, None if t is None else at_t, None if q1 is None else at_q1]
             rows.append([*row, float(mean[k]), float(np.sqrt(square[k]))])
-        degrees = q1 is not None and self._header[q1] != "q1"
-        return [
-            name + "_deg" if degrees and name.endswith("q1") else name for name in EXTREMES
-        ], rows
+        end = "" if q1 is None else self._header[q1].removeprefix("q1")
+        return [name + end if name.endswith("q1") else name for name in EXTREMES], rows
 
 
 def correlations(

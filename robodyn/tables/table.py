@@ -19,14 +19,14 @@ nobody needs as numbers pass through byte for byte.  Numbers are read as `float`
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from itertools import chain, compress, repeat
 from operator import contains
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from robodyn.errors import InputError
 from robodyn.tables.csv_fields import IN_DEGREES, ends_open, finite, shown, split_fields, unquoted
-from robodyn.tables.delimited import columns_told, delimiter_hint
+from robodyn.tables.delimited import LONGEST_ROW, READ_BYTES, columns_told, delimiter_hint
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,9 +34,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-READ_BYTES = 1 << 17  # asked of the stream at once; more is no faster
 FEW = 50  # lines that loadtxt reads in less time
-LONGEST_ROW = 1 << 20  # bytes; keeps memory bounded where a line or a quote never ends
 
 
 class Chunk(NamedTuple):
@@ -73,9 +71,8 @@ def plain_numbers(rows: Sequence[str], width: int, places: Sequence[int]) -> Arr
             if set(map(str.count, lines, repeat(","))) != {width - 1}:
                 return None
             try:
-                found = np.loadtxt(
-                    lines, delimiter=",", comments=None, usecols=places, ndmin=2, encoding=None
-                )
+                plain: Any = {"delimiter": ",", "comments": None, "encoding": None}
+                found = np.loadtxt(lines, usecols=places, ndmin=2, **plain)
             except ValueError:
                 return None
         values[chosen] = found
@@ -111,22 +108,19 @@ class Reader:
         self._place |= {name: place for place, name in enumerate(self.names)}
         self._rows = chain([_Rows(lines[1:], numbers[1:], quoted)], arrivals)
 
-    def require(self, names: Iterable[str]) -> None:
-        """Raise InputError, with the columns that are there, where one of `names` is missing."""
+    def chunks(self, names: Sequence[str]) -> Iterator[Chunk]:
+        """The rows that are left, the columns `names` as numbers, each as soon as it arrives.
+
+        Raises InputError, with the columns that are there, at once where one is missing.  The rows
+        before a faulty one (not UTF-8, bad quoting, a wrong number of fields, a named column that
+        is not a finite number) come first; the next step raises InputError with its line, column
+        and text.
+        """
         missing = [name for name in names if name not in self._place]
         if missing:
             what = f"column {shown(', '.join(missing))} is missing"
             limit = f"the header has {columns_told(self.header, missing[0])}"
             raise InputError(what, where=self.source, limit=limit)
-
-    def chunks(self, names: Sequence[str]) -> Iterator[Chunk]:
-        """The rows that are left, the columns `names` as numbers, each as soon as it arrives.
-
-        Raises InputError at once where a column is missing.  The rows before a faulty one (not
-        UTF-8, bad quoting, a wrong number of fields, a named column that is not a finite number)
-        are yielded first; the next step raises InputError with its line, column and text.
-        """
-        self.require(names)
         return self._checked(names, [self._place[name] for name in names])
 
     def _checked(self, names: Sequence[str], places: list[int]) -> Iterator[Chunk]:

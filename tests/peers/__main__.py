@@ -52,7 +52,7 @@ PEERS = {  # and their names on PyPI
     "scipy": "scipy",
 }
 BOUND = 1.0
-WIDTH = 160
+WIDTH = 10_000  # as wide as its content: nothing is cut
 BATCH, TURNS, REPEATS = 100_000, 5, 9
 TOLERANCES = (10.0 ** -np.arange(3.0, 15.01, 0.5)).tolist()
 MOTIONS = (("2r-regular", 10.0), ("2r-chaotic", 10.0), ("four-bar", 5.0))
