@@ -18,6 +18,7 @@ from robodyn import (
     assemble,
     kinetic_energy,
     load,
+    loop_velocities,
     potential_energy,
     simulate,
 )
@@ -200,6 +201,17 @@ class TestParallelBars:
         y[:3] = 0.0
         chunk = engine(n_four_bar(1)).advance(0.0, y, 1.0, NONE, ALL)
         assert (chunk.status, len(chunk.t)) == (Status.SINGULAR, 0)
+
+    def test_rows_within_a_step_that_landed_beside_the_horizontal(self):
+        mechanism = load(ROOT / "robots/parallelogram.yaml")
+        q = assemble(mechanism, [math.radians(5.0)])
+        start, times = (q, loop_velocities(mechanism, q, [6.0])), np.linspace(0.0, 1.5, 6001)
+        how = {"method": "taylor", "rtol": 1e-10, "atol": 1e-10, "t_eval": times}
+        other = simulate(mechanism, *start, 1.5, **how, engine="python")
+        for order in (10, 14, 21, 22):
+            motion = simulate(mechanism, *start, 1.5, **how, engine="compiled", order=order)
+            assert motion.q.shape == other.q.shape
+            assert np.abs(motion.q - other.q).max() < 1e-8, order
 
 
 def expanded(mechanism, tau, y, lanes=1, **options):

@@ -175,7 +175,17 @@ class CompiledEngine:
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""
         t, y, end = self._last
-        return self._advance(t, y, end, times, 1).row_y
+        return self._within(t, y, end, times)
+
+    def _within(self, t: float, y: Array, end: float, times: Array) -> Array:
+        """The states in a step from (t, y) to `end`, wherever that is: it landed there before."""
+        pieces = self.actuation.pieces
+        scene, _, block, _ = self._made(None if pieces is None else pieces.at(t))
+        suspect, block[scene.place["suspect"]] = block[scene.place["suspect"]], -np.inf
+        rows = self._advance(t, y, end, times, 1).row_y
+        block[scene.place["suspect"]] = suspect
+        assert len(rows) == len(times)
+        return rows
 
     def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
         """See `Engine`: the step is made once more for each call."""
@@ -184,7 +194,7 @@ class CompiledEngine:
         def states(times: Array) -> Array:
             after = (times - t) * forward > 0.0
             rows = np.broadcast_to(y, (len(times), len(y))).copy()
-            rows[after] = self._advance(t, y, end, times[after], 1).row_y
+            rows[after] = self._within(t, y, end, times[after])
             return rows
 
         return states
