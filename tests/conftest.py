@@ -7,6 +7,7 @@ import gc
 import io
 import json
 import os
+import random
 import resource
 import signal
 import subprocess
@@ -34,6 +35,8 @@ settings.register_profile("fixed", derandomize=True)
 settings.register_profile("fresh", derandomize=False, print_blob=True)
 FRESH = bool(os.environ.get("FRESH"))
 settings.load_profile("fresh" if FRESH else "fixed")
+# the first seed of tests that name their seeds: all workers, which inherit it, must name the same
+FIRST_SEED = int(os.environ.setdefault("FIRST_SEED", str(random.randrange(10**6)))) if FRESH else 0
 
 # machine code that tests make is kept, but not among the user's
 os.environ["ROBODYN_CACHE"] = str(Path(tempfile.gettempdir()) / f"robodyn-tests-{os.geteuid()}")

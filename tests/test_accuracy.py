@@ -2,15 +2,13 @@
 
 import json
 import math
-import os
-import random
 from functools import cache, lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import FIRST_SEED, FRESH, ROOT
 
 from random_mechanisms import LOOPS, mechanism, seeded, seeded_scene, seeded_tree
 from robodyn import load, simulate
@@ -33,7 +31,6 @@ from robodyn.simulation.simulation import run
 
 REFERENCES = Path(__file__).parent / "references"
 ASKED = (1e-3, 1e-6, 1e-9)
-FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: other seeds, and more of them
 SCENES = {
     **{f"tree of {n}": seeded_tree(10 + n, n) for n in (1, 3, 5)},
     **{name: seeded_scene(7, LOOPS[name]) for name in ("four-bar", "five-bar", "loop in a tree")},
@@ -140,9 +137,6 @@ def drawn_run(seed):
     tolerance = 10.0 ** numbers.real(-6 if method == "RK23" else -8, -4)
     torques = actuation.expressions(mech, text, "tau")
     return mech, start, torques, Settings(method, tolerance, tolerance)
-
-
-FIRST_SEED = random.randrange(10**6) if FRESH else 0
 
 
 @pytest.mark.parametrize("tens", range(12 if FRESH else 1))

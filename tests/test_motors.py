@@ -7,7 +7,6 @@ angular momentum.
 from __future__ import annotations
 
 import math
-import os
 import random
 from collections.abc import Callable
 from itertools import pairwise
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, Outcome
+from conftest import FIRST_SEED, FRESH, ROOT, Outcome
 from lagrangian_terms import Terms, check_accelerations, exact_acceleration
 from named_case import case
 from sliding_trees import random_tree, text_of
@@ -31,9 +30,7 @@ from robodyn.simulation.extended import reference
 from robodyn.simulation.run_torques import as_actuation
 from robodyn.trajectories.motion_limits import LimitError
 
-FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: other seeds, and more of them
-FIRST = random.randrange(10**6) if FRESH else 0
-SEEDS = range(FIRST, FIRST + (200 if FRESH else 24))
+SEEDS = range(FIRST_SEED, FIRST_SEED + (200 if FRESH else 24))
 ENGINES = (("DOP853", "auto"), ("Radau", "auto"), ("taylor", "python"), ("taylor", "compiled"))
 Run = Callable[..., Outcome]
 
@@ -274,12 +271,12 @@ def driven(motor: dict[str, str], slides: bool = False) -> str:
 def test_mutated_motors_are_refused() -> None:
     """By file, line, field and limit."""
     for seed in range(100):
-        with case(FIRST + seed):
+        with case(FIRST_SEED + seed):
             refuse_a_mutated_motor(seed)
 
 
 def refuse_a_mutated_motor(seed: int) -> None:
-    rng = random.Random(FIRST + seed)
+    rng = random.Random(FIRST_SEED + seed)
     key, motor, place = rng.choice(list(GOOD)), dict(GOOD), ".motor"
     kind = seed % 4
     if kind == 0:

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import random
-from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import FIRST_SEED, FRESH, ROOT
 from known_terms import Known
 from lagrangian_terms import Terms, check_accelerations, exact_acceleration
 from sliding_scenes import BLOCK, COUPLED, MIXED, SLIDING
@@ -31,11 +30,7 @@ from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
 from robodyn.scene.scene import BRANCHES
 
-ROOT = Path(__file__).resolve().parent.parent
-
-FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: other seeds, and more of them
-FIRST = random.randrange(10**6) if FRESH else 0
-SEEDS = range(FIRST, FIRST + (400 if FRESH else 90))
+SEEDS = range(FIRST_SEED, FIRST_SEED + (400 if FRESH else 90))
 ENGINES = (("DOP853", "auto"), ("taylor", "python"), ("taylor", "compiled"))
 
 
@@ -618,7 +613,7 @@ def test_mutated_scenes_with_joints_that_slide_are_refused() -> None:
     """Each by the file and its line, and nothing of it is read; over a hundred of them."""
     build(from_text(WRITTEN, "my.yaml"))
     texts = [WRITTEN.replace(word, slip, 1) for word, slips in WORDS.items() for slip in slips]
-    rng = random.Random(FIRST)
+    rng = random.Random(FIRST_SEED)
     keys = ["joint", "axis", "link", "through", "along", "aligned", "force", "speed", "length"]
     for key in keys:  # misspelt, given twice, or with a value that is none of its kind
         texts += [WRITTEN.replace(f"{key}:", f"{key}{rng.choice('xs_1')}:", 1)]
