@@ -228,3 +228,21 @@ def test_a_step_next_to_a_change_point_is_made_again(tol: float) -> None:
             np.testing.assert_allclose(found[[0, -1]], states[j : j + 2], rtol=1e-10)
         np.testing.assert_allclose(engine.within(chunk.t[-1:]), chunk.y[-1:], rtol=1e-10)
     assert met == 4
+
+
+def test_what_is_found_does_not_wait_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zeros become events on the way, so that no more than those that are kept are held."""
+    watches = []
+    take = EventWatch.take
+
+    def taken(self: EventWatch, found: Any) -> None:
+        take(self, found)
+        watches.append(sum(len(each.zeros) for each in self.packed))
+
+    monkeypatch.setattr(EventWatch, "take", taken)
+    monkeypatch.setattr("robodyn.events.watch.PACKED", 100)
+    pendulum, *_ = start("pendulum", 0.0)
+    named = {"method": "taylor", "engine": "compiled", "rtol": 1e-4, "atol": 1e-4}
+    motion = robodyn.simulate(pendulum, [0.3], [0.0], 600.0, **named, events={"turns": "qd1"})
+    assert len(motion.events) > 700
+    assert max(watches) <= 100
