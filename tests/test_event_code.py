@@ -16,6 +16,7 @@ from robodyn.events.functions import event_functions
 from robodyn.events.watch import EventWatch
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.taylor import Status
 from robodyn.taylor.compiled import CompiledEngine
 from robodyn.taylor.function_code import binomials, terms
 from robodyn.taylor.watched_code import looks
@@ -208,3 +209,40 @@ def test_what_is_not_linear_goes_to_python(calls: Counter[bool]) -> None:
     named = {"method": "taylor", "engine": "compiled", "events": {"e": "q1*qd1"}}
     assert robodyn.simulate(mechanism, q, qd, 2.0, **named).events
     assert not calls
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-9])
+def test_a_step_next_to_a_change_point_is_made_again(tol: float) -> None:
+    """It ends where it did: there too no shorter one would land on a good state."""
+    met = 0
+    for rate, bound in ((20.0, 3.0), (20.0, -3.0), (-60.0, 3.0), (5.0, -3.0)):
+        mechanism, q, qd = start("parallelogram", rate)
+        engine = CompiledEngine(mechanism, Actuation((0.0,) * 3), rtol=tol, atol=tol)
+        y = np.concatenate([q, qd])
+        chunk = engine.advance(0.0, y, bound, np.zeros(0), 64)
+        met += chunk.status is Status.SINGULAR
+        times, states = np.append(0.0, chunk.t), np.concatenate([y[None], chunk.y])
+        for j in range(len(chunk.t)):
+            again = engine.dense(times[j], states[j], times[j + 1])
+            found = again(np.linspace(times[j], times[j + 1], 9))
+            np.testing.assert_allclose(found[[0, -1]], states[j : j + 2], rtol=1e-10)
+        np.testing.assert_allclose(engine.within(chunk.t[-1:]), chunk.y[-1:], rtol=1e-10)
+    assert met == 4
+
+
+def test_what_is_found_does_not_wait_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zeros become events on the way, so that no more than those that are kept are held."""
+    watches = []
+    take = EventWatch.take
+
+    def taken(self: EventWatch, found: Any) -> None:
+        take(self, found)
+        watches.append(sum(len(each.zeros) for each in self.packed))
+
+    monkeypatch.setattr(EventWatch, "take", taken)
+    monkeypatch.setattr("robodyn.events.watch.PACKED", 100)
+    pendulum, *_ = start("pendulum", 0.0)
+    named = {"method": "taylor", "engine": "compiled", "rtol": 1e-4, "atol": 1e-4}
+    motion = robodyn.simulate(pendulum, [0.3], [0.0], 600.0, **named, events={"turns": "qd1"})
+    assert len(motion.events) > 700
+    assert max(watches) <= 100

@@ -16,7 +16,7 @@ from hard_cases.cases import n_four_bar, scaled
 from hard_cases.cases import scene as hard_case
 from random_mechanisms import LOOPS, mechanism, seeded_scene
 from robodyn import assemble, load, simulate
-from robodyn.engines import machine_motion
+from robodyn.engines import machine, machine_motion
 from robodyn.errors import InputError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.actuation import Actuation
@@ -286,6 +286,15 @@ class TestOutcomes:
         assert rest.outcome is Outcome.FINISHED
         assert np.abs(rest.q + np.pi / 2).max() < 1e-9
 
+    @pytest.mark.parametrize("engine", ["python", "compiled"])
+    def test_whole_numbers_of_numpy_and_floats(self, engine):
+        options = {"engine": engine, "order": np.int64(8), "max_evals": np.inf}
+        if engine == "python" or machine.available():
+            motion = taylor(scene("2r"), *START, 0.5, **options)
+            assert motion.outcome is Outcome.FINISHED
+            options["max_evals"] = 2.5
+            assert taylor(scene("2r"), *START, 0.5, **options).report.steps < 4
+
     def test_1000_rad_a_second(self):
         motion = taylor(scene("2r"), [0.3, 0.2], [1000.0, 0.0], 0.1)
         assert motion.report.energy_drift < 1e-8
@@ -308,6 +317,8 @@ class TestOutcomes:
             ({"stabilize": "baumgarte"}, "stabilize = baumgarte"),
             ({"order": 3}, "order = 3"),
             ({"order": 100}, "order = 100"),
+            ({"order": 8.0}, "order = 8.0: must be a whole number"),
+            ({"max_evals": np.nan}, "max_evals = nan"),
             ({"rtol": 1e-17}, "rtol = 1e-17"),
             ({"engine": "fortran"}, "engine = fortran"),
         ],

@@ -69,6 +69,7 @@ class EventRecord:
         self.lost: dict[str, list[float]] = {}
         self.happened = [0] * len(self.functions)
         self.packed: list[Found] = []  # not yet among those kept
+        self.waiting = 0  # zeros of these
         self.cut: dict[int, float] = {}  # when a function's event came with the end of a phase
         self.length = abs(self.t_end)
         self.instant = APART * self.length
@@ -83,7 +84,7 @@ class EventRecord:
         """Make events of what was found together: that takes as long as finding them."""
         if not self.packed:
             return
-        packed, self.packed = self.packed, []
+        packed, self.packed, self.waiting = self.packed, [], 0
         names: Iterable[str] = repeat(self.functions[0].name)
         for zeros, _ in packed:
             if len(self.functions) > 1:

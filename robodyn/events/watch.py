@@ -19,6 +19,7 @@ from robodyn.events.told import EventRecord, Found, Stop
 from robodyn.tables.arrays import Array
 
 LONG = 1e-3  # of the time of a run: what rounding hides for longer is told
+PACKED = 1 << 16  # zeros that wait to become events: memory is bounded, and a run ends soon
 DOUBTS = 3  # calls of machine code, unsure of an event, after which it is not asked
 LESS = 7  # times at most that the work on a function is halved which cannot be followed
 LEAST = 1e-17  # of a step: no times within it are told apart further
@@ -77,6 +78,9 @@ class EventWatch(EventRecord):
         """Take what was found along some steps."""
         if len(found.zeros):
             self.packed.append(found)
+            self.waiting += len(found.zeros)
+            if self.waiting > PACKED:
+                self.unpack()
         self.signs = found.signs
 
     def series(

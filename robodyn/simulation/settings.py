@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import index
 from typing import Literal, get_args
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from robodyn.errors import InputError
 
 MAX_EVALUATIONS = 2_000_000
+MOST = 2**62  # that are counted
 BAUMGARTE = 20.0  # 1/s
 Method = Literal["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"]
 Engine = Literal["auto", "python", "compiled"]  # of the Taylor series
@@ -52,6 +54,8 @@ class Settings:
                 raise InputError(name, value=value, limit="must be > 0 and finite")
         if not self.max_step > 0.0:
             raise InputError("max_step", value=self.max_step, limit="must be > 0")
+        if self.order is not None and not hasattr(self.order, "__index__"):
+            raise InputError("order", value=self.order, limit="must be a whole number")
         if self.order is not None and not ORDERS[0] <= self.order <= ORDERS[1]:
             limit = f"must be in [{ORDERS[0]}, {ORDERS[1]}]"
             raise InputError("order", value=self.order, limit=limit)
@@ -62,5 +66,7 @@ class Settings:
         if taylor and self.stabilize == "baumgarte":
             limit = "the Taylor series goes with projection or none"
             raise InputError("stabilize", value=self.stabilize, limit=limit)
-        if self.max_evaluations < 1:
+        if not self.max_evaluations >= 1:
             raise InputError("max_evals", value=self.max_evaluations, limit="must be >= 1")
+        self.order = None if self.order is None else index(self.order)  # no number of numpy's
+        self.max_evaluations = int(min(self.max_evaluations, MOST))  # of 1e6 and inf too

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from itertools import accumulate
@@ -175,17 +176,7 @@ class CompiledEngine:
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""
         t, y, end = self._last
-        return self._within(t, y, end, times)
-
-    def _within(self, t: float, y: Array, end: float, times: Array) -> Array:
-        """The states in a step from (t, y) to `end`, wherever that is: it landed there before."""
-        pieces = self.actuation.pieces
-        scene, _, block, _ = self._made(None if pieces is None else pieces.at(t))
-        suspect, block[scene.place["suspect"]] = block[scene.place["suspect"]], -np.inf
-        rows = self._advance(t, y, end, times, 1).row_y
-        block[scene.place["suspect"]] = suspect
-        assert len(rows) == len(times)
-        return rows
+        return self._again(t, y, end, times)
 
     def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
         """See `Engine`: the step is made once more for each call."""
@@ -194,10 +185,19 @@ class CompiledEngine:
         def states(times: Array) -> Array:
             after = (times - t) * forward > 0.0
             rows = np.broadcast_to(y, (len(times), len(y))).copy()
-            rows[after] = self._within(t, y, end, times[after])
+            rows[after] = self._again(t, y, end, times[after])
             return rows
 
         return states
+
+    def _again(self, t: float, y: Array, end: float, times: Array) -> Array:
+        """The states at `times` in a step from (t, y), which ends where it did, well or not.
+
+        Where rounding makes it shorter another one leads to its end.
+        """
+        rows = self._advance(t, y, end, times, STEPS, lands=False).row_y
+        assert len(rows) == len(times)
+        return rows
 
     def closed(self, rows: Array) -> Array:
         """See `Engine`."""
@@ -220,6 +220,7 @@ class CompiledEngine:
         steps: int,
         keeps: bool = False,
         watches: bool = False,
+        lands: bool = True,
     ) -> Chunk:
         pieces = self.actuation.pieces
         scene, code, block, address = self._made(None if pieces is None else pieces.at(t))
@@ -228,7 +229,9 @@ class CompiledEngine:
         block[N : 2 * N] = y
         direction = 1.0 if bound >= t else -1.0
         status = Status.REACHED if t == bound else RUNNING
-        begin = place["t"]
+        begin, suspect = place["t"], block[place["suspect"]]
+        if not lands:
+            block[place["suspect"]] = -math.inf
         _BEGUN(block.data, 8 * begin, t, bound, direction, status, 0.0)
         if scene.linear:
             n, base = self.mechanism.n, place["base0"]
@@ -246,6 +249,7 @@ class CompiledEngine:
             table[LOOKS] = looks(scene, code.code)
         asked[:] = times
         code.advance(address, steps, at)
+        block[place["suspect"]] = suspect
         taken, given = int(block[place["steps"]]), int(table[GIVEN])
         found = _STATUS[block[place["status"]]]
         kept: Kept | Found | None = self._found() if watches else None
