@@ -343,3 +343,14 @@ def test_all_scenes_against_fine_rows(
                 inside = [t for t in rows if fine.t[j] - 1e-9 <= t <= fine.t[j + 1] + 1e-9]
                 assert len(inside) % 2 == 1, (name, fine.t[j], told)
             assert (len(rows) - len(changes)) % 2 == 0 or abs(values[-1]) < 1e-9
+
+
+@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], *NAMES[-2:]])
+def test_what_closures_keep_at_zero_is_told_to_be_zero(how: dict[str, Any]) -> None:
+    """States next to a change point scatter by more than rounding: no look goes on and on."""
+    mechanism = load("robots/parallelogram.yaml")
+    q = assemble(mechanism, [math.radians(5)])
+    qd = loop_rates.loop_velocities(mechanism, q, np.array([6.0]))
+    motion = simulate(mechanism, q, qd, 0.5, events={"sum": "q2 + q3"}, max_evals=5000, **how)
+    assert motion.events == []
+    assert motion.report.remarks == ["sum is zero to rounding from t = 0 to 0.5 s"]

@@ -282,7 +282,8 @@ def refuse_a_mutated_motor(seed: int) -> None:
     if kind == 0:
         motor[key] = "0" if key not in ("inertia", "damping") else "-0.001"
     elif kind == 1:
-        motor[key] = rng.choice(WRONG[1:] if key == "ratio" else WRONG)
+        good = {"ratio": "-1", "speed_max": "30deg"}.get(key)  # a rate may be told in degrees
+        motor[key] = rng.choice([value for value in WRONG if value != good])
     elif kind == 2:
         motor[key + rng.choice("sx_")] = motor.pop(key)
     else:

@@ -32,6 +32,8 @@ ROUNDING = 16.0 * float(np.finfo(float).eps)  # of the sum of |c_k|
 SPREAD = np.array([0.0, 1e-14, 1e-12, 1e-9, 1e-5])  # of a bracket, about a guess of the root
 CLOSE = np.array([-1.0, 0.0, 1.0])  # mostly a guess is right to rounding
 MISSED = 4.0  # of what a step misses at its end, where it is brought back onto closures
+FLAT = 0.05  # of the first coefficients, the last ones of what no polynomial follows
+SCATTER = 1e6  # of rounding: that of states near a change point
 MOST_BOXES = 20_000  # of one look at a function along a step
 
 _k = np.arange(DEGREE + 1.0)
@@ -130,7 +132,10 @@ def stretches(f: Sampled, begin: float, end: float, budget: Budget) -> Iterator[
         if size[1] > SLOPES[2:] @ size[2:] + SLOPES[-1] * error:
             yield from _monotone(box, begin, end)
             return
-        steady = size[1:].sum() <= noises.min()  # its halves would tell no more
+        # its halves would tell no more; states brought onto closures scatter by more than rounding
+        scatters = size[9:].max() > FLAT * size[1:9].max()
+        scatters = scatters and float(np.abs(values).max()) <= SCATTER * float(noises.min())
+        steady = scatters or size[1:].sum() <= noises.min()
         if steady or (np.abs(values) <= noises).all():
             yield Stretch(begin, end, 0, middle)
             return
