@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from named_case import case
 
+from robodyn.errors import InputError
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly import assemble
 from robodyn.mechanics.mechanism import Mechanism, load
@@ -354,3 +355,19 @@ def test_what_closures_keep_at_zero_is_told_to_be_zero(how: dict[str, Any]) -> N
     motion = simulate(mechanism, q, qd, 0.5, events={"sum": "q2 + q3"}, max_evals=5000, **how)
     assert motion.events == []
     assert motion.report.remarks == ["sum is zero to rounding from t = 0 to 0.5 s"]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"events": {"a": 1}}, "event a = 1: must be text"),
+        ({"events": {1: "q1"}}, "name of an event = 1: must be text"),
+        ({"events": ["q1"]}, "events = list: must be a mapping of names to expressions"),
+        ({"until": 1}, "until = 1: must be text"),
+        ({"rtol": "1e-9"}, "rtol = 1e-9: must be a number"),
+        ({"max_evals": "7"}, "max_evals = 7: must be a number"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused_by_name(given: dict[str, Any], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        simulate(load("robots/pendulum.yaml"), [0.1], [0.0], 0.1, **given)

@@ -107,7 +107,19 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
 
 def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> list[EventFunction]:
     """Events by their names; InputError for a name or an expression that is none."""
+    if not isinstance(given, Mapping):
+        kind = type(given).__name__
+        raise InputError("events", value=kind, limit="must be a mapping of names to expressions")
+    for name, text in given.items():
+        must_be_text("name of an event", name)
+        must_be_text(f"event {name}", text)
     return list(_functions(mechanism, tuple(given.items())))
+
+
+def must_be_text(what: str, value: object) -> None:
+    """Raise InputError where a value is no text."""
+    if not isinstance(value, str):
+        raise InputError(what, value=repr(value), limit="must be text, such as 'q1 > 90deg'")
 
 
 @lru_cache(maxsize=64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 from operator import index
 from typing import Literal, get_args
 
@@ -13,6 +14,14 @@ from robodyn.errors import InputError
 MAX_EVALUATIONS = 2_000_000
 MOST = 2**62  # that are counted
 BAUMGARTE = 20.0  # 1/s
+# as they are told
+NUMBERS = {
+    "rtol": "rtol",
+    "atol": "atol",
+    "baumgarte": "baumgarte_rate",
+    "max_step": "max_step",
+    "max_evaluations": "max_evals",
+}
 Method = Literal["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"]
 Engine = Literal["auto", "python", "compiled"]  # of the Taylor series
 Stabilize = Literal["projection", "baumgarte", "none"]
@@ -43,6 +52,15 @@ class Settings:
 
     def check(self) -> None:
         """Raise InputError for a setting that is none."""
+        try:
+            self._check()
+        except TypeError:  # what is no number is not compared
+            for name, told in NUMBERS.items():
+                if not isinstance(value := getattr(self, name), Real):
+                    raise InputError(told, value=value, limit="must be a number") from None
+            raise
+
+    def _check(self) -> None:
         for name, words in CHOICES.items():
             if (value := getattr(self, name)) not in words:
                 raise InputError(name, value=value, limit=f"must be of {', '.join(words)}")

@@ -210,11 +210,12 @@ def watched_events(
     """
     if not events and until is None:
         return None
-    event_function, event_functions, watching = _events()
+    event_function, event_functions, must_be_text, watching = _events()
     functions = event_functions(mechanism, events)
     stops = frozenset([len(functions)] if until is not None else [])
     if until is not None:
-        functions.append(event_function(mechanism, UNTIL, until, "until"))
+        must_be_text(UNTIL, until)
+        functions.append(event_function(mechanism, UNTIL, until, UNTIL))
     watch: EventWatch = watching(functions, t_end, stops, width=2 * mechanism.n)
     return watch
 
@@ -222,10 +223,10 @@ def watched_events(
 @cache
 def _events() -> tuple[Any, ...]:
     """What finds events: runs without any do not import it."""
-    from robodyn.events.functions import event_function, event_functions
+    from robodyn.events.functions import event_function, event_functions, must_be_text
     from robodyn.events.watch import EventWatch
 
-    return event_function, event_functions, EventWatch
+    return event_function, event_functions, must_be_text, EventWatch
 
 
 def run(
