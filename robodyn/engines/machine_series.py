@@ -7,12 +7,13 @@ waits for its last term then.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from robodyn.engines.arithmetic import Planar
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.expansion import Coefficients, ends, integral, longest_step, rough
-from robodyn.engines.expression import Graph, Value
+from robodyn.engines.expression import Graph, Value, choose
 from robodyn.engines.machine_sums import WIDE, Run, read_together, repeated, write_sums
 from robodyn.engines.order_loop import Sum
 from robodyn.engines.segment import Segment
@@ -124,6 +125,9 @@ def _longest(scene: Scene, k: Kernel, block: Word) -> None:
     tolerances = graph.variable("rtol"), graph.variable("atol")
     slides, series = scene.mechanism.slides, Coefficients(rho, theta, [], [])
     h = longest_step(series, w, *tolerances, rough, slides)
+    if scene.loop.power:  # it may be beyond the floats where the motion is not
+        power = graph.variable(f"{len(rho) * 2 + scene.loop.watched}_{scene.order}")
+        h = choose(abs(power), math.inf, h, math.nan)
     scene.put(k, block, "longest", read_segment(scene, k, block).write([h])[0])
 
 
