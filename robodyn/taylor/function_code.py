@@ -14,7 +14,8 @@ and N0 = sum |n_m|, N1 = sum (m - 1) |n_m|,
 
 E is what a series leaves out, and small; a displacement is a polynomial itself.  So the slope of a
 function is told to stay near that in the middle, and the function is, but for E, the polynomial of
-the n_m, from which a search for its zero begins.
+the n_m, from which a search for its zero begins.  Of the products the orders of z are computed, and
+those beyond are bounded by sums of sizes (`_tail`), which all four sums have added.
 """
 
 from __future__ import annotations
