@@ -18,7 +18,8 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.taylor import Status
 from robodyn.taylor.compiled import CompiledEngine
-from robodyn.taylor.function_code import binomials, terms
+from robodyn.taylor.coordinate_code import binomials, computed
+from robodyn.taylor.function_code import wide
 from robodyn.taylor.watched_code import looks
 
 Array = NDArray[np.float64]
@@ -107,19 +108,37 @@ def test_the_slope_of_a_function_stays_within_its_bounds(order: int) -> None:
         end = engine.advance(0.0, np.concatenate([q, qd]), 3.0, np.zeros(0), 1).t[0]
         scene, code, block, address = engine._made(None)
         looks(scene, code.code)
-        types = [*[ctypes.c_void_p] * 2, *[ctypes.c_double] * 2, *[ctypes.c_void_p] * 3]
-        along = code.code.function("event_along", *types, result=None)
+        at, number = ctypes.c_void_p, ctypes.c_double
+        types = {
+            "begin": (at, number, at, at),
+            "about": (at, number, number, at, at, at),
+            "slope": (at, at, number, number, at),
+            "rows": (at, at, number, at),
+        }
+        call = {
+            kind: code.code.function(f"event_{kind}", *given, result=None)
+            for kind, given in types.items()
+        }
         width = len(scene.loop.columns)
         z = block[scene.whole["rows"] :][: (order + 2) * width].reshape(-1, width)[:, : 2 * n]
         for _ in range(20):
-            form, rows, slope = np.zeros(3 + 4 * n), np.zeros(terms(order)), np.zeros(2)
+            form, rows, slope = np.zeros(3 + 4 * n), np.zeros(computed(order)), np.zeros(2)
+            parts, used = np.full(n * wide(order), np.nan), np.ones(n, np.int64)
             form[1] = rng.normal()
             form[2 + 2 * n : -1] = rng.normal(size=2 * n) * rng.integers(0, 2, 2 * n)
             cut = np.sort(rng.uniform(0.0, end, 2)) if rng.integers(0, 2) else np.array([0.0, end])
             x, half = cut.mean(), 0.5 * (cut[1] - cut[0])
-            arrays = [a.ctypes.data for a in (form, binomials(order), rows, slope)]
-            along(address, arrays[0], x, half, *arrays[1:])
-            s = np.linspace(-1.0, 1.0, 41)
+            arrays = binomials(order), used, parts, form, slope, rows
+            table, uses, to, given, slopes_at, rows_at = (a.ctypes.data for a in arrays)
+            begins = rng.integers(0, 2) and not cut[0]
+            if begins:
+                x, half = 0.0, cut[1]
+                call["begin"](address, half, uses, to)
+            else:
+                call["about"](address, x, half, table, uses, to)
+            call["slope"](given, to, half, 1.0, slopes_at)
+            call["rows"](given, to, half, rows_at)
+            s = np.linspace(0.0 if begins else -1.0, 1.0, 41)
             t = x + half * s
             values, slopes = form[1] * t, np.full(len(t), form[1])
             for j in range(n):
@@ -134,11 +153,12 @@ def test_the_slope_of_a_function_stays_within_its_bounds(order: int) -> None:
                 values += by * way + by_rate * rate
                 slopes += by * rate + by_rate * change
             assert (np.abs(half * slopes - slope[0]) <= slope[1] * (1.0 + 1e-9) + 1e-15).all()
-            assert slope[1] < 0.5 * np.abs(form).max() * (1.0 + np.abs(qd).max())
-            rows[0] = values[20]
+            largest = np.abs(form).max() * (1.0 + np.abs(qd).max())
+            assert slope[1] < (4.0 if begins else 1.0) * largest
+            rows[0] = values[0 if begins else 20]
             size = 1.0 + np.abs(values).max()
             missed = np.abs(polynomial.polyval(s, rows) - values).max()
-            assert missed <= (1e-5 if order == 9 else 1e-8) * size
+            assert missed <= (1e-5 if order == 9 or begins else 1e-8) * size
 
 
 def test_a_pendulum_by_elliptic_integrals(calls: Counter[bool]) -> None:

@@ -24,7 +24,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, best_order
-from robodyn.taylor.function_code import binomials
+from robodyn.taylor.coordinate_code import binomials
 from robodyn.taylor.kept_code import GIVEN, LOOKS, TABLE, Rows
 from robodyn.taylor.step_boxes import Kept, terms_of
 from robodyn.taylor.watched_code import FOUND, ROOM, WATCH, ZERO, looks
@@ -97,6 +97,7 @@ class CompiledEngine:
         self.keeps, self.most = False, STEPS
         self.forms: Forms | None = None
         self._linear, self._forms = list[Array](), np.empty((0, 0))  # forms, and with signs
+        self._used = np.zeros(0, np.int64)  # which coordinates all are of, and each of them
         self._watch = np.zeros(len(WATCH), np.int64)
         self._at_watch = self._watch.ctypes.data
         if not serves(mechanism):
@@ -159,8 +160,11 @@ class CompiledEngine:
         watch, (linear, signs) = self._watch, forms
         if len(linear) != len(self._linear) or any(map(is_not, linear, self._linear)):
             self._linear = linear
-            self._forms = np.pad(linear, ((0, 0), (0, 1)))
-            rooms = self._forms, self._zeros, binomials(self.order)
+            forms = self._forms = np.zeros((len(linear), len(linear[0]) + 1))
+            forms[:, :-1] = linear
+            weights = forms[:, 2 + 2 * self.mechanism.n : -1].reshape(len(forms), 2, -1).any(axis=1)
+            self._used = np.array([weights.any(axis=0), *weights], np.int64)
+            rooms = forms, self._zeros, binomials(self.order), self._used
             watch[:FOUND] = *(room.ctypes.data for room in rooms), len(linear)
         self._forms[:, -1] = signs
         watch[FOUND] = 0

@@ -30,14 +30,17 @@ from robodyn.events.rounding import EPS, STATE
 from robodyn.events.signs import DEGREE, MISSED, ROUNDING, SLOPES
 from robodyn.taylor import NoCodeError
 from robodyn.taylor.box_code import write_box
-from robodyn.taylor.function_code import terms, write_function
+from robodyn.taylor.coordinate_code import call, computed
+from robodyn.taylor.function_code import wide, write_function
 
 PIECES = 1024  # of a step, those that it is looked at by at most
 ROUNDS = 8  # of secants on the states
-GUESSES = 3  # steps of Newton's on the polynomial before
+GUESSES = 20  # steps of Newton's on the polynomial before, at most
+NEAR = 1e-6  # of half a piece: a step as short is their last
 ROOM = 4096  # zeros that a call may find
-# of the table of a watch: addresses, then how many functions, zeros found, whether it is unsure
-WATCH = ("forms", "zeros", "binomials", "functions", "found", "unsure")
+# of the table of a watch: addresses, of which coordinates are used too, then how many functions,
+# zeros found, whether it is unsure
+WATCH = ("forms", "zeros", "binomials", "used", "functions", "found", "unsure")
 FOUND = WATCH.index("found")
 ZERO = ("function", "t", "apart", "sign")  # what `Found` has of each, before the state
 
@@ -112,16 +115,16 @@ class Watch:
         return k.op(SCALAR, f"call double @event_value({form}, {state}, {t})")
 
     def _write_look(self, module: Module) -> None:
-        """event_look(block, watch, f, form, there, end): one that may pass zero in a step.
+        """event_look(block, watch, f, form, there, end, parts): one function along a step.
 
-        Piece by piece, from the whole step on.
+        Piece by piece, from the whole step on, whose parts are known.
         """
-        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, ADDRESS, SCALAR)
+        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, ADDRESS, SCALAR, ADDRESS)
         k = Kernel(module, "event_look", types, "void")
-        block, watch, f, form, there, end = k.arguments
-        scene, zero = self.scene, k.number(0.0)
+        block, watch, f, form, there, end, parts = k.arguments
+        scene, zero, one = self.scene, k.number(0.0), k.number(1.0)
         begin, here = scene.get(k, block, "t"), scene.at(k, block, "q0")
-        x, rows = k.subtract(end, begin), k.room(SCALAR, terms(scene.order))
+        x, room = k.subtract(end, begin), k.room(SCALAR, wide(scene.order) * self.n)
         unit, slope = k.divide(x, k.number(float(PIECES))), k.room(SCALAR, 2)
         first, last = self._value(k, form, here, begin), self._value(k, form, there, end)
         noise = self._noise(k, form, here, there, begin, end)
@@ -139,23 +142,30 @@ class Watch:
         with k.forever() as done:
             at, many, now = k.get(place, WHOLE), k.get(pieces, WHOLE), k.get(value, SCALAR)
             to = k.add(at, many)
-            start, wide = (k.multiply(unit, k.convert("sitofp", w, SCALAR)) for w in (at, many))
+            start, long = (k.multiply(unit, k.convert("sitofp", w, SCALAR)) for w in (at, many))
             reaches = k.slot(last)
             with k.when(k.compare("slt", to, k.whole(PIECES))):
-                there_x = k.add(start, wide)
+                there_x = k.add(start, long)
                 then = k.op(SCALAR, f"call double @event_at({block}, {form}, {there_x})")
                 k.set(reaches, then)
             then = k.get(reaches, SCALAR)
-            half = k.multiply(k.number(0.5), wide)
-            along = block, form, k.add(start, half), half, self._told(k, watch, "binomials")
-            k.line(f"call void @event_along({', '.join(map(str, (*along, rows, slope)))})")
+            half = k.multiply(k.number(0.5), long)
+            part = k.compare("slt", many, k.whole(PIECES))
+            middle = k.add(start, half)
+            with k.when(part):
+                self._about(k, block, watch, f, middle, half, room)
+            known, h = k.select(part, room, parts), k.select(part, half, long)
+            span = k.select(part, k.number(2.0), one)
+            call(k, "event_slope", form, known, h, span, slope)
             goes_on, passes, ends = self._seen(k, slope, form, now, then, noise, missed)
             sure = k.either(goes_on, passes)
             with k.when(sure):
                 k.store(ends, k.at(form, self.sign))
                 with k.when(k.invert(goes_on)):
-                    given = block, watch, f, form, k.add(start, half), half, rows, now, then, noise
-                    k.line(f"call void @event_locate({', '.join(map(str, given))})")
+                    with k.when(k.invert(part)):
+                        self._about(k, block, watch, f, middle, half, room)
+                    given = block, watch, f, form, room, middle, half, now, then, noise
+                    call(k, "event_locate", *given)
                 k.leave(k.compare("sge", to, k.whole(PIECES)), done)
                 k.set(place, to)
                 k.set(value, then)
@@ -167,6 +177,14 @@ class Watch:
                 k.leave(k.compare("sle", many, k.whole(1)), done)
                 k.set(pieces, k.op(WHOLE, f"lshr {many}, 1"))
         k.done()
+
+    def _about(
+        self, k: Kernel, block: Word, watch: Word, f: Word, x: Word, half: Word, parts: Word
+    ) -> None:
+        """What is known of the coordinates of a function in a piece about x."""
+        table, used = self._told(k, watch, "binomials"), self._told(k, watch, "used")
+        used = k.at(used, k.multiply(k.add(f, k.whole(1)), k.whole(self.n)))
+        call(k, "event_about", block, x, half, table, used, parts)
 
     def _seen(
         self,
@@ -180,7 +198,7 @@ class Watch:
     ) -> tuple[Word, Word, Word]:
         """Along a piece: whether it goes on with a sign, or passes once; and that sign."""
         zero = k.number(0.0)
-        change, reach = (k.multiply(k.number(2.0), k.load(k.at(slope, i))) for i in (0, 1))
+        change, reach = (k.load(k.at(slope, i)) for i in (0, 1))
         wide = k.add(reach, k.multiply(k.number(2.0 * SLOPES[DEGREE]), missed))
         old = k.load(k.at(form, self.sign))
 
@@ -207,28 +225,41 @@ class Watch:
         return goes_on, passes, ends
 
     def _write_locate(self, module: Module) -> None:
-        """event_locate(block, watch, f, form, x, half, rows, first, last, noise): of a piece.
+        """event_locate(block, watch, f, form, parts, x, half, first, last, noise): of a piece.
 
         Where it passes zero: by secants, from the zero of its polynomial about x on.
         """
-        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, SCALAR, SCALAR, ADDRESS, *(SCALAR,) * 3)
+        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, ADDRESS, *(SCALAR,) * 5)
         k = Kernel(module, "event_locate", types, "void")
-        block, watch, f, form, x, half, rows, first, last, noise = k.arguments
+        block, watch, f, form, parts, x, half, first, last, noise = k.arguments
         scene, zero, one = self.scene, k.number(0.0), k.number(1.0)
-        begin, start = scene.get(k, block, "t"), k.subtract(x, half)
+        begin, rows = scene.get(k, block, "t"), k.room(SCALAR, computed(scene.order))
+        minus = k.negate(one)
+        call(k, "event_rows", form, parts, half, rows)
         k.store(zero, rows)
-        k.store(k.subtract(first, self._polynomial(k, rows, k.negate(one))[0]), rows)
+        k.store(k.subtract(first, self._polynomial(k, rows, minus)[0]), rows)
         part = k.divide(first, k.subtract(first, last))
-        place, rate = k.slot(k.subtract(k.add(part, part), one)), k.slot(zero)
-        with k.loop(k.whole(GUESSES)):
-            now = k.get(place)
+        place = k.slot(k.add(minus, k.add(part, part)))
+        rate, tries = k.slot(zero), k.slot(k.whole(GUESSES))
+        lower, upper = k.slot(minus), k.slot(one)
+        with k.forever() as done:  # it is monotone: halved where Newton's step leads out
+            now, left = k.get(place), k.get(tries, WHOLE)
             value, change = self._polynomial(k, rows, now)
             k.set(rate, change)
-            now = k.subtract(now, k.divide(value, change))
-            now = k.select(k.less(now, k.negate(one)), k.negate(one), now)
-            k.set(place, k.select(k.less(one, now), one, now))
-        at, speed = k.slot(k.add(x, k.multiply(k.get(place), half))), k.slot(k.get(rate))
-        k.set(speed, k.divide(k.get(speed), half))
+            before = k.less(k.number(0.0), k.multiply(value, first))
+            k.set(lower, k.select(before, now, k.get(lower)))
+            k.set(upper, k.select(before, k.get(upper), now))
+            moved = k.subtract(now, k.divide(value, change))
+            within = k.both(k.less(k.get(lower), moved), k.less(moved, k.get(upper)))
+            middle = k.multiply(k.number(0.5), k.add(k.get(lower), k.get(upper)))
+            moved = k.select(within, moved, middle)
+            k.set(place, moved)
+            k.set(tries, k.subtract(left, k.whole(1)))
+            off = k.intrinsic("fabs", k.subtract(moved, now))
+            k.leave(k.less(off, k.number(NEAR)), done)
+            k.leave(k.compare("sle", left, k.whole(1)), done)
+        at = k.slot(k.add(x, k.multiply(k.get(place), half)))
+        speed = k.slot(k.divide(k.get(rate), half))
         before, missed = k.slot(zero), k.slot(zero)
         sure, count = k.slot(k.all_lanes(False)), k.slot(k.whole(0))
         with k.forever() as done:
@@ -250,8 +281,8 @@ class Watch:
             k.set(count, k.add(tried, k.whole(1)))
             k.leave(k.compare("sge", tried, k.whole(ROUNDS)), done)
         now, found = k.get(at, SCALAR), self._told(k, watch, "found")
-        part = k.divide(k.subtract(now, start), k.add(half, half))
-        good = k.both(k.less(zero, part), k.compare("ole", part, k.number(1.0)))
+        part = k.divide(k.subtract(now, x), half)
+        good = k.both(k.less(minus, part), k.compare("ole", part, one))
         good = k.both(good, k.compare("slt", found, k.whole(ROOM)))
         good = k.both(good, k.get(sure, k.mask))
         self._tell_where(k, watch, k.invert(good))
@@ -271,7 +302,7 @@ class Watch:
 
     def _polynomial(self, k: Kernel, rows: Word, s: Word) -> tuple[Word, Word]:
         """Its value at s, and its slope there."""
-        last = self.scene.order + 1
+        last = computed(self.scene.order) - 1
         with k.loop(k.whole(last + 1)) as i:
             value, slope = k.carried(k.number(0.0)), k.carried(k.number(0.0))
             k.becomes(slope, k.add(k.multiply(slope, s), value))
@@ -311,38 +342,12 @@ class Watch:
         """event_step(block, watch, there, end): all functions along a step."""
         k = Kernel(module, "event_step", (ADDRESS, ADDRESS, ADDRESS, SCALAR), "void")
         block, watch, there, end = k.arguments
-        scene, zero = self.scene, k.number(0.0)
-        begin = scene.get(k, block, "t")
-        box = k.room(SCALAR, 2 * self.count)
-        k.line(f"call void @step_box({block}, {end}, {there}, {box})")
-        half = k.multiply(k.number(0.5), k.subtract(end, begin))
-        middle = k.add(begin, half)
+        scene = self.scene
+        parts = k.room(SCALAR, wide(scene.order) * self.n)
+        x = k.subtract(end, scene.get(k, block, "t"))
+        call(k, "event_begin", block, x, self._told(k, watch, "used"), parts)
         forms = self._told(k, watch, "forms")
         with k.loop(self._told(k, watch, "functions")) as f:
             form = k.at(forms, k.multiply(f, k.whole(self.sign + 1)))
-            level, speed = k.load(form), k.load(k.at(form, 1))
-            timed = k.multiply(speed, middle)
-            start = k.add(level, timed)
-            size = k.add(k.intrinsic("fabs", level), k.intrinsic("fabs", timed))
-            far = k.intrinsic("fabs", k.multiply(speed, half))
-            with k.loop(k.whole(self.count)) as i:
-                value, sizes, reach = k.carried(start), k.carried(size), k.carried(far)
-                weight = k.load(k.at(form, k.add(i, k.whole(2))))
-                term = k.multiply(weight, k.load(k.at(box, i)))
-                off = k.load(k.at(box, k.add(i, k.whole(self.count))))
-                off = k.intrinsic("fabs", k.multiply(weight, off))
-                k.becomes(value, k.add(value, term))
-                k.becomes(sizes, k.add(sizes, k.intrinsic("fabs", term)))
-                k.becomes(reach, k.add(reach, off))
-            limit = k.add(reach, k.multiply(k.number(4.0 * EPS), sizes))
-            sure = k.less(limit, k.intrinsic("fabs", value))
-            sign = k.select(k.less(zero, value), k.number(1.0), k.number(-1.0))
-            place = k.at(form, self.sign)
-            other = k.compare("oeq", k.load(place), k.negate(sign))
-            self._tell_where(k, watch, k.both(sure, other))
-            with k.when(sure):
-                k.store(sign, place)
-            with k.when(k.invert(sure)):
-                arguments = block, watch, f, form, there, end
-                k.line(f"call void @event_look({', '.join(map(str, arguments))})")
+            call(k, "event_look", block, watch, f, form, there, end, parts)
         k.done()
