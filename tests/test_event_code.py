@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import robodyn
 from robodyn.engines import machine
 from robodyn.events.functions import event_functions
+from robodyn.events.told import Events
 from robodyn.events.watch import EventWatch
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -250,19 +251,23 @@ def test_a_step_next_to_a_change_point_is_made_again(tol: float) -> None:
     assert met == 4
 
 
-def test_what_is_found_does_not_wait_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Zeros become events on the way, so that no more than those that are kept are held."""
-    watches = []
-    take = EventWatch.take
-
-    def taken(self: EventWatch, found: Any) -> None:
-        take(self, found)
-        watches.append(sum(len(each.zeros) for each in self.packed))
-
-    monkeypatch.setattr(EventWatch, "take", taken)
-    monkeypatch.setattr("robodyn.events.watch.PACKED", 100)
+def test_no_more_events_are_held_than_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are made when they are asked for, the first of them; all are counted."""
+    monkeypatch.setattr("robodyn.events.told.MOST", 100)
     pendulum, *_ = start("pendulum", 0.0)
     named = {"method": "taylor", "engine": "compiled", "rtol": 1e-4, "atol": 1e-4}
-    motion = robodyn.simulate(pendulum, [0.3], [0.0], 600.0, **named, events={"turns": "qd1"})
-    assert len(motion.events) > 700
-    assert max(watches) <= 100
+    given = pendulum, [0.3], [0.0], 600.0
+    motion = robodyn.simulate(*given, **named, events={"turns": "qd1"})
+    events = motion.events
+    assert isinstance(events, Events)
+    packed = sum(map(len, events._record.packed))
+    assert len(events) == 100 <= packed < 2000
+    assert motion.report.events["turns"] > 700
+    assert "the first 100 events are kept" in motion.report.remarks
+    assert len(list(events)) == len(events) == 100
+    assert events[:3] == list(events)[:3]
+    assert events[-1] is list(events)[-1]
+    both = robodyn.simulate(*given, **named, events={"back": "qd1 < 0", "down": "q1 < -90deg"})
+    assert [e.name for e in both.events[:4]] == ["down", "back", "down", "back"]
+    assert (np.diff([e.t for e in both.events]) > 0.0).all()
+    assert sum(both.report.events.values()) > 700

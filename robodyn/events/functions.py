@@ -105,15 +105,17 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
     return EventFunction(*made, name, way, strict, cuts, linear, around=around_of(tree, n))
 
 
-def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> list[EventFunction]:
+def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> tuple[EventFunction, ...]:
     """Events by their names; InputError for a name or an expression that is none."""
-    if not isinstance(given, Mapping):
+    if type(given) is not dict and not isinstance(given, Mapping):
         kind = type(given).__name__
         raise InputError("events", value=kind, limit="must be a mapping of names to expressions")
-    for name, text in given.items():
-        must_be_text("name of an event", name)
-        must_be_text(f"event {name}", text)
-    return list(_functions(mechanism, tuple(given.items())))
+    try:
+        return _functions(mechanism, tuple(given.items()))
+    except TypeError:  # what cannot be remembered is no text
+        for name, text in given.items():
+            _check(name, text)
+        raise
 
 
 def must_be_text(what: str, value: object) -> None:
@@ -122,11 +124,17 @@ def must_be_text(what: str, value: object) -> None:
         raise InputError(what, value=repr(value), limit="must be text, such as 'q1 > 90deg'")
 
 
+def _check(name: object, text: object) -> None:
+    must_be_text("name of an event", name)
+    must_be_text(f"event {name}", text)
+
+
 @lru_cache(maxsize=64)
 def _functions(
     mechanism: Mechanism, given: tuple[tuple[str, str], ...]
 ) -> tuple[EventFunction, ...]:
-    for name, _ in given:
+    for name, text in given:
+        _check(name, text)
         if not _NAME.fullmatch(name):
             limit = "must be a letter, then letters, digits, _ or -"
             raise InputError("name of an event", value=name, limit=limit)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import repeat
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -31,6 +30,34 @@ class Event(NamedTuple):
 
 
 _event = partial(tuple.__new__, Event)  # of its parts: faster than Event._make, which is Python
+
+
+class Events(Sequence[Event]):
+    """The events of a run in their order, the first MOST of them; made when one is asked for."""
+
+    def __init__(self, record: EventRecord) -> None:
+        self._record = record
+
+    def __len__(self) -> int:
+        return min(sum(self._record.happened), MOST)
+
+    @overload
+    def __getitem__(self, i: int) -> Event: ...
+
+    @overload
+    def __getitem__(self, i: slice) -> list[Event]: ...
+
+    def __getitem__(self, i: int | slice) -> Event | list[Event]:
+        return self._record.made()[i]
+
+    def __iter__(self) -> Iterator[Event]:
+        return iter(self._record.made())
+
+    def __eq__(self, other: object) -> bool:
+        return self._record.made() == (list(other) if isinstance(other, Events) else other)
+
+    def __repr__(self) -> str:
+        return repr(self._record.made())
 
 
 class Stop(NamedTuple):
@@ -68,52 +95,55 @@ class EventRecord:
         self.hidden: dict[str, list[tuple[float, float]]] = {}
         self.lost: dict[str, list[float]] = {}
         self.happened = [0] * len(self.functions)
-        self.packed: list[Found] = []  # not yet among those kept
-        self.waiting = 0  # zeros of these
+        self.signs = [0] * len(self.functions)
+        self.packed: list[Array] = []  # zeros, as in `Found`, not yet among those kept
         self.cut: dict[int, float] = {}  # when a function's event came with the end of a phase
         self.length = abs(self.t_end)
         self.instant = APART * self.length
 
-    @property
-    def found(self) -> list[Event]:
-        """The events in their order, the first MOST of them."""
-        self.unpack()
-        return self.kept
-
-    def unpack(self) -> None:
-        """Make events of what was found together: that takes as long as finding them."""
-        if not self.packed:
+    def take(self, found: Found) -> None:
+        """Take what was found along some steps."""
+        zeros, functions = found.zeros, self.functions
+        self.signs = found.signs
+        if not len(zeros):
             return
-        packed, self.packed, self.waiting = self.packed, [], 0
-        names: Iterable[str] = repeat(self.functions[0].name)
-        for zeros, _ in packed:
-            if len(self.functions) > 1:
-                ways = np.array([function.way for function in self.functions])
-                zeros = zeros[ways[zeros[:, 0].astype(np.int64)] * zeros[:, 3] >= 0.0]
-                zeros = zeros[np.argsort(np.abs(zeros[:, 1]), kind="stable")]
-                places = zeros[:, 0].astype(np.int64).tolist()
-                names = [self.functions[i].name for i in places]
-                for i in places:
-                    self.happened[i] += 1
-            else:
-                if way := self.functions[0].way:
-                    zeros = zeros[zeros[:, 3] == way]
-                self.happened[0] += len(zeros)
-            t, apart = zeros[:, 1].tolist(), zeros[:, 2].tolist()
-            self.kept.extend(map(_event, zip(names, t, zeros[:, 4:], apart, strict=False)))
-        if len(self.kept) > MOST:
+        if len(functions) > 1 or functions[0].way:
+            places = zeros[:, 0].astype(np.int64)
+            counts = np.array([function.way for function in functions])[places] * zeros[:, 3] >= 0.0
+            zeros = zeros[counts]
+            zeros = zeros[np.argsort(np.abs(zeros[:, 1]), kind="stable")]
+            for i in places[counts].tolist():
+                self.happened[i] += 1
+        else:
+            self.happened[0] += len(zeros)
+        if sum(self.happened) - len(zeros) < MOST:
+            self.packed.append(zeros)
+
+    @property
+    def found(self) -> Events:
+        """The events in their order, the first MOST of them."""
+        return Events(self)
+
+    def made(self) -> list[Event]:
+        """The events; those found together become some now: that takes as long as finding them."""
+        if self.packed:
+            packed, self.packed = self.packed, []
+            for zeros in packed:
+                names = [self.functions[i].name for i in zeros[:, 0].astype(np.int64).tolist()]
+                parts = names, zeros[:, 1].tolist(), zeros[:, 4:], zeros[:, 2].tolist()
+                self.kept.extend(map(_event, zip(*parts, strict=True)))
             del self.kept[MOST:]
+        return self.kept
 
     def tell(self, one: Single) -> None:
         """A function passes zero: an event, where this way counts and it is not known."""
-        self.unpack()
-        i, t = one.place, one.t
+        kept, i, t = self.made(), one.place, one.t
         if self.functions[i].way in (0, one.sign) and (
             abs(t - self.cut.get(i, np.inf)) > self.instant
         ):
             self.happened[i] += 1
-            if len(self.kept) < MOST:
-                self.kept.append(Event(self.functions[i].name, t, one.y[: self.width], one.apart))
+            if len(kept) < MOST:
+                kept.append(Event(self.functions[i].name, t, one.y[: self.width], one.apart))
 
     def graze(self, name: str, t: float) -> None:
         """A function touches zero."""
@@ -123,7 +153,6 @@ class EventRecord:
 
     def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
         """How often each event happened, and each of some others."""
-        self.unpack()
         pairs = zip(self.functions, self.happened, strict=True)
         counts = {function.name: count for function, count in pairs}
         for event in others:
@@ -141,7 +170,7 @@ class EventRecord:
             found.append(f"{name} is zero to rounding from t = {_listed(told)} s")
         for name, times in self.lost.items():
             found.append(f"{name} passes zero too often to be followed, from t = {_listed(times)}")
-        blurred = [event for event in self.found if event.apart > self.instant]
+        blurred = [event for event in self.made() if event.apart > self.instant]
         if blurred:
             worst = max(blurred, key=lambda event: event.apart)
             found.append(
@@ -149,8 +178,8 @@ class EventRecord:
                 f"{worst.apart:.1g} s open"
                 + (f", and {len(blurred) - 1} more" * (len(blurred) > 1))
             )
-        if sum(self.happened) > len(self.found):
-            found.append(f"the first {len(self.found)} events are kept")
+        if sum(self.happened) > MOST:
+            found.append(f"the first {MOST} events are kept")
         return found
 
 

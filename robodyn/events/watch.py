@@ -19,7 +19,6 @@ from robodyn.events.told import EventRecord, Found, Stop
 from robodyn.tables.arrays import Array
 
 LONG = 1e-3  # of the time of a run: what rounding hides for longer is told
-PACKED = 1 << 16  # zeros that wait to become events: memory is bounded, and a run ends soon
 DOUBTS = 3  # calls of machine code, unsure of an event, after which it is not asked
 LESS = 7  # times at most that the work on a function is halved which cannot be followed
 LEAST = 1e-17  # of a step: no times within it are told apart further
@@ -32,10 +31,10 @@ class EventWatch(EventRecord):
     start is no event.
     """
 
+    doubts = 0  # calls of machine code that were unsure
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.signs = [0] * len(self.functions)
-        self.doubts = 0  # calls of machine code that were unsure
         self.watched = self.functions
         self._single: list[Single] = []  # those in the step looked at
         self._along: list[int] = []  # of that one of them which is looked at by itself
@@ -58,30 +57,23 @@ class EventWatch(EventRecord):
             self._hidden_until(i, touched[1] if touched else 0.0)
         return super().remarks()
 
-    def forms(self) -> tuple[list[Array], list[int]] | None:
-        """What machine code takes of the functions: linear forms and their signs.
+    def forms(self) -> tuple[Sequence[EventFunction], list[int]] | None:
+        """What machine code watches for: linear functions, and their signs.
 
         None where it cannot watch for them all.
         """
-        linear = [function.linear for function in self.functions if function.linear is not None]
         if self.doubts >= DOUBTS or self.may_end or any(self._touched):
             return None
-        return (linear, self.signs) if len(linear) == len(self.functions) else None
+        for function in self.functions:
+            if function.linear is None:
+                return None
+        return self.functions, self.signs
 
     def took(self, kept: object) -> bool:
         """Take what is kept of some steps, where it is what was found along them."""
         if isinstance(kept, Found):
             self.take(kept)
         return isinstance(kept, Found)
-
-    def take(self, found: Found) -> None:
-        """Take what was found along some steps."""
-        if len(found.zeros):
-            self.packed.append(found)
-            self.waiting += len(found.zeros)
-            if self.waiting > PACKED:
-                self.unpack()
-        self.signs = found.signs
 
     def series(
         self,

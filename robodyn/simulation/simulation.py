@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
 UNTIL = "until"  # the name of the event that ends a run
+NONE: frozenset[int] = frozenset()
 
 
 @dataclass(eq=False, repr=False)
@@ -55,16 +56,11 @@ class Motion:
     outcome: Outcome
     mechanism: Mechanism
     phases: list[tuple[int, Mechanism]]  # rows, and what moves
-    _events: Callable[[], list[Event]]
+    events: Sequence[Event]  # in the order of time
     _settle: Callable[[], Report]
     sensitivity: Array | None = None
     errors: Array | None = None
     _further: Columns = field(default_factory=Columns)
-
-    @cached_property
-    def events(self) -> list[Event]:
-        """The events in the order of time, made of what was found when they are asked for."""
-        return self._events()
 
     @cached_property
     def report(self) -> Report:
@@ -72,7 +68,7 @@ class Motion:
         return self._settle()
 
     def __getstate__(self) -> dict[str, object]:
-        made = {"report": self.report, "events": self.events, "_settle": None, "_events": None}
+        made = {"report": self.report, "events": list(self.events), "_settle": None}
         return {**vars(self), **made}
 
     @cached_property
@@ -181,12 +177,9 @@ def simulate(
     )
     n = mechanism.n
 
-    def happened() -> list[Event]:
-        events = [] if watch is None else watch.found
-        if not recorder.contacts:
-            return events
-        return sorted([*events, *recorder.contacts], key=lambda event: abs(event.t))
-
+    happened: Sequence[Event] = [] if watch is None else watch.found
+    if recorder.contacts:
+        happened = sorted([*happened, *recorder.contacts], key=lambda event: abs(event.t))
     phases = [(len(t), moving) for t, _, moving in rows]
     none = np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity))))
     t, y = joined([(t, y) for t, y, _ in rows] or [none])
@@ -211,12 +204,12 @@ def watched_events(
     if not events and until is None:
         return None
     event_function, event_functions, must_be_text, watching = _events()
-    functions = event_functions(mechanism, events)
-    stops = frozenset([len(functions)] if until is not None else [])
+    functions, stops = event_functions(mechanism, events), NONE
     if until is not None:
         must_be_text(UNTIL, until)
-        functions.append(event_function(mechanism, UNTIL, until, UNTIL))
-    watch: EventWatch = watching(functions, t_end, stops, width=2 * mechanism.n)
+        stops = frozenset([len(functions)])
+        functions = *functions, event_function(mechanism, UNTIL, until, UNTIL)
+    watch: EventWatch = watching(functions, t_end, stops, 2 * mechanism.n)
     return watch
 
 

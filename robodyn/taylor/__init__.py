@@ -9,9 +9,9 @@ chooses one, `run.py` drives it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -24,10 +24,8 @@ if TYPE_CHECKING:
 
 
 STEPS = 128  # at a time, at first: between them the run can be watched and interrupted
+Forms = tuple[Sequence[Any], list[int]]  # linear functions of events, and their signs
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
-
-
-Forms = tuple[list[Array], list[int]]  # linear ones, and the signs of their functions
 
 
 class Status(IntEnum):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from itertools import accumulate
-from operator import is_not
 from struct import Struct
 from typing import Any, NamedTuple
 
@@ -31,6 +31,7 @@ from robodyn.taylor.watched_code import FOUND, ROOM, WATCH, ZERO, looks
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 _BEGUN, _ASKED = Struct("5d").pack_into, Struct("3q").pack_into  # faster than a slice of an array
+NONE = np.zeros((0, 0))
 _STATUS = {RUNNING: Status.FULL} | {float(status): status for status in Status}
 
 
@@ -96,10 +97,11 @@ class CompiledEngine:
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps, self.most = False, STEPS
         self.forms: Forms | None = None
-        self._linear, self._forms = list[Array](), np.empty((0, 0))  # forms, and with signs
-        self._used = np.zeros(0, np.int64)  # which coordinates all are of, and each of them
-        self._watch = np.zeros(len(WATCH), np.int64)
-        self._at_watch = self._watch.ctypes.data
+        self._functions: Sequence[Any] = ()  # those that `_watch` tells of
+        self._tables: tuple[Any, ...] = ()
+        self._watch = array("q", bytes(8 * len(WATCH)))
+        self._at_watch = self._watch.buffer_info()[0]
+        self._signs = np.zeros(0)
         if not serves(mechanism):
             raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
         if not machine.available():
@@ -157,25 +159,28 @@ class CompiledEngine:
         self, forms: Forms, t: float, y: Array, bound: float, times: Array, steps: int
     ) -> Chunk | None:
         """The same, in which the code finds events itself; None where it is unsure of one."""
-        watch, (linear, signs) = self._watch, forms
-        if len(linear) != len(self._linear) or any(map(is_not, linear, self._linear)):
-            self._linear = linear
-            forms = self._forms = np.zeros((len(linear), len(linear[0]) + 1))
-            forms[:, :-1] = linear
-            weights = forms[:, 2 + 2 * self.mechanism.n : -1].reshape(len(forms), 2, -1).any(axis=1)
-            self._used = np.array([weights.any(axis=0), *weights], np.int64)
-            rooms = forms, self._zeros, binomials(self.order), self._used
-            watch[:FOUND] = *(room.ctypes.data for room in rooms), len(linear)
-        self._forms[:, -1] = signs
-        watch[FOUND] = 0
+        functions, signs = forms
+        if functions is not self._functions:
+            self._look_for(functions)
+        self._signs[:], self._watch[FOUND] = signs, 0
         made = self._advance(t, y, bound, times, steps, watches=True)
         return made if made.kept is not None else None
 
+    def _look_for(self, functions: Sequence[Any]) -> None:
+        """Tell machine code what to watch for."""
+        forms = np.pad([function.linear for function in functions], ((0, 0), (0, 1)))
+        each = forms[:, 2 + 2 * self.mechanism.n : -1].reshape(len(forms), 2, -1).any(axis=1)
+        used = np.vstack([each.any(axis=0), each]).astype(np.int64)  # by any, and by each
+        self._functions, self._signs = functions, forms[:, -1]
+        self._tables = tables = forms, self._zeros, binomials(self.order), used
+        places = [table.ctypes.data for table in tables]
+        self._watch[:FOUND] = array("q", [*places, len(forms)])
+
     def _found(self) -> Found | None:
-        count, unsure = self._watch[FOUND:].tolist()
+        count, unsure = self._watch[FOUND:]
         self._watch[-1] = 0  # or no later call takes a step
-        after = list(map(int, self._forms[:, -1].tolist()))
-        return None if unsure else Found(self._zeros[:count].copy(), after)
+        zeros = self._zeros[:count].copy() if count else NONE
+        return None if unsure else Found(zeros, list(map(int, self._signs.tolist())))
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""

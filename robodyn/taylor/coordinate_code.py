@@ -95,16 +95,16 @@ class CoordinateCode:
         name, parts = self.name(self.slides), (1,) if self.slides else (0, 1)
         k = Kernel(self.module, f"{name}_begin", (ADDRESS, SCALAR, ADDRESS, ADDRESS), "void")
         series, h, found, sums = k.arguments
-        self._bound(k, *self._begin(k, series, h, parts), found, sums)
+        self._bound(k, *self._begin(k, parts, series, h), found, sums)
         types = ADDRESS, SCALAR, SCALAR, ADDRESS, ADDRESS, ADDRESS
         k = Kernel(self.module, f"{name}_about", types, "void")
         *given, found, sums = k.arguments
-        self._bound(k, *self._about(k, *given, parts), found, sums)
+        self._bound(k, *self._about(k, parts, *given), found, sums)
         if not self.slides:
             self._write_products()
 
     def _begin(
-        self, k: Kernel, series: Word, h: Word, parts: Sequence[int]
+        self, k: Kernel, parts: Sequence[int], series: Word, h: Word
     ) -> tuple[list[list[Word]], tuple[Word, ...]]:
         """The series times powers of h, and U, H0 U, H1 U."""
 
@@ -131,7 +131,7 @@ class CoordinateCode:
             scale = k.multiply(scale, step)
 
     def _about(
-        self, k: Kernel, series: Word, x: Word, half: Word, table: Word, parts: Sequence[int]
+        self, k: Kernel, parts: Sequence[int], series: Word, x: Word, half: Word, table: Word
     ) -> tuple[list[list[Word]], tuple[Word, ...]]:
         """The series about x, times powers of half: sums of z_k x^k by binomials.
 
