@@ -95,7 +95,7 @@ class EventRecord:
         self.hidden: dict[str, list[tuple[float, float]]] = {}
         self.lost: dict[str, list[float]] = {}
         self.happened = [0] * len(self.functions)
-        self.signs = [0] * len(self.functions)
+        self.signs = self.happened.copy()
         self.packed: list[Array] = []  # zeros, as in `Found`, not yet among those kept
         self.cut: dict[int, float] = {}  # when a function's event came with the end of a phase
         self.length = abs(self.t_end)

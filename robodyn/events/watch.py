@@ -32,25 +32,22 @@ class EventWatch(EventRecord):
     """
 
     doubts = 0  # calls of machine code that were unsure
+    _single: Sequence[Single] = ()  # those in the step looked at
+    _along: Sequence[int] = ()  # of that one of them which is looked at by itself
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.watched = self.functions
-        self._single: list[Single] = []  # those in the step looked at
-        self._along: list[int] = []  # of that one of them which is looked at by itself
-        self._touched: list[tuple[float, float] | None] = [None] * len(self.functions)
+        self.may_end = bool(self.stops)  # whether an event may end the run, or a phase of it
+        self._touched: list[tuple[float, float] | None] = [None] * len(self.signs)
 
     def guard(self, guards: Sequence[EventFunction]) -> None:
         """Watch these besides, which are positive now: what changes their signs ends the run."""
         own = len(self.functions)
         self.watched = [*self.functions, *guards]
+        self.may_end = bool(self.stops or guards)
         self.signs = [*self.signs[:own], *(1 for _ in guards)]
         self._touched = [*self._touched[:own], *(None for _ in guards)]
-
-    @property
-    def may_end(self) -> bool:
-        """Whether an event may end the run, or a phase of it."""
-        return bool(self.stops) or len(self.watched) > len(self.functions)
 
     def remarks(self) -> list[str]:
         for i, touched in enumerate(self._touched):
@@ -179,7 +176,7 @@ class EventWatch(EventRecord):
             if j and self._after[i][j - 1]:
                 self.signs[i] = int(self._after[i][j - 1])
         places = [i for i in places if not self._goes_on(i, int(self._known[i][j]))]
-        self._single = self._found_in.pop(j, [])
+        self._single = self._found_in.pop(j, ())
         if places:
             self._along = [int(signs[j]) for signs in self._known]
             return places
@@ -206,7 +203,7 @@ class EventWatch(EventRecord):
         for one in self._single:
             self._signs_from[one.place] = [(step.begin, -one.sign), (one.t, one.sign)]
             passed.append(one)
-        self._single = []
+        self._single = ()
         for i in range(len(self.watched)) if places is None else places:
             passed += self._crossings(i, step, states)
         if not passed:

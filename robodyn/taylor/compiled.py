@@ -25,13 +25,13 @@ from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, best_order
 from robodyn.taylor.coordinate_code import binomials
-from robodyn.taylor.kept_code import GIVEN, LOOKS, TABLE, Rows
+from robodyn.taylor.kept_code import ASKED, GIVEN, TABLE, Rows
 from robodyn.taylor.step_boxes import Kept, terms_of
 from robodyn.taylor.watched_code import FOUND, ROOM, WATCH, ZERO, looks
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
-_BEGUN, _ASKED = Struct("5d").pack_into, Struct("3q").pack_into  # faster than a slice of an array
-NONE = np.zeros((0, 0))
+_BEGUN, _ASKED = Struct("5d").pack_into, Struct("6q").pack_into  # faster than a slice of an array
+NONE, NO_LOOKS = np.zeros((0, 0)), (0, 0)
 _STATUS = {RUNNING: Status.FULL} | {float(status): status for status in Status}
 
 
@@ -177,10 +177,12 @@ class CompiledEngine:
         self._watch[:FOUND] = array("q", [*places, len(forms)])
 
     def _found(self) -> Found | None:
-        count, unsure = self._watch[FOUND:]
-        self._watch[-1] = 0  # or no later call takes a step
+        watch, count = self._watch, self._watch[FOUND]
+        if watch[-1]:  # unsure
+            watch[-1] = 0  # or no later call takes a step
+            return None
         zeros = self._zeros[:count].copy() if count else NONE
-        return None if unsure else Found(zeros, list(map(int, self._signs.tolist())))
+        return Found(zeros, list(map(int, self._signs.tolist())))
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""
@@ -253,9 +255,8 @@ class CompiledEngine:
                 block[place["status"]] = Status.SINGULAR
         laid = self._laid(len(times), N, steps, keeps)
         _, at, table, asked, rows, ends, states, boxes, series = laid
-        _ASKED(table.data, 8 * GIVEN, 0, keeps, watches)
-        if keeps or watches:
-            table[LOOKS] = looks(scene, code.code)
+        at_looks = looks(scene, code.code) if keeps or watches else NO_LOOKS
+        _ASKED(table.data, 8 * ASKED, *at_looks, len(times), 0, keeps, watches)
         asked[:] = times
         code.advance(address, steps, at)
         block[place["suspect"]] = suspect
@@ -282,7 +283,7 @@ class CompiledEngine:
         room, at = self._room, self._room.ctypes.data
         table = room[:a].view(np.int64)
         table[:6] = [at + 8 * x for x in (a, b, c, d, e, f)]
-        table[6:GIVEN] = self._at_watch, 0, 0, wanted
+        table[6] = self._at_watch
         boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end]
         parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(most, N)
         self._views = layout, at, table, *parts, boxes, series.reshape(-1, orders, wide // 2, 2)

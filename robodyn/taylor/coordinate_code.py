@@ -24,6 +24,7 @@ is among those from J on: with u_j = |rho_j| + |theta_j|, U = sum u_j and Hi = s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache, reduce
 from typing import TYPE_CHECKING
@@ -177,16 +178,21 @@ class CoordinateCode:
         k.store(k.number(0.0), k.at(found, self.first[-1] + WIDE))
         if self.slides:
             values = [
-                k.multiply(self._orders(k, i), z) for i, z in zip(self.begins, *series, strict=True)
+                k.multiply(self._orders(k, 1.0, i), z)
+                for i, z in zip(self.begins, *series, strict=True)
             ]
             tails = k.scalar(0.0), k.scalar(0.0)
             self._tell(k, values, tails, self._noise(k, sizes[0]), found, sums)
         else:
-            room = k.room(SCALAR, WIDE + 2 * self.room)  # nothing, rho, and theta
+            room = k.room(SCALAR, WIDE + 3 * self.room)  # nothing, rho, theta, and 2 j theta_j
             k.store(k.number(0.0), room)
-            for begin, part in zip((WIDE, WIDE + self.room), series, strict=True):
+            twice = (
+                k.multiply(self._orders(k, 2.0, i), z)
+                for i, z in zip(self.begins, series[1], strict=True)
+            )
+            for first, part in enumerate((*series, twice)):
                 for i, word in zip(self.begins, part, strict=True):
-                    k.store(word, k.at(room, begin + i))
+                    k.store(word, k.at(room, WIDE + first * self.room + i))
             call(k, "event_products", room, *sizes, found, sums)
         k.done()
 
@@ -195,7 +201,7 @@ class CoordinateCode:
         types = ADDRESS, SCALAR, SCALAR, SCALAR, ADDRESS, ADDRESS
         k = Kernel(self.module, "event_products", types, "void")
         place, size, *late, found, sums = k.arguments
-        rho, theta = k.at(place, WIDE), k.at(place, WIDE + self.room)
+        rho, theta, twice = (k.at(place, WIDE + i * self.room) for i in range(3))
         sizes = self._sizes(k, [[k.load(k.at(x, i)) for i in self.begins] for x in (rho, theta)])
         tails = [k.multiply(self._late(k, sizes, i), size) for i in (1, 2)]
         values = []
@@ -203,12 +209,11 @@ class CoordinateCode:
             totals = [[k.number(0.0)] * 2 for _ in range(2)]
             for j in range(begin + WIDE):
                 c = k.load(k.at(rho, begin - j))
-                b = k.spread(k.load(k.at(theta, j), SCALAR))
-                factors = k.multiply(b, k.number(2.0 * j)), b
-                for total, factor in zip(totals, factors, strict=True):
+                for total, part in zip(totals, (twice, theta), strict=True):
+                    factor = k.spread(k.load(k.at(part, j), SCALAR))
                     total[j % 2] = k.add(total[j % 2], k.multiply(factor, c))
             value, both = (k.add(*total) for total in totals)
-            values.append(k.subtract(value, k.multiply(self._orders(k, begin), both)))
+            values.append(k.subtract(value, k.multiply(self._orders(k, 1.0, begin), both)))
         noise = k.multiply(size, self._noise(k, size))
         self._tell(k, values, tails, noise, found, sums, late)
         k.done()
@@ -224,7 +229,7 @@ class CoordinateCode:
         late: Sequence[Word] = (),
     ) -> None:
         """Bounds by the n_m, and by `tails`, H1 U and H2 U, of others; of E, by `late`."""
-        one, zero, most = k.scalar(1.0), k.scalar(0.0), k.scalar(float(self.count))
+        one, most = k.scalar(1.0), k.scalar(float(self.count))
         for i, value in zip(self.first, values, strict=False):
             k.store(value, k.at(found, i))
         sizes = [k.intrinsic("fabs", value) for value in values]
@@ -240,12 +245,12 @@ class CoordinateCode:
             n0, n1 = (k.add(k.intrinsic("fabs", x), y) for x, y in ((first, off), (second, bend)))
             e0 = k.add(k.add(late[0], late[0]), noise)
             e1 = k.add(k.multiply(k.scalar(4.0), late[1]), k.multiply(most, noise))
-            left = k.subtract(one, e0)
-            left = k.select(k.less(zero, left), left, zero)
-            part = k.divide(e0, left)
+            small = k.compare("ole", e0, k.scalar(0.5))  # so that 1 / (1 - E0) <= 1 + 2 E0
+            most = k.select(small, k.add(one, k.add(e0, e0)), k.scalar(math.inf))
+            part = k.multiply(e0, most)
             off = k.add(off, k.multiply(n0, part))
             bend = k.add(bend, k.multiply(n1, part))
-            bend = k.add(bend, k.divide(k.multiply(n0, e1), k.multiply(left, left)))
+            bend = k.add(bend, k.multiply(k.multiply(n0, e1), k.multiply(most, most)))
         for i, word in enumerate((first, second, off, bend)):
             k.store(word, k.at(sums, i))
 
@@ -253,8 +258,8 @@ class CoordinateCode:
         """What rounding adds to sums of products of sizes, by one of them."""
         return k.multiply(size, k.scalar(16.0 * EPS * self.count**2))
 
-    def _orders(self, k: Kernel, begin: int) -> Word:
-        return lanes(k, [float(begin + i) for i in range(WIDE)])
+    def _orders(self, k: Kernel, times: float, begin: int) -> Word:
+        return lanes(k, [times * (begin + i) for i in range(WIDE)])
 
     def _sizes(self, k: Kernel, series: Sequence[Sequence[Word]]) -> list[Word]:
         """|rho| + |theta|, or |s|, of each order."""
@@ -271,8 +276,13 @@ class CoordinateCode:
         return self._total(k, parts)
 
     def _total(self, k: Kernel, vectors: Sequence[Word]) -> Word:
-        total = reduce(k.add, vectors)
-        lanes = [k.lane(total, i) for i in range(WIDE)]
-        while len(lanes) > 1:
-            lanes = [k.add(*pair) for pair in zip(lanes[::2], lanes[1::2], strict=True)]
-        return lanes[0]
+        total, wide = reduce(k.add, vectors), WIDE
+        while wide > 1:
+            wide //= 2
+            halves = []
+            for first in (0, wide):
+                places = ", ".join(f"i32 {first + i}" for i in range(wide))
+                text = f"shufflevector {total}, {total.type} poison, <{wide} x i32> <{places}>"
+                halves.append(k.op(f"<{wide} x {SCALAR}>", text))
+            total = k.add(*halves)
+        return k.op(SCALAR, f"extractelement {total}, i64 0")

@@ -74,6 +74,7 @@ class Watch:
         self._write_value(module)
         self._write_state(module)
         self._write_locate(module)
+        self._write_pieces(module)
         self._write_look(module)
         self._write_step(module)
         return module.text
@@ -117,15 +118,14 @@ class Watch:
     def _write_look(self, module: Module) -> None:
         """event_look(block, watch, f, form, there, end, parts): one function along a step.
 
-        Piece by piece, from the whole step on, whose parts are known.
+        `parts` are what is known of the coordinates along it.
         """
         types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, ADDRESS, SCALAR, ADDRESS)
         k = Kernel(module, "event_look", types, "void")
         block, watch, f, form, there, end, parts = k.arguments
         scene, zero, one = self.scene, k.number(0.0), k.number(1.0)
         begin, here = scene.get(k, block, "t"), scene.at(k, block, "q0")
-        x, room = k.subtract(end, begin), k.room(SCALAR, wide(scene.order) * self.n)
-        unit, slope = k.divide(x, k.number(float(PIECES))), k.room(SCALAR, 2)
+        x, slope = k.subtract(end, begin), k.room(SCALAR, 2)
         first, last = self._value(k, form, here, begin), self._value(k, form, there, end)
         noise = self._noise(k, form, here, there, begin, end)
         size = k.add(k.intrinsic("fabs", first), k.intrinsic("fabs", last))
@@ -137,8 +137,28 @@ class Watch:
             miss = self._value(k, form, scene.at(k, block, "to_q0"), end)
             missed = k.intrinsic("fabs", k.subtract(miss, last))
             missed = k.multiply(k.number(MISSED), missed)
-        place, pieces = k.slot(k.whole(0)), k.slot(k.whole(PIECES))
-        value = k.slot(first)
+        call(k, "event_slope", form, parts, x, one, slope)
+        goes_on, passes, ends = self._seen(k, slope, form, first, last, noise, missed)
+        with k.when(k.either(goes_on, passes)):
+            k.store(ends, k.at(form, self.sign))
+        with k.when(passes):
+            given = block, watch, f, form, parts, zero, x, zero, first, last, noise
+            call(k, "event_locate", *given)
+        with k.when(k.invert(k.either(goes_on, passes))):
+            call(k, "event_pieces", block, watch, f, form, x, first, last, noise, missed)
+        k.done()
+
+    def _write_pieces(self, module: Module) -> None:
+        """event_pieces(block, watch, f, form, x, first, last, noise, missed): it by pieces of x."""
+        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, *(SCALAR,) * 5)
+        k = Kernel(module, "event_pieces", types, "void")
+        block, watch, f, form, x, first, last, noise, missed = k.arguments
+        minus, table = k.number(-1.0), self._told(k, watch, "binomials")
+        used = k.multiply(k.add(f, k.whole(1)), k.whole(self.n))
+        used = k.at(self._told(k, watch, "used"), used)
+        parts, slope = k.room(SCALAR, wide(self.scene.order) * self.n), k.room(SCALAR, 2)
+        unit = k.multiply(x, k.number(1.0 / PIECES))
+        place, pieces, value = k.slot(k.whole(0)), k.slot(k.whole(PIECES // 2)), k.slot(first)
         with k.forever() as done:
             at, many, now = k.get(place, WHOLE), k.get(pieces, WHOLE), k.get(value, SCALAR)
             to = k.add(at, many)
@@ -148,23 +168,16 @@ class Watch:
                 there_x = k.add(start, long)
                 then = k.op(SCALAR, f"call double @event_at({block}, {form}, {there_x})")
                 k.set(reaches, then)
-            then = k.get(reaches, SCALAR)
-            half = k.multiply(k.number(0.5), long)
-            part = k.compare("slt", many, k.whole(PIECES))
+            then, half = k.get(reaches, SCALAR), k.multiply(k.number(0.5), long)
             middle = k.add(start, half)
-            with k.when(part):
-                self._about(k, block, watch, f, middle, half, room)
-            known, h = k.select(part, room, parts), k.select(part, half, long)
-            span = k.select(part, k.number(2.0), one)
-            call(k, "event_slope", form, known, h, span, slope)
+            call(k, "event_about", block, middle, half, table, used, parts)
+            call(k, "event_slope", form, parts, half, k.number(2.0), slope)
             goes_on, passes, ends = self._seen(k, slope, form, now, then, noise, missed)
             sure = k.either(goes_on, passes)
             with k.when(sure):
                 k.store(ends, k.at(form, self.sign))
-                with k.when(k.invert(goes_on)):
-                    with k.when(k.invert(part)):
-                        self._about(k, block, watch, f, middle, half, room)
-                    given = block, watch, f, form, room, middle, half, now, then, noise
+                with k.when(passes):
+                    given = block, watch, f, form, parts, middle, half, minus, now, then, noise
                     call(k, "event_locate", *given)
                 k.leave(k.compare("sge", to, k.whole(PIECES)), done)
                 k.set(place, to)
@@ -177,14 +190,6 @@ class Watch:
                 k.leave(k.compare("sle", many, k.whole(1)), done)
                 k.set(pieces, k.op(WHOLE, f"lshr {many}, 1"))
         k.done()
-
-    def _about(
-        self, k: Kernel, block: Word, watch: Word, f: Word, x: Word, half: Word, parts: Word
-    ) -> None:
-        """What is known of the coordinates of a function in a piece about x."""
-        table, used = self._told(k, watch, "binomials"), self._told(k, watch, "used")
-        used = k.at(used, k.multiply(k.add(f, k.whole(1)), k.whole(self.n)))
-        call(k, "event_about", block, x, half, table, used, parts)
 
     def _seen(
         self,
@@ -225,23 +230,22 @@ class Watch:
         return goes_on, passes, ends
 
     def _write_locate(self, module: Module) -> None:
-        """event_locate(block, watch, f, form, parts, x, half, first, last, noise): of a piece.
+        """event_locate(block, watch, f, form, parts, x, h, low, first, last, noise): of a piece.
 
-        Where it passes zero: by secants, from the zero of its polynomial about x on.
+        Where it passes zero: by secants, from the zero of its polynomial in s on, from low to 1.
         """
-        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, ADDRESS, *(SCALAR,) * 5)
+        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, ADDRESS, *(SCALAR,) * 6)
         k = Kernel(module, "event_locate", types, "void")
-        block, watch, f, form, parts, x, half, first, last, noise = k.arguments
+        block, watch, f, form, parts, x, h, low, first, last, noise = k.arguments
         scene, zero, one = self.scene, k.number(0.0), k.number(1.0)
         begin, rows = scene.get(k, block, "t"), k.room(SCALAR, computed(scene.order))
-        minus = k.negate(one)
-        call(k, "event_rows", form, parts, half, rows)
+        call(k, "event_rows", form, parts, h, rows)
         k.store(zero, rows)
-        k.store(k.subtract(first, self._polynomial(k, rows, minus)[0]), rows)
+        k.store(k.subtract(first, self._polynomial(k, rows, low)[0]), rows)
         part = k.divide(first, k.subtract(first, last))
-        place = k.slot(k.add(minus, k.add(part, part)))
+        place = k.slot(k.add(low, k.multiply(part, k.subtract(one, low))))
         rate, tries = k.slot(zero), k.slot(k.whole(GUESSES))
-        lower, upper = k.slot(minus), k.slot(one)
+        lower, upper = k.slot(low), k.slot(one)
         with k.forever() as done:  # it is monotone: halved where Newton's step leads out
             now, left = k.get(place), k.get(tries, WHOLE)
             value, change = self._polynomial(k, rows, now)
@@ -258,8 +262,8 @@ class Watch:
             off = k.intrinsic("fabs", k.subtract(moved, now))
             k.leave(k.less(off, k.number(NEAR)), done)
             k.leave(k.compare("sle", left, k.whole(1)), done)
-        at = k.slot(k.add(x, k.multiply(k.get(place), half)))
-        speed = k.slot(k.divide(k.get(rate), half))
+        at = k.slot(k.add(x, k.multiply(k.get(place), h)))
+        speed = k.slot(k.divide(k.get(rate), h))
         before, missed = k.slot(zero), k.slot(zero)
         sure, count = k.slot(k.all_lanes(False)), k.slot(k.whole(0))
         with k.forever() as done:
@@ -281,8 +285,8 @@ class Watch:
             k.set(count, k.add(tried, k.whole(1)))
             k.leave(k.compare("sge", tried, k.whole(ROUNDS)), done)
         now, found = k.get(at, SCALAR), self._told(k, watch, "found")
-        part = k.divide(k.subtract(now, x), half)
-        good = k.both(k.less(minus, part), k.compare("ole", part, one))
+        part = k.divide(k.subtract(now, x), h)
+        good = k.both(k.less(low, part), k.compare("ole", part, one))
         good = k.both(good, k.compare("slt", found, k.whole(ROOM)))
         good = k.both(good, k.get(sure, k.mask))
         self._tell_where(k, watch, k.invert(good))
