@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import robodyn
 from robodyn.engines import machine
 from robodyn.events.functions import event_functions
+from robodyn.events.rounding import EPS
 from robodyn.events.told import Events
 from robodyn.events.watch import EventWatch
 from robodyn.mechanics.actuation import Actuation
@@ -122,6 +123,10 @@ def test_the_slope_of_a_function_stays_within_its_bounds(order: int) -> None:
         }
         width = len(scene.loop.columns)
         z = block[scene.whole["rows"] :][: (order + 2) * width].reshape(-1, width)[:, : 2 * n]
+        for j in set(range(n)) - set(mechanism.slides):  # of size 1, as far as the series goes
+            turn = (z[:, 2 * j] + 1j * z[:, 2 * j + 1]) * end ** np.arange(order + 2)
+            square = np.convolve(turn, turn.conj())[1 : order + 2]
+            assert np.abs(square).max() <= 16.0 * EPS * np.abs(turn).sum() ** 2
         for _ in range(20):
             form, rows, slope = np.zeros(3 + 4 * n), np.zeros(computed(order)), np.zeros(2)
             parts, used = np.full(n * wide(order), np.nan), np.ones(n, np.int64)

@@ -27,7 +27,8 @@ from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, best_order
 from robodyn.taylor.coordinate_code import binomials
 from robodyn.taylor.kept_code import ASKED, GIVEN, TABLE, Rows
 from robodyn.taylor.step_boxes import Kept, terms_of
-from robodyn.taylor.watched_code import FOUND, ROOM, WATCH, ZERO, looks
+from robodyn.taylor.watched_code import looks
+from robodyn.taylor.zero_code import FOUND, ROOM, WATCH, ZERO
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 _BEGUN, _ASKED = Struct("5d").pack_into, Struct("6q").pack_into  # faster than a slice of an array

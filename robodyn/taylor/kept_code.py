@@ -7,7 +7,7 @@ from collections.abc import Callable
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.machine_motion import Observer
 from robodyn.engines.machine_steps import Scene
-from robodyn.taylor.watched_code import WATCH
+from robodyn.taylor.zero_code import WATCH
 
 ROWS = 16384  # of one call: no step begins when there are more
 # what the observer is told: addresses, of the functions `box` and `look` too, how many times, rows

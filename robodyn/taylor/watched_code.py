@@ -4,11 +4,10 @@ What holds, and of what.  The motion along a step is that of the polynomials z (
 which a run keeps: the angles of z, the rates Im(z'/z).  On these, whatever the series leaves out of
 the true motion, the following holds to rounding, of open chains:
 
-- a function that a box (`step_boxes.py`) tells the sign of has this sign on the whole step;
-- where a function may be zero, its slope stays within bounds that its polynomial about the middle
-  gives (`function_code.py`).  Where they have one sign it is monotone, and its signs at the ends,
-  those of the states themselves, tell whether it passes zero.  Where it has one sign at both ends
-  it keeps it if the lines of these slopes from the ends meet before zero;
+- along a step, or a piece of it, a function's slope stays within bounds that the products of the
+  series tell (`coordinate_code.py`).  Where they have one sign it is monotone, and its signs at the
+  ends, those of the states themselves, tell whether it passes zero.  Where it has one sign at both
+  ends it keeps it if the lines of these slopes from the ends meet before zero;
 - what neither holds of is halved, and each part looked at likewise, to 1/1024 of a step.  What is
   not known then is `unsure`, and so is the whole call: the steps are made once more, and looked at
   from Python;
@@ -30,19 +29,11 @@ from robodyn.events.rounding import EPS, STATE
 from robodyn.events.signs import DEGREE, MISSED, ROUNDING, SLOPES
 from robodyn.taylor import NoCodeError
 from robodyn.taylor.box_code import write_box
-from robodyn.taylor.coordinate_code import call, computed
+from robodyn.taylor.coordinate_code import call
 from robodyn.taylor.function_code import wide, write_function
+from robodyn.taylor.zero_code import tell_unsure, told, value_of, write_zero
 
 PIECES = 1024  # of a step, those that it is looked at by at most
-ROUNDS = 8  # of secants on the states
-GUESSES = 20  # steps of Newton's on the polynomial before, at most
-NEAR = 1e-6  # of half a piece: a step as short is their last
-ROOM = 4096  # zeros that a call may find
-# of the table of a watch: addresses, of which coordinates are used too, then how many functions,
-# zeros found, whether it is unsure
-WATCH = ("forms", "zeros", "binomials", "used", "functions", "found", "unsure")
-FOUND = WATCH.index("found")
-ZERO = ("function", "t", "apart", "sign")  # what `Found` has of each, before the state
 
 
 @lru_cache(maxsize=64)
@@ -61,7 +52,6 @@ class Watch:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.n = scene, scene.mechanism.n
-        self.count = 2 * self.n
         self.sign = 2 + 4 * self.n  # its place in a form
 
     def text(self, processor: Processor) -> str:
@@ -71,49 +61,11 @@ class Watch:
             module.declare(name, "void", ADDRESS)
         write_box(self.scene, module)
         write_function(self.scene, module)
-        self._write_value(module)
-        self._write_state(module)
-        self._write_locate(module)
+        write_zero(self.scene, module)
         self._write_pieces(module)
         self._write_look(module)
         self._write_step(module)
         return module.text
-
-    # -- one function ------------------------------------------------------------------------------
-
-    def _write_value(self, module: Module) -> None:
-        """event_value(form, state, t): of a function."""
-        k = Kernel(module, "event_value", (ADDRESS, ADDRESS, SCALAR), SCALAR)
-        form, state, t = k.arguments
-        first = k.add(k.load(form), k.multiply(k.load(k.at(form, 1)), t))
-        with k.loop(k.whole(self.count)) as i:
-            value = k.carried(first)
-            term = k.multiply(k.load(k.at(form, k.add(i, k.whole(2)))), k.load(k.at(state, i)))
-            k.becomes(value, k.add(value, term))
-        k.done(value)
-
-    # -- one step ----------------------------------------------------------------------------------
-
-    def _told(self, k: Kernel, watch: Word, name: str) -> Word:
-        place = WATCH.index(name)
-        return k.load(k.at(watch, place), ADDRESS if place < WATCH.index("functions") else WHOLE)
-
-    def _tell(self, k: Kernel, watch: Word, name: str, value: Word) -> None:
-        k.store(value, k.at(watch, WATCH.index(name)))
-
-    def _write_state(self, module: Module) -> None:
-        """event_at(block, form, x): a function's value at x after the step's start."""
-        k = Kernel(module, "event_at", (ADDRESS, ADDRESS, SCALAR), SCALAR)
-        block, form, x = k.arguments
-        self.scene.put(k, block, "x", x)
-        k.line(f"call void @evaluate({block})")
-        if self.scene.closes:
-            k.line(f"call void @close({block})")
-        t = k.add(self.scene.get(k, block, "t"), x)
-        k.done(self._value(k, form, self.scene.at(k, block, "to_q0"), t))
-
-    def _value(self, k: Kernel, form: Word, state: Word, t: Word) -> Word:
-        return k.op(SCALAR, f"call double @event_value({form}, {state}, {t})")
 
     def _write_look(self, module: Module) -> None:
         """event_look(block, watch, f, form, there, end, parts): one function along a step.
@@ -126,7 +78,7 @@ class Watch:
         scene, zero, one = self.scene, k.number(0.0), k.number(1.0)
         begin, here = scene.get(k, block, "t"), scene.at(k, block, "q0")
         x, slope = k.subtract(end, begin), k.room(SCALAR, 2)
-        first, last = self._value(k, form, here, begin), self._value(k, form, there, end)
+        first, last = value_of(k, form, here, begin), value_of(k, form, there, end)
         noise = self._noise(k, form, here, there, begin, end)
         size = k.add(k.intrinsic("fabs", first), k.intrinsic("fabs", last))
         noise = k.add(noise, k.multiply(k.number(ROUNDING), size))
@@ -134,7 +86,7 @@ class Watch:
         if scene.closes:
             scene.put(k, block, "x", x)
             k.line(f"call void @evaluate({block})")
-            miss = self._value(k, form, scene.at(k, block, "to_q0"), end)
+            miss = value_of(k, form, scene.at(k, block, "to_q0"), end)
             missed = k.intrinsic("fabs", k.subtract(miss, last))
             missed = k.multiply(k.number(MISSED), missed)
         call(k, "event_slope", form, parts, x, one, slope)
@@ -153,9 +105,9 @@ class Watch:
         types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, *(SCALAR,) * 5)
         k = Kernel(module, "event_pieces", types, "void")
         block, watch, f, form, x, first, last, noise, missed = k.arguments
-        minus, table = k.number(-1.0), self._told(k, watch, "binomials")
+        minus, table = k.number(-1.0), told(k, watch, "binomials")
         used = k.multiply(k.add(f, k.whole(1)), k.whole(self.n))
-        used = k.at(self._told(k, watch, "used"), used)
+        used = k.at(told(k, watch, "used"), used)
         parts, slope = k.room(SCALAR, wide(self.scene.order) * self.n), k.room(SCALAR, 2)
         unit = k.multiply(x, k.number(1.0 / PIECES))
         place, pieces, value = k.slot(k.whole(0)), k.slot(k.whole(PIECES // 2)), k.slot(first)
@@ -186,7 +138,7 @@ class Watch:
                 more = k.select(k.compare("eq", odd, k.whole(0)), many, k.whole(0))
                 k.set(pieces, k.add(many, more))
             with k.when(k.invert(sure)):
-                self._tell_where(k, watch, k.compare("sle", many, k.whole(1)))
+                tell_unsure(k, watch, k.compare("sle", many, k.whole(1)))
                 k.leave(k.compare("sle", many, k.whole(1)), done)
                 k.set(pieces, k.op(WHOLE, f"lshr {many}, 1"))
         k.done()
@@ -229,95 +181,6 @@ class Watch:
         passes = k.both(k.both(steady, fits), k.less(product, zero))
         return goes_on, passes, ends
 
-    def _write_locate(self, module: Module) -> None:
-        """event_locate(block, watch, f, form, parts, x, h, low, first, last, noise): of a piece.
-
-        Where it passes zero: by secants, from the zero of its polynomial in s on, from low to 1.
-        """
-        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, ADDRESS, *(SCALAR,) * 6)
-        k = Kernel(module, "event_locate", types, "void")
-        block, watch, f, form, parts, x, h, low, first, last, noise = k.arguments
-        scene, zero, one = self.scene, k.number(0.0), k.number(1.0)
-        begin, rows = scene.get(k, block, "t"), k.room(SCALAR, computed(scene.order))
-        call(k, "event_rows", form, parts, h, rows)
-        k.store(zero, rows)
-        k.store(k.subtract(first, self._polynomial(k, rows, low)[0]), rows)
-        part = k.divide(first, k.subtract(first, last))
-        place = k.slot(k.add(low, k.multiply(part, k.subtract(one, low))))
-        rate, tries = k.slot(zero), k.slot(k.whole(GUESSES))
-        lower, upper = k.slot(low), k.slot(one)
-        with k.forever() as done:  # it is monotone: halved where Newton's step leads out
-            now, left = k.get(place), k.get(tries, WHOLE)
-            value, change = self._polynomial(k, rows, now)
-            k.set(rate, change)
-            before = k.less(k.number(0.0), k.multiply(value, first))
-            k.set(lower, k.select(before, now, k.get(lower)))
-            k.set(upper, k.select(before, k.get(upper), now))
-            moved = k.subtract(now, k.divide(value, change))
-            within = k.both(k.less(k.get(lower), moved), k.less(moved, k.get(upper)))
-            middle = k.multiply(k.number(0.5), k.add(k.get(lower), k.get(upper)))
-            moved = k.select(within, moved, middle)
-            k.set(place, moved)
-            k.set(tries, k.subtract(left, k.whole(1)))
-            off = k.intrinsic("fabs", k.subtract(moved, now))
-            k.leave(k.less(off, k.number(NEAR)), done)
-            k.leave(k.compare("sle", left, k.whole(1)), done)
-        at = k.slot(k.add(x, k.multiply(k.get(place), h)))
-        speed = k.slot(k.divide(k.get(rate), h))
-        before, missed = k.slot(zero), k.slot(zero)
-        sure, count = k.slot(k.all_lanes(False)), k.slot(k.whole(0))
-        with k.forever() as done:
-            now, tried = k.get(at, SCALAR), k.get(count, WHOLE)
-            miss = k.op(SCALAR, f"call double @event_at({block}, {form}, {now})")
-            moved = k.subtract(now, k.get(before, SCALAR))
-            secant = k.divide(k.subtract(miss, k.get(missed, SCALAR)), moved)
-            fast = k.get(speed, SCALAR)
-            fast = k.select(k.compare("slt", k.whole(0), tried), secant, fast)
-            rest = k.intrinsic("fabs", k.multiply(k.add(begin, now), fast))
-            limit = k.add(noise, k.multiply(k.number(4.0 * EPS), rest))
-            known = k.compare("ole", k.intrinsic("fabs", miss), limit)
-            k.set(speed, fast)
-            k.set(sure, known)
-            k.leave(known, done)
-            k.set(before, now)
-            k.set(missed, miss)
-            k.set(at, k.subtract(now, k.divide(miss, fast)))
-            k.set(count, k.add(tried, k.whole(1)))
-            k.leave(k.compare("sge", tried, k.whole(ROUNDS)), done)
-        now, found = k.get(at, SCALAR), self._told(k, watch, "found")
-        part = k.divide(k.subtract(now, x), h)
-        good = k.both(k.less(low, part), k.compare("ole", part, one))
-        good = k.both(good, k.compare("slt", found, k.whole(ROOM)))
-        good = k.both(good, k.get(sure, k.mask))
-        self._tell_where(k, watch, k.invert(good))
-        with k.when(good):
-            place = k.multiply(found, k.whole(len(ZERO) + self.count))
-            row = k.at(self._told(k, watch, "zeros"), place)
-            blur = k.divide(k.multiply(k.number(2.0), noise), k.get(speed, SCALAR))
-            after = k.load(k.at(form, self.sign))
-            blur = k.intrinsic("fabs", blur)
-            words = k.convert("sitofp", f, SCALAR), k.add(begin, now), blur, after
-            for i, word in enumerate(words):
-                k.store(word, k.at(row, i))
-            state, states = scene.at(k, block, "to_q0"), k.at(row, len(ZERO))
-            k.each(self.count, lambda i: k.store(k.load(k.at(state, i)), k.at(states, i)))
-            self._tell(k, watch, "found", k.add(found, k.whole(1)))
-        k.done()
-
-    def _polynomial(self, k: Kernel, rows: Word, s: Word) -> tuple[Word, Word]:
-        """Its value at s, and its slope there."""
-        last = computed(self.scene.order) - 1
-        with k.loop(k.whole(last + 1)) as i:
-            value, slope = k.carried(k.number(0.0)), k.carried(k.number(0.0))
-            k.becomes(slope, k.add(k.multiply(slope, s), value))
-            c = k.load(k.at(rows, k.subtract(k.whole(last), i)))
-            k.becomes(value, k.add(k.multiply(value, s), c))
-        return value, slope
-
-    def _tell_where(self, k: Kernel, watch: Word, unsure: Word) -> None:
-        with k.when(unsure):
-            self._tell(k, watch, "unsure", k.whole(1))
-
     def _noise(
         self, k: Kernel, form: Word, here: Word, there: Word, begin: Word, end: Word
     ) -> Word:
@@ -349,9 +212,9 @@ class Watch:
         scene = self.scene
         parts = k.room(SCALAR, wide(scene.order) * self.n)
         x = k.subtract(end, scene.get(k, block, "t"))
-        call(k, "event_begin", block, x, self._told(k, watch, "used"), parts)
-        forms = self._told(k, watch, "forms")
-        with k.loop(self._told(k, watch, "functions")) as f:
+        call(k, "event_begin", block, x, told(k, watch, "used"), parts)
+        forms = told(k, watch, "forms")
+        with k.loop(told(k, watch, "functions")) as f:
             form = k.at(forms, k.multiply(f, k.whole(self.sign + 1)))
             call(k, "event_look", block, watch, f, form, there, end, parts)
         k.done()
