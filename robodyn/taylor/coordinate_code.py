@@ -16,10 +16,11 @@ and N0 = sum |n_m|, N1 = sum (m - 1) |n_m|,
 
 A displacement is a polynomial itself.  So the slope of a function is told to stay near a value, and
 the function is, but for E, the polynomial of the n_m, from which a search for its zero begins.  The
-n_m of the first orders are computed, to m = 2J - 1.  One of two factors of a later order, and of E,
-is among those from J on: with u_j = |rho_j| + |theta_j|, U = sum u_j and Hi = sum_{j>=J} j^i u_j
+n_m of the first orders are computed, to m = 2J - 1.  In a later order one of two factors is among
+those from J on, in E among those from K = (P + 1) / 2 on: with u_j = |rho_j| + |theta_j|,
+U = sum u_j and Hi(J) = sum_{j>=J} j^i u_j the sums over these orders are
 
-    sum |n_m| <= H1 U,   sum (m - 1) |n_m| <= H2 U,   E0 <= 2 H0 U,   E1 <= 4 H1 U.
+    sum |n_m| <= H1(J) U,   sum (m - 1) |n_m| <= H2(J) U,   E0 <= 2 H0(K) U,   E1 <= 4 H1(K) U.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ class CoordinateCode:
         self.room, self.width = terms(scene.order), len(scene.loop.columns)
         self.begins = range(0, self.room, WIDE)
         self.first = self.begins[: computed(scene.order) // WIDE]  # of the n_m
-        self.later = computed(scene.order) // 2  # J
+        self.later = computed(scene.order) // 2, (self.count + 1) // 2  # J and K
 
     @staticmethod
     def name(slides: bool) -> str:
@@ -107,7 +108,7 @@ class CoordinateCode:
     def _begin(
         self, k: Kernel, parts: Sequence[int], series: Word, h: Word
     ) -> tuple[list[list[Word]], tuple[Word, ...]]:
-        """The series times powers of h, and U, H0 U, H1 U."""
+        """The series times powers of h, and U, H0(K) U, H1(K) U."""
 
         def vector(part: int, begin: int) -> Word:
             rows = range(begin, min(begin + WIDE, self.count))
@@ -118,7 +119,8 @@ class CoordinateCode:
         self._scale(k, found, h)
         sizes = self._sizes(k, found)
         size = self._total(k, sizes)
-        return found, (size, *(k.multiply(self._late(k, sizes, i), size) for i in (0, 1)))
+        late = (self._late(k, sizes, power, self.later[1]) for power in (0, 1))
+        return found, (size, *(k.multiply(each, size) for each in late))
 
     def _scale(self, k: Kernel, series: Sequence[list[Word]], by: Word) -> None:
         """Times powers of a number."""
@@ -136,8 +138,8 @@ class CoordinateCode:
     ) -> tuple[list[list[Word]], tuple[Word, ...]]:
         """The series about x, times powers of half: sums of z_k x^k by binomials.
 
-        U, H0 U are those from the step's start to the piece's end, which are no less, and H1 U is
-        the part of that which E may change by along the piece.
+        U, H0(K) U are those from the step's start to the piece's end, which are no less, and
+        H1(K) U is the part of that which E may change by along the piece.
         """
         far, zero = k.add(k.intrinsic("fabs", x), k.intrinsic("fabs", half)), k.number(0.0)
         with k.loop(k.whole(self.count)) as m:
@@ -156,7 +158,7 @@ class CoordinateCode:
                 found.append([k.carried(zero) for _ in self.begins])
                 for total, weight in zip(found[-1], weights, strict=True):
                     k.becomes(total, k.add(total, k.multiply(weight, term)))
-            late = k.compare("sge", m, k.whole(self.later))
+            late = k.compare("sge", m, k.whole(self.later[1]))
             late = k.select(late, size, k.scalar(0.0))
             more = size, late, k.multiply(late, k.convert("sitofp", m, SCALAR))
             for total, each in zip(sums, more, strict=True):
@@ -197,13 +199,14 @@ class CoordinateCode:
         k.done()
 
     def _write_products(self) -> None:
-        """event_products(series, U, H0 U, H1 U, found, sums): of rho and theta."""
+        """event_products(series, U, H0(K) U, H1(K) U, found, sums): of rho and theta."""
         types = ADDRESS, SCALAR, SCALAR, SCALAR, ADDRESS, ADDRESS
         k = Kernel(self.module, "event_products", types, "void")
         place, size, *late, found, sums = k.arguments
         rho, theta, twice = (k.at(place, WIDE + i * self.room) for i in range(3))
         sizes = self._sizes(k, [[k.load(k.at(x, i)) for i in self.begins] for x in (rho, theta)])
-        tails = [k.multiply(self._late(k, sizes, i), size) for i in (1, 2)]
+        late_sums = (self._late(k, sizes, power, self.later[0]) for power in (1, 2))
+        tails = [k.multiply(each, size) for each in late_sums]
         values = []
         for begin in self.first:
             totals = [[k.number(0.0)] * 2 for _ in range(2)]
@@ -228,7 +231,7 @@ class CoordinateCode:
         sums: Word,
         late: Sequence[Word] = (),
     ) -> None:
-        """Bounds by the n_m, and by `tails`, H1 U and H2 U, of others; of E, by `late`."""
+        """Bounds by the n_m, by the `tails` of others, and by E's, from `late`."""
         one, most = k.scalar(1.0), k.scalar(float(self.count))
         for i, value in zip(self.first, values, strict=False):
             k.store(value, k.at(found, i))
@@ -246,11 +249,11 @@ class CoordinateCode:
             e0 = k.add(k.add(late[0], late[0]), noise)
             e1 = k.add(k.multiply(k.scalar(4.0), late[1]), k.multiply(most, noise))
             small = k.compare("ole", e0, k.scalar(0.5))  # so that 1 / (1 - E0) <= 1 + 2 E0
-            most = k.select(small, k.add(one, k.add(e0, e0)), k.scalar(math.inf))
-            part = k.multiply(e0, most)
+            grows = k.select(small, k.add(one, k.add(e0, e0)), k.scalar(math.inf))
+            part = k.multiply(e0, grows)
             off = k.add(off, k.multiply(n0, part))
             bend = k.add(bend, k.multiply(n1, part))
-            bend = k.add(bend, k.multiply(k.multiply(n0, e1), k.multiply(most, most)))
+            bend = k.add(bend, k.multiply(k.multiply(n0, e1), k.multiply(grows, grows)))
         for i, word in enumerate((first, second, off, bend)):
             k.store(word, k.at(sums, i))
 
@@ -266,11 +269,11 @@ class CoordinateCode:
         parts = [[k.intrinsic("fabs", word) for word in part] for part in series]
         return [reduce(k.add, each) for each in zip(*parts, strict=True)]
 
-    def _late(self, k: Kernel, sizes: Sequence[Word], power: int) -> Word:
-        """H of this number."""
+    def _late(self, k: Kernel, sizes: Sequence[Word], power: int, least: int) -> Word:
+        """Those from an order on, times a power of it."""
         parts = []
         for i, size in zip(self.begins, sizes, strict=True):
-            weights = [float(m**power * (m >= self.later)) for m in range(i, i + WIDE)]
+            weights = [float(m**power * (m >= least)) for m in range(i, i + WIDE)]
             if any(weights):
                 parts.append(k.multiply(size, lanes(k, weights)))
         return self._total(k, parts)
