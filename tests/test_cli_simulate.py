@@ -21,6 +21,7 @@ from conftest import FOUR_BAR, ROOT, TWO_LINK, Outcome
 
 import oracles
 from robodyn import assemble, load, simulate
+from robodyn.cli import signals
 
 Run = Callable[..., Outcome]
 PATIENCE = 60.0  # s, on a busy machine
@@ -629,6 +630,29 @@ def test_a_run_whose_reader_waits_is_ended() -> None:
         assert child.stderr is not None
         assert b"Traceback" not in child.stderr.read()
     os.close(read)
+
+
+@pytest.mark.parametrize("reached", [0.5, 1.0])
+def test_a_run_that_ends_finishes_its_files(
+    monkeypatch: pytest.MonkeyPatch, reached: float
+) -> None:
+    """As long as it works on them (a long table of events); a run that waits is ended."""
+    monkeypatch.setattr(signals, "PATIENCE", 0.05)
+    monkeypatch.setattr(signals, "received", [])
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    try:
+        with signals.watching(1.0, quiet=True) as watch:
+            watch(reached)
+            signal.raise_signal(signal.SIGINT)
+            assert reached == 1.0 or watch(reached)
+            worked = time.process_time() + 0.2
+            while time.process_time() < worked:
+                pass
+            with pytest.raises(KeyboardInterrupt):
+                time.sleep(PATIENCE)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)  # or it is raised once more
+    except KeyboardInterrupt:
+        pytest.fail("it was ended while it worked")
 
 
 def test_what_nohup_ignores_is_ignored(tmp_path: Path) -> None:

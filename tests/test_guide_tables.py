@@ -36,7 +36,7 @@ def test_the_commands_are_those_of_the_readme() -> None:
     assert sorted(row[0].strip("`") for row in rows) == sorted(map(usage, COMMANDS))
     for command, computes, writes in rows:
         name = command.split()[1].strip("`")
-        assert re.match(rf"{re.escape(computes)}(?!\w)", cli.SUMMARIES[name]), name
+        assert re.match(rf"{re.escape(computes)}(?!\w)", cli.summary(name)), name
         formats = next((x.type for x in COMMANDS[name].params if "--format" in x.opts), None)
         choices = set(getattr(formats, "choices", []))
         assert (choices == {"table", "json"}) == (writes == "parts"), name

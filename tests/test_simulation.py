@@ -9,6 +9,7 @@ import math
 import os
 import time
 import tracemalloc
+from contextlib import suppress
 from functools import cache
 
 import mpmath
@@ -33,7 +34,7 @@ from scipy.integrate import solve_ivp
 
 import oracles
 from random_mechanisms import mechanism
-from robodyn import assemble, closure_gap, closure_jacobian, simulate
+from robodyn import assemble, closure_gap, closure_jacobian, load, simulate
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics import actuation
@@ -918,6 +919,18 @@ class TestOutcomes:
         assert seen[-2] <= 0.5 < seen[-1] == report.t_reached
         assert times.tolist() == np.linspace(0.0, 1.0, 101)[: len(times)].tolist()
         assert times[-1] <= report.t_reached < times[-1] + 0.01
+
+    @pytest.mark.parametrize("name", ["four-bar", "spring-slider-crank", "rack-gripper"])
+    def test_rates_that_leave_the_floats(self, name):
+        """Their squares do: the outcome tells, and no warning of numpy's."""
+        mech = load(ROOT / f"robots/{name}.yaml")
+        q = assemble(mech, [1.0])
+        for rate, by in ((1e155, []), (1e155, ["q1"]), (1e300, [])):
+            qd = loop_velocities(mech, q, [rate])
+            for how in ({"method": "DOP853"}, {"method": "taylor", "engine": "python"}):
+                with suppress(RobodynError):
+                    motion = simulate(mech, q, qd, 1.0, events={"e": "q1"}, sensitivity=by, **how)
+                    assert motion.report.outcome == "step too small"
 
     def test_singular(self):
         """Where the equations have no unique solution, said by whatever computes them."""

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ from robodyn.simulation.extended import reference as longdouble_reference
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
-from robodyn.taylor import compiled, engine_choice
+from robodyn.taylor import compiled, engine_choice, watched_steps
+from robodyn.taylor import run as taylor_run
 
 ENGINE = ["python"]
 
@@ -427,3 +429,21 @@ def test_a_torque_that_is_infinite_at_a_time_ends_the_run_there() -> None:
     motion = simulate(mech, [1.0], [0.0], 1.0, "1/(t-0.5)", "taylor")
     assert motion.outcome is Outcome.STEP_TOO_SMALL
     assert motion.report.t_reached == pytest.approx(0.5, abs=1e-3)
+
+
+@by_each_engine
+def test_looks_for_events_take_as_long_as_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run can be interrupted between them: they get fewer steps where they take long."""
+    clock, looks, look = [0.0], [], watched_steps.with_events
+
+    def slow(*given):
+        looks.append(len(given[2].t))
+        clock[0] += 1e-3 * looks[-1]
+        return look(*given)
+
+    monkeypatch.setattr(watched_steps, "with_events", slow)
+    monkeypatch.setattr(taylor_run, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    motion = taylor(load(ROOT / "robots/pendulum.yaml"), [-1], [0], 200, events={"e": "sin(2*q1)"})
+    assert len(motion.events) == 333
+    assert sum(looks) == motion.report.steps
+    assert max(looks[1:]) == pytest.approx(2e3 * taylor_run.CALL, abs=2)

@@ -13,7 +13,7 @@ from robodyn.engines import machine
 from robodyn.engines.expansion import Coefficients, longest_step
 from robodyn.loops.projection import float_closing, suspect_quality
 from robodyn.mechanics.actuation import Actuation, constant, expressions
-from robodyn.taylor import Status, default_order
+from robodyn.taylor import Status, order_where_series_cost
 from robodyn.taylor.compiled import CompiledEngine
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 
@@ -31,7 +31,7 @@ def engine(kind, mech, tau="", rtol=1e-15, order=None, work=False):
     if kind is CompiledEngine:
         return kind(mech, actuation, rtol=rtol, atol=rtol, order=order, work=work)
     closing = float_closing(mech) if mech.rows else None
-    return kind(mech, closing, order or default_order(rtol), rtol, rtol, actuation, work)
+    return kind(mech, closing, order or order_where_series_cost(rtol), rtol, rtol, actuation, work)
 
 
 def run(kind, name, times=NONE, end=None, **options):
@@ -246,7 +246,7 @@ class TestStepSize:
             assert sizes[0] == pytest.approx(sizes[1], rel=1e-8)
 
     def test_orders_grow_with_the_digits(self):
-        orders = [default_order(10.0**-k) for k in range(1, 17)]
+        orders = [order_where_series_cost(10.0**-k) for k in range(1, 17)]
         assert orders == sorted(orders)
         assert all(order % 2 == 0 and 6 <= order <= 60 for order in orders)
 

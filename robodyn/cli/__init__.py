@@ -24,19 +24,19 @@ from robodyn import __version__
 from robodyn.cli import signals
 from robodyn.cli.command_groups import (
     HEADINGS,
-    SUMMARIES,
     TELL_ANGLES,
     USAGE_ERROR,
     Command,
     Commands,
     group_options,
+    summary,
 )
 from robodyn.errors import RobodynError, printable_lines
 from robodyn.tables.csv_fields import plain_digits
 
 # units of numbers by what stands for them in the help
 OPTION_UNITS = {"S": "s", "1/S": "1/s", "RAD": "rad", "HZ": "Hz"}
-COMMANDS = tuple(SUMMARIES)
+COMMANDS = tuple(HEADINGS)
 
 
 def main() -> NoReturn:
@@ -129,7 +129,7 @@ def _application(arguments: list[str], whole: bool = True) -> typer.Typer:
             name,
             cls=Command,
             help=_flowing(function.__doc__ or "") if asked and sys.stdout.isatty() else None,
-            short_help=SUMMARIES[name],
+            short_help=None if is_called else summary(name),
             epilog=_more(name) if asked else None,
             rich_help_panel=HEADINGS[name],
         )(function)

@@ -1,7 +1,6 @@
 """The help, grouped by what is asked: the commands, and the options of each.
 
-The list of commands needs none of their modules: their summaries stand here as well, the first
-paragraphs of the docstrings.
+The list of commands imports none of their modules: it reads the summaries in their files.
 """
 
 from __future__ import annotations
@@ -9,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from itertools import zip_longest
+from pathlib import Path
 from typing import Any
 
 from typer import BadParameter
@@ -17,52 +17,17 @@ from typer.core import TyperCommand, TyperGroup
 USAGE_ERROR: Any = BadParameter.__base__  # click's, of which typer has its own
 
 GROUPS = {
-    "States": {
-        "torque": "The torques that a motion needs, and the pin forces.",
-        "accel": "The accelerations that torques cause, and the pin forces.",
-        "reactions": "The force in every pin, and the shaking force and moment on the ground.",
-        "points": "Where points are, how fast they move, and how they speed up.",
-        "assemble": "Close the loops: all angles, rates and points.",
-        "terms": "M, C, G, the closures' Psi, and the energies at a state.",
-        "energy": "Kinetic energy, potential energy and their sum.",
-    },
-    "Motions": {
-        "simulate": "The motion that torques cause, as CSV.",
-        "trajectory": "A reference motion of the joints, as CSV for `torque`.",
-        "sweep": "The same simulation, or torque, over a grid or a random sample, as one CSV.",
-        "bench": "Speed against error of every method on one motion.",
-    },
-    "Analysis": {
-        "equilibrium": "Where the mechanism rests: near a pose, or everywhere.",
-        "linearize": "How it moves near a state: A, B, natural frequencies, damping, mode shapes.",
-        "regressor": "Y(q, qd, qdd): the torques are linear in masses, moments, dampers and "
-        "springs, tau = Y pi.",
-        "identify": "The parameters of a mechanism from its torques along a motion, by least "
-        "squares.",
-        "fit": "Numbers of a scene for which columns follow a table, or are as small as they can "
-        "be.",
-        "equations": "The equations of motion in closed form, with their symbols.",
-    },
-    "Pictures": {
-        "plot": "Columns of CSV files against time, or against each other; a map of one over two "
-        "others.",
-        "draw": "The mechanism in a pose, to scale.",
-        "animate": "A motion as a moving picture, in real time.",
-    },
-    "Scenes": {
-        "init": "Write a commented scene to start from.",
-        "check": "What was read from a scene, and a self-test.",
-        "schema": "The scene format as a JSON Schema (draft 2020-12).",
-        "export": "The same mechanism as URDF or MJCF, for other tools.",
-        "guide": "The pages of the guide, or one of them.",
-    },
+    "States": "torque accel reactions points assemble terms energy",
+    "Motions": "simulate trajectory sweep bench",
+    "Analysis": "equilibrium linearize regressor identify fit equations",
+    "Pictures": "plot draw animate",
+    "Scenes": "init check schema export guide",
 }
-SUMMARIES = {name: text for group in GROUPS.values() for name, text in group.items()}
+HEADINGS = {name: heading for heading, names in GROUPS.items() for name in names.split()}
 # which print angles, and take --degrees
 _TELLING = "torque accel reactions points assemble terms energy simulate trajectory sweep "
 _TELLING += "equilibrium linearize regressor identify fit check"
 TELL_ANGLES = frozenset(_TELLING.split())
-HEADINGS = {name: heading for heading, group in GROUPS.items() for name in group}
 
 _OUTPUT = (
     "--every --points --sensitivity --event --events --differentiate --extremes --degrees --quiet "
@@ -101,6 +66,12 @@ _OTHERS = {"State": "--q --qd --qdd --tau --force", "Output": _OUTPUT}
 OWN = "Options"  # of a command, which stand first; typer's word, too
 IMPLIED = {"--harmonics": "10"}  # whole numbers that may be left out behind their option
 _NUMBER = "(?i)[+-]?([0-9][0-9.]*(e[+-]?[0-9]+)?|nan|inf)"  # right or not
+
+
+def summary(command: str) -> str:
+    """The first line of its docstring."""
+    source = (Path(__file__).parent / f"{command}.py").read_text("utf-8")
+    return source.partition(f"\ndef {command}(")[2].split('"""')[1].partition("\n")[0]
 
 
 def group_options(command: str, parameters: Iterable[Any]) -> None:
@@ -178,7 +149,8 @@ class Commands(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         column = max(map(len, self.commands))
-        for heading, group in GROUPS.items():
-            rows = [(name.ljust(column), text) for name, text in group.items()]
+        for heading, names in GROUPS.items():
+            listed = [name for name in names.split() if name in self.commands]
             with formatter.section(heading):
-                formatter.write_dl([row for row in rows if row[0].strip() in self.commands])
+                rows = [(name.ljust(column), self.commands[name].short_help) for name in listed]
+                formatter.write_dl(rows)

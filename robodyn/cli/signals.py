@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NoReturn
 
 PATIENCE = 0.4  # s that a run has to come to the end of a step after a signal; and then to finish
+LONG = 25  # times as long, as long as it works: on a table of hundred thousands of events
+WORKS = 0.1  # of the time; a process that waits takes less of it on the processor
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")  # not all of them are everywhere
 ENDING = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
 
@@ -50,14 +53,15 @@ def end(number: int, _: FrameType | None = None) -> NoReturn:
 def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
     """A watch for the run: moves a progress bar, and asks it to stop after a signal.
 
-    A run that does not come to the end of its step is stopped within it; and what does not come to
-    its end after that (a pipe that nobody reads), or gets another signal, ends at once.
+    A run that does not come to the end of its step is stopped within it; and what waits after that
+    (for a pipe that nobody reads), works for too long, or gets another signal, ends at once.
     """
     from robodyn.cli.progress import progress
     from robodyn.simulation.report import Outcome, StopRun
 
     stopped: list[int] = []
-    told = False  # whether the run knows
+    told = False  # whether the run knows, or has come to its end
+    worked = 0.0  # s of the processor
 
     def stop(number: int, frame: FrameType | None) -> None:
         if stopped:
@@ -68,9 +72,11 @@ def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
             signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
 
     def urge(_: int, frame: FrameType | None) -> None:
-        nonlocal told
+        nonlocal told, worked
         stopped.append(stopped[0])
-        if len(stopped) > 2:
+        before, worked = worked, time.process_time()
+        waits = worked - before < WORKS * PATIENCE
+        if len(stopped) > 2 and (waits or len(stopped) > LONG):
             end(stopped[0], frame)
         if not told:
             told = True
@@ -85,7 +91,7 @@ def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
             def watch(t: float) -> bool:
                 nonlocal told
                 show(t / duration)
-                told = told or bool(stopped)
+                told = told or bool(stopped) or t == duration
                 return bool(stopped)
 
             yield watch

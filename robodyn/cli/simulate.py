@@ -51,6 +51,7 @@ from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.run_torques import applied_torques, over_run
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import UNTIL, run
+from robodyn.tables.csv_fields import quoted
 from robodyn.tables.output_file import open_output
 from robodyn.tables.table_writer import Writer
 
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
 
 _TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
 _OUT = "Write here, all or nothing."
+EVENTS_AT_ONCE = 1 << 14  # that are written together
 AT_REST = 1e-13  # part of the energy at the start below which nothing moves
 
 
@@ -285,10 +287,13 @@ def _told(
 
 def _write_events(stream: BinaryIO, mechanism: Mechanism, found: Sequence[Event]) -> None:
     """Each event: its name, its time and the state there."""
-    joints = range(1, mechanism.n + 1)
-    writer = Writer(stream, ["event", "t", *(f"{name}{k}" for name in ("q", "qd") for k in joints)])
-    for event in found:
-        writer.write_row([event.name, event.t, *event.y[: 2 * mechanism.n].tolist()])
+    n = mechanism.n
+    columns = ["t", *(f"{name}{k}" for name in ("q", "qd") for k in range(1, n + 1))]
+    writer = Writer(stream, columns, ["event"])
+    for i in range(0, len(found), EVENTS_AT_ONCE):
+        some = found[i : i + EVENTS_AT_ONCE]
+        t, y = np.array([x.t for x in some]), np.array([x.y[: 2 * n] for x in some])
+        writer.write_rows([quoted(x.name) for x in some], np.column_stack([t, y]))
 
 
 def _summary(mechanism: Mechanism, facts: Report, until: str | None) -> None:

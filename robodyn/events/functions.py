@@ -27,6 +27,7 @@ from robodyn.tables.arrays import Array
 Values = Callable[[Array, Array], Array]
 
 _NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)
+LARGEST = 1e300  # of numbers in an event: sums of what they make stay among the floats
 WAYS = {ast.Gt: 1, ast.GtE: 1, ast.Lt: -1, ast.LtE: -1}
 _ARRAYS: dict[str, Callable[..., Any]] = {
     "asin": np.arcsin,
@@ -91,6 +92,10 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
     if not written.names:
         raise InputError(repr(text), where=where, limit="never changes: it names no t, q or qd")
     tree, way, strict = ast.parse(written.codes[0], mode="eval").body, 0, True
+    numbers = [x.value for x in ast.walk(tree) if isinstance(x, ast.Constant)]
+    if any(isinstance(x, int | float) and abs(x) > LARGEST for x in numbers):
+        limit = f"has a number above {LARGEST:g}: what it makes leaves the floats"
+        raise InputError(repr(text), where=where, limit=limit)
     if isinstance(tree, ast.Compare):
         if any(isinstance(side, ast.Compare) for side in (tree.left, *tree.comparators)):
             raise InputError(repr(text), where=where, limit="compares a comparison")

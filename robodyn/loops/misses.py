@@ -145,7 +145,7 @@ class Misses:
         What was met so is known from then on, and holds the next steps.
         """
         q = y[:, : self.mechanism.n]
-        if not self._guards or not np.isfinite(q).all():
+        if not self._guards or len(q) < 2 or not np.isfinite(q).all():
             return []
         rows = sparse_rows(self.mechanism, placed(self.mechanism, q))
         Psi = [

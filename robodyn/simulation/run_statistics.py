@@ -42,6 +42,7 @@ class RunStatistics:
         if given.constants is None and not given.linear and given.control is None:
             self.unseen = UnseenWork(given.function(n), report.t_end)
 
+    @np.errstate(all="ignore")  # what leaves the floats is told by the outcome
     def take(self, mechanism: Mechanism, t: Array, y: Array) -> None:
         """Steps to the states y (k, 2n or more) at times t (k,), of what moves there."""
         if mechanism is not self.mechanism:

@@ -47,6 +47,7 @@ class SmoothMotions:
             )
         return self._sides[mechanism]
 
+    @np.errstate(all="ignore")  # rates that leave the floats end the run
     def check_start(self, mechanism: Mechanism, y: Array, report: Report) -> None:
         """Raise RobodynError, now, where no motion is defined."""
         n = mechanism.n

@@ -199,6 +199,7 @@ def torque_slopes(mechanism: Mechanism, actuation: Actuation) -> FloatFunction:
     return compile_floats(Formula(tuple(names), tuple(slopes_by(nodes, names)), ()), "slopes")
 
 
+@np.errstate(all="ignore")  # of rates that leave the floats the run tells
 def start_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> Array:
     """d(q, qd)/d(name) (2n) at the start: the actuated joints' values are what is given."""
     n, driven = mechanism.n, list(mechanism.actuated)

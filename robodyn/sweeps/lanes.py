@@ -27,7 +27,7 @@ from robodyn.sweeps.array_machine import LANES, ArrayMachine
 from robodyn.sweeps.lane_observer import LaneObserver, kept
 from robodyn.sweeps.step_extremes import crossings, extremes
 from robodyn.tables.arrays import Array
-from robodyn.taylor import Status, best_order, default_order
+from robodyn.taylor import Status, order_where_series_cost, order_where_steps_cost
 from robodyn.taylor.compiled import serves
 
 KEPT = 64  # codes in a process
@@ -139,7 +139,7 @@ def _scene(
 ) -> Scene | None:
     if not serves(mechanism) or mechanism.timed:  # no lane steps onto times of loads
         return None
-    order = default_order(aims.rtol) if compiled else best_order(aims.rtol)
+    order = order_where_series_cost(aims.rtol) if compiled else order_where_steps_cost(aims.rtol)
     try:
         return Scene(
             mechanism,

@@ -96,14 +96,17 @@ class Engine(Protocol):
         ...
 
 
-def best_order(rtol: float) -> int:
-    """The order that measured cheapest where a step costs much beside its series.
+def order_where_steps_cost(tolerance: float) -> int:
+    """The order that measured cheapest for one run in machine code, and for many in numpy's arrays.
 
-    So it is in machine code, whose series cost little, and in arrays of many motions.
+    There a step costs much beside its series.
     """
-    return max(8, math.ceil(6 - 0.7 * math.log(max(rtol, 1e-16))))
+    return max(8, math.ceil(6 - 0.7 * math.log(max(tolerance, 1e-16))))
 
 
-def default_order(tolerance: float) -> int:
-    """The order that measured cheapest where the series is most of a step: in floats and lanes."""
+def order_where_series_cost(tolerance: float) -> int:
+    """The same for one run in plain Python, and for many side by side in lanes of machine code.
+
+    There the series is most of a step.
+    """
     return 2 * max(3, round((4.0 - 0.5 * math.log(tolerance)) / 2.0))

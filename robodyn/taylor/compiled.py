@@ -23,7 +23,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
-from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, best_order
+from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, order_where_steps_cost
 from robodyn.taylor.coordinate_code import binomials
 from robodyn.taylor.kept_code import ASKED, GIVEN, TABLE, Rows
 from robodyn.taylor.step_boxes import Kept, terms_of
@@ -90,7 +90,7 @@ class CompiledEngine:
         family: str = "",
     ) -> None:
         self.mechanism, self.actuation = mechanism, actuation
-        self.order = best_order(max(rtol, atol)) if order is None else order
+        self.order = order_where_steps_cost(max(rtol, atol)) if order is None else order
         self._options, self._tolerances = (work, project, family), (float(rtol), float(atol))
         self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes

@@ -15,7 +15,7 @@ from robodyn.loops.closing import loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Recorder
-from robodyn.taylor import Engine, NoCodeError, default_order
+from robodyn.taylor import Engine, NoCodeError, order_where_series_cost
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 from robodyn.taylor.steps import SteppingEngine
 
@@ -57,7 +57,7 @@ def stepping_engine(
 def order_in_python(mechanism: Mechanism, tolerance: float, project: bool) -> int:
     """The order of steps in Python where none is asked for."""
     closes = bool(mechanism.rows) and project
-    return max(default_order(tolerance), LEAST_CLOSED if closes else 0)
+    return max(order_where_series_cost(tolerance), LEAST_CLOSED if closes else 0)
 
 
 def _straight(mechanism: Mechanism, order: int) -> bool:

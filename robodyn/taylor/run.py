@@ -38,7 +38,7 @@ COMPILED_STEPS = 4096
 TOGETHER = 8 * STEPS  # of those in Python: looks for events or leaps cost as many calls
 KEPT = 32768  # steps whose series are kept at a time, of one link
 AHEAD = 4  # where an event ends the run, or a phase of it, at first
-CALL = 0.1  # s that a call of compiled code may take
+CALL = 0.1  # s that a call of compiled code may take, and about what a look for events may
 ROWS_A_STEP = 4  # rows at times that cost what a step does
 MOST_IDLE = 8  # rounds without a step, after which there is none
 LEAD = 8  # steps of DOP853 away from where a torque has no series
@@ -212,7 +212,10 @@ class TaylorRun:
             from robodyn.taylor.watched_steps import with_events
 
             given = events, self.mechanism, chunk, self.t, self.y, runner
+            begun = time.perf_counter()
             chunk, within, stop = with_events(*given)
+            took = max(1e-9, time.perf_counter() - begun)
+            self.ahead = max(1, min(self.ahead, int(CALL / took * len(chunk.t))))
         told = chunk
         if variations is not None:
             told, within = variations.along(self.t, self.y, chunk, runner, within)
