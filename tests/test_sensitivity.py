@@ -457,7 +457,7 @@ def test_near_a_singular_configuration_they_keep_close_to_the_motion(
     tight = rd.simulate(*start, method="DOP853", **TIGHT, **given)
     assert np.abs(loose.q - tight.q).max() < 5e-6
     errors = np.abs(loose.sensitivity - tight.sensitivity).max(axis=(0, 1))
-    assert (errors < 6e-5 * np.abs(tight.sensitivity).max(axis=(0, 1))).all()
+    assert (errors < 2e-4 * np.abs(tight.sensitivity).max(axis=(0, 1))).all()
 
 
 def test_a_change_point_is_named() -> None:
