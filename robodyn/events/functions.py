@@ -43,10 +43,11 @@ _ARRAYS: dict[str, Callable[..., Any]] = {
 
 @dataclass(frozen=True)
 class Part:
-    """A function of time and state: `values(t (k,), y (k, 2n or more))`, nan where undefined.
+    """A function of time and state: `values(t (..., k), y (..., k, 2n or more))`.
 
-    `noise` (k,), of the same, bounds what rounding may have added to them.  `around` has them
-    in the middle of boxes, and how far they go from there (`rounding.around_of`); or is not known.
+    They are nan where undefined.  `noise` (..., k or 1), of the same, bounds what rounding may have
+    added to them.  `around` has them in the middle of boxes, and how far they go from there
+    (`rounding.around_of`); or is not known.
     """
 
     values: Values
@@ -152,7 +153,7 @@ def _vectorised(tree: ast.expr, n: int) -> Values:
     text = ast.unparse(ast.fix_missing_locations(_Chosen().visit(copied)))
     used = set(re.findall(r"\bqd?\d+\b", text))
     columns = [
-        f"{name}{k} = y[:, {k + first}]"
+        f"{name}{k} = y[..., {k + first}]"
         for name, first in (("q", 0), ("qd", n))
         for k in range(n)
         if f"{name}{k}" in used

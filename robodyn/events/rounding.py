@@ -55,7 +55,7 @@ def bound_of(tree: ast.expr, n: int) -> Callable[[Array, Array], Array]:
             for part in (off[..., :n], off[..., n:]) if n > 1 else ():
                 part[:] = np.maximum.reduce(part, axis=-1, keepdims=True)
             off *= STATE
-            return np.asarray(_bounded(tree, _known(t, t, y, off, n))[1])
+            return np.atleast_1d(_bounded(tree, _known(t, t, y, off, n))[1])
 
     return bound
 
