@@ -129,11 +129,10 @@ def by_stages(functions: Sequence[EventFunction], steps: Sequence[Any]) -> list[
     found = []
     for function in functions:
         known = np.ones(m)
-        with np.errstate(all="ignore"):
-            for part in (*function.switches, function):
-                better, worse = part.values(at, y).reshape(2, m, -1)
-                noise = np.abs(better - worse).max(axis=1)
-                noise += MARGIN * np.abs(better).max(axis=1)
-                known = np.where(known, certain(better, noise), 0)
+        for part in (*function.switches, function):
+            better, worse = part.values(at, y).reshape(2, m, -1)
+            noise = np.abs(better - worse).max(axis=1)
+            noise += MARGIN * np.abs(better).max(axis=1)
+            known = np.where(known, certain(better, noise), 0)
         found.append(known)
     return found

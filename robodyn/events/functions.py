@@ -43,11 +43,10 @@ _ARRAYS: dict[str, Callable[..., Any]] = {
 
 @dataclass(frozen=True)
 class Part:
-    """A function of time and state: `values(t (..., k), y (..., k, 2n or more))`.
+    """A function of time and state: `values(t (k,), y (k, 2n or more))`, nan where undefined.
 
-    They are nan where undefined.  `noise` (..., k or 1), of the same, bounds what rounding may have
-    added to them.  `around` has them in the middle of boxes, and how far they go from there
-    (`rounding.around_of`); or is not known.
+    `noise` (k,), of the same, bounds what rounding may have added to them.  `around` has them
+    in the middle of boxes, and how far they go from there (`rounding.around_of`); or is not known.
     """
 
     values: Values
@@ -153,7 +152,7 @@ def _vectorised(tree: ast.expr, n: int) -> Values:
     text = ast.unparse(ast.fix_missing_locations(_Chosen().visit(copied)))
     used = set(re.findall(r"\bqd?\d+\b", text))
     columns = [
-        f"{name}{k} = y[..., {k + first}]"
+        f"{name}{k} = y[:, {k + first}]"
         for name, first in (("q", 0), ("qd", n))
         for k in range(n)
         if f"{name}{k}" in used
@@ -163,8 +162,7 @@ def _vectorised(tree: ast.expr, n: int) -> Values:
     function = scope["values"]
 
     def values(t: Array, y: Array) -> Array:
-        with np.errstate(all="ignore"):
-            found = np.asarray(function(t, y), float)
+        found = np.asarray(function(t, y), float)
         return found if found.shape == t.shape else np.broadcast_to(found, t.shape)
 
     return values

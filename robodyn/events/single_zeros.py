@@ -91,21 +91,21 @@ class Zeros(NamedTuple):
 
 def _sampled(part: Part, steps: Steps, sharp: bool) -> tuple[Array, Array, Array]:
     """Values (m, k) at the nodes, how far they may be off (m,), and what rounding is of that."""
-    nodes, other = steps.nodes, steps.other
-    at = node_times(steps.begin, steps.end)
-    values = part.values(at, nodes)
+    m, k, width = steps.nodes.shape
+    at, other = node_times(steps.begin, steps.end), steps.other
+    values = part.values(at.ravel(), steps.nodes.reshape(-1, width)).reshape(m, k)
     if sharp:
-        noise = np.maximum.reduce(part.noise(at, nodes), axis=-1)
+        noise = np.maximum.reduce(part.noise(at, steps.nodes), axis=-1)
     else:
         noise = MARGIN * np.abs(values).max(axis=1)
     if other is None:
         return values, noise, noise
     p = other.shape[1]
-    missed = np.abs(values[:, -p:] - part.values(at[:, -p:], other))
+    last = part.values(at[:, -p:].ravel(), other.reshape(-1, other.shape[2]))
+    missed = np.abs(values[:, -p:] - last.reshape(m, p))
     return values, noise + MISSED * (missed[:, 0] if p == 1 else missed.max(axis=1)), noise
 
 
-@np.errstate(all="ignore")  # values may be huge, or none
 def single_zeros(function: EventFunction, steps: Steps, locates: bool = True) -> Zeros:
     """Of steps where a function may pass zero: whether it keeps its sign, or where it passes once.
 

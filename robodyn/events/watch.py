@@ -83,6 +83,7 @@ class EventWatch(EventRecord):
                 self.unpack()
         self.signs = found.signs
 
+    @np.errstate(all="ignore")  # values may be huge, or none
     def series(
         self,
         times: Array,
@@ -168,6 +169,7 @@ class EventWatch(EventRecord):
                 self._found_in.setdefault(j, []).append(single)
         return doubtful
 
+    @np.errstate(all="ignore")
     def near(self, steps: Sequence[Any]) -> dict[int, list[int]]:
         """For steps of an explicit method, which functions are to be looked at in each of them.
 
@@ -210,7 +212,7 @@ class EventWatch(EventRecord):
             if signs[-1]:
                 self.signs[i] = int(signs[-1])
 
-    @np.errstate(all="ignore")  # values may be huge, or none
+    @np.errstate(all="ignore")
     def step(self, step: Step, places: Sequence[int] | None = None) -> Stop | None:
         """Look at one step, for the functions at `places`."""
         passed: list[Single] = []

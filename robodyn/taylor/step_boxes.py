@@ -9,14 +9,6 @@ D = z' - i w0 z, which is zero there, z = exp(i w0 x) (1 + integral of exp(-i w0
 and the angle goes away from alpha_0 + w0 x by h times that at most.  Of a displacement z' - z'(0)
 is D, and far is all.  Sizes |z| are |rho| + |theta|, and a joint's box is that of its own
 coordinate and the one below.
-
-The rate's slope a = Im(z'/z)' stays near a0, that at the start, likewise: with u = z'/z and
-F = D' - i w0 D - i a0 z is (u' - i a0) z = F - (u - i w0) D, so that
-
-    |a - a0| <= (sum |F_k| h^k + |w - w0| far) / (1 - h far),
-
-and of a displacement F is z'' - z''(0), and all.  Of the pair D_0 and F_0, zero but for rounding
-and for what a series leaves out, the sums have the sizes too.
 """
 
 from __future__ import annotations
