@@ -31,7 +31,7 @@ SLOPES: dict[str, Callable[[Any, Any, Any], Any]] = {
     "cosh": lambda x, dx, value: np.sinh(np.abs(x) + dx),
     "tanh": lambda x, dx, value: 1.0 - np.tanh(_positive(np.abs(x) - dx)) ** 2,
     "exp": lambda x, dx, value: np.exp(x + dx),
-    "sqrt": lambda x, dx, value: 1.0 / (value + np.sqrt(_positive(x - dx))),
+    "sqrt": lambda x, dx, value: 1.0 / np.maximum(value + np.sqrt(_positive(x - dx)), np.sqrt(dx)),
     "abs": lambda x, dx, value: 1.0,
     "sign": lambda x, dx, value: 0.0,
     "floor": lambda x, dx, value: 0.0,
