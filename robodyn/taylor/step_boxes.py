@@ -133,12 +133,12 @@ def states_along(mechanism: Mechanism, y: Array, terms: Complex, h: Array, parts
     return states.T
 
 
-def states_at(mechanism: Mechanism, y: Array, terms: Complex, h: Array, part: Array) -> Array:
-    """The same (m, 2n) at one `part` (m) of each step, not its start."""
+def states_at(mechanism: Mechanism, y: Array, terms: Complex, x: Array, part: Array) -> Array:
+    """The same (m, 2n) at one time of each step, x (m) after y, not 0: this `part` (m) of it."""
     powers = np.empty(terms.shape[1:])
     powers[:] = part
     np.multiply.accumulate(powers, out=powers)
-    return states_along(mechanism, y, terms * powers, part * h, END)[:, 0]
+    return states_along(mechanism, y, terms * powers, x, END)[:, 0]
 
 
 @lru_cache(maxsize=64)
