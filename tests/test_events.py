@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import FRESH
 from each_case import each
+from named_case import case
 from numpy.typing import NDArray
 
 from robodyn.events.functions import event_functions
@@ -239,6 +240,17 @@ def test_bends_and_jumps(
     watch = look(pendulum, text, ends)
     check(watch, roots)
     assert not watch.lost
+
+
+@pytest.mark.parametrize("look", [watched, by_series, by_boxes])
+def test_a_root_is_as_steep_as_can_be_and_touches_no_zero(
+    pendulum: Mechanism, look: Callable
+) -> None:
+    for ends in PARTS:
+        with case(len(ends)):
+            watch = look(pendulum, "sqrt(abs(q1 - 1.5)) - 0.5", ends)
+            check(watch, [1.25, 1.75])
+            assert not watch.grazes
 
 
 @each("seed", range(60 if FRESH else 16))

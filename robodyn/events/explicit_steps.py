@@ -120,7 +120,7 @@ def two_guesses(steps: Sequence[Any]) -> Array:
     return both
 
 
-def by_stages(functions: Sequence[EventFunction], steps: Sequence[Any]) -> list[Places]:
+def by_stages(functions: Sequence[EventFunction], steps: Sequence[Any]) -> list[Array]:
     """The signs (m,) of each function along m steps of an explicit method."""
     both, m = two_guesses(steps), len(steps)
     begin = np.array([step.t_old for step in steps])
@@ -128,12 +128,11 @@ def by_stages(functions: Sequence[EventFunction], steps: Sequence[Any]) -> list[
     at, y = np.concatenate([at, at]), both.reshape(-1, both.shape[-1])
     found = []
     for function in functions:
-        known = np.ones(m, np.int64)
-        with np.errstate(all="ignore"):
-            for part in (*function.switches, function):
-                better, worse = part.values(at, y).reshape(2, m, -1)
-                noise = np.abs(better - worse).max(axis=1)
-                noise += MARGIN * np.abs(better).max(axis=1)
-                known = np.where(known, certain(better, noise), 0)
+        known = np.ones(m)
+        for part in (*function.switches, function):
+            better, worse = part.values(at, y).reshape(2, m, -1)
+            noise = np.abs(better - worse).max(axis=1)
+            noise += MARGIN * np.abs(better).max(axis=1)
+            known = np.where(known, certain(better, noise), 0)
         found.append(known)
     return found

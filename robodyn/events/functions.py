@@ -175,8 +175,7 @@ def _vectorised(tree: ast.expr, n: int) -> Values:
     function = scope["values"]
 
     def values(t: Array, y: Array) -> Array:
-        with np.errstate(all="ignore"):
-            found = np.asarray(function(t, y), float)
+        found = np.asarray(function(t, y), float)
         return found if found.shape == t.shape else np.broadcast_to(found, t.shape)
 
     return values

@@ -31,7 +31,7 @@ SLOPES: dict[str, Callable[[Any, Any, Any], Any]] = {
     "cosh": lambda x, dx, value: np.sinh(np.abs(x) + dx),
     "tanh": lambda x, dx, value: 1.0 - np.tanh(_positive(np.abs(x) - dx)) ** 2,
     "exp": lambda x, dx, value: np.exp(x + dx),
-    "sqrt": lambda x, dx, value: 1.0 / (value + np.sqrt(_positive(x - dx))),
+    "sqrt": lambda x, dx, value: 1.0 / np.maximum(value + np.sqrt(_positive(x - dx)), np.sqrt(dx)),
     "abs": lambda x, dx, value: 1.0,
     "sign": lambda x, dx, value: 0.0,
     "floor": lambda x, dx, value: 0.0,
@@ -50,12 +50,11 @@ def bound_of(tree: ast.expr, n: int) -> Callable[[Array, Array], Array]:
     """
 
     def bound(t: Array, y: Array) -> Array:
-        with np.errstate(all="ignore"):
-            off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)
-            for part in (off[..., :n], off[..., n:]) if n > 1 else ():
-                part[:] = np.maximum.reduce(part, axis=-1, keepdims=True)
-            off *= STATE
-            return np.asarray(_bounded(tree, _known(t, t, y, off, n))[1])
+        off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)
+        for part in (off[..., :n], off[..., n:]) if n > 1 else ():
+            part[:] = np.maximum.reduce(part, axis=-1, keepdims=True)
+        off *= STATE
+        return np.atleast_1d(_bounded(tree, _known(t, t, y, off, n))[1])
 
     return bound
 
@@ -67,8 +66,7 @@ def around_of(tree: ast.expr, n: int) -> Callable[[Array, Array, Array, Array], 
     """
 
     def around(begin: Array, end: Array, y: Array, dy: Array) -> Bounded:
-        with np.errstate(all="ignore"):
-            return _bounded(tree, _known(begin, end, y, dy, n))
+        return _bounded(tree, _known(begin, end, y, dy, n))
 
     return around
 

@@ -39,7 +39,7 @@ _K = np.arange(DEGREE + 1.0)
 _DERIVATIVE: Array = 2.0 * _K[:, None] * ((_K[:, None] > _K) & ((_K[:, None] - _K) % 2.0 == 1.0))
 _DERIVATIVE[:, 0] *= 0.5
 BOTH: Array = np.concatenate([np.eye(DEGREE + 1), _DERIVATIVE], axis=1)  # and the slope's
-_X = 2.0 * NODES - 1.0
+X: Array = 2.0 * NODES - 1.0
 
 
 def _margins() -> Array:
@@ -56,20 +56,21 @@ def _margins() -> Array:
 
 MARGINS: Array = _margins()
 NONE: Located = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0)
+NOWHERE: tuple[Places, Array] = NONE[0], NONE[2]
 
 
 class Steps(NamedTuple):
     """Steps that are looked at together, m of them.
 
     `nodes` (m, k, N) are states at Chebyshev's points, `other` (m, p, N) those at the last p of
-    them known in another way, which tells how far they may be off.  `states` has, of steps by their
-    places, the states (k, 2n or more) at a time of each.
+    them known in another way, which tells how far they may be off; None where nothing but rounding
+    does.  `states` has, of steps by their places, the states (k, 2n or more) at a time of each.
     """
 
     begin: Array
     end: Array
     nodes: Array
-    other: Array
+    other: Array | None
     states: Callable[[Places, Array], Array]
 
 
@@ -80,8 +81,8 @@ class Zeros(NamedTuple):
     passes at times t (k,) in the steps `at`, in the states y, `apart` being how far t may be off.
     """
 
-    first: Places
-    last: Places
+    first: Array
+    last: Array
     at: Places
     t: Array
     y: Array
@@ -91,18 +92,20 @@ class Zeros(NamedTuple):
 def _sampled(part: Part, steps: Steps, sharp: bool) -> tuple[Array, Array, Array]:
     """Values (m, k) at the nodes, how far they may be off (m,), and what rounding is of that."""
     m, k, width = steps.nodes.shape
-    at, p = node_times(steps.begin, steps.end), steps.other.shape[1]
+    at, other = node_times(steps.begin, steps.end), steps.other
     values = part.values(at.ravel(), steps.nodes.reshape(-1, width)).reshape(m, k)
     if sharp:
-        noise = np.maximum.reduce(np.atleast_1d(part.noise(at, steps.nodes)), axis=-1)
+        noise = np.maximum.reduce(part.noise(at, steps.nodes), axis=-1)
     else:
         noise = MARGIN * np.abs(values).max(axis=1)
-    last = part.values(at[:, -p:].ravel(), steps.other.reshape(-1, steps.other.shape[2]))
+    if other is None:
+        return values, noise, noise
+    p = other.shape[1]
+    last = part.values(at[:, -p:].ravel(), other.reshape(-1, other.shape[2]))
     missed = np.abs(values[:, -p:] - last.reshape(m, p))
     return values, noise + MISSED * (missed[:, 0] if p == 1 else missed.max(axis=1)), noise
 
 
-@np.errstate(all="ignore")  # values may be huge, or none
 def single_zeros(function: EventFunction, steps: Steps, locates: bool = True) -> Zeros:
     """Of steps where a function may pass zero: whether it keeps its sign, or where it passes once.
 
@@ -113,31 +116,35 @@ def single_zeros(function: EventFunction, steps: Steps, locates: bool = True) ->
     c = values @ TO_COEFFICIENTS
     margins = np.abs(c) @ MARGINS
     kept, steady, bent = (margins[:, :3] > off[:, None]).T
-    once = steady | bent
     for switch in function.switches:
         inner, *missed = _sampled(switch, steps, locates)
         smooth = certain(inner, missed[0] + missed[1]) != 0
-        kept, once, steady = kept & smooth, once & smooth, steady & smooth
-    limits = noise, off = noise + margins[:, 3], off + margins[:, 4]
-    ends = values[:, ::DEGREE].T
-    signs = np.subtract(ends > 0.0, ends < 0.0, dtype=np.int64)
-    seen = signs * (np.abs(ends) > limits)
-    passes = seen[0] * seen[1]
-    kept = kept | (steady & (passes > 0))
-    if function.way and not margins[:, 3].all():  # a comparison that stays at zero
-        still = margins[:, 3] == 0.0
-        kept |= still & (off == 2.0 * noise)
-        signs[1, still] = -function.way if function.strict else function.way
-    known = once & (passes < 0)
-    at = known.nonzero()[0] if locates else NONE[0]
-    found = _located(function, steps, at, c[at], values[at], noise[at]) if len(at) else NONE
-    known[:] = False
-    known[found[0]] = True
+        kept, steady, bent = kept & smooth, steady & smooth, bent & smooth
+    rounded, ends = margins[:, 3:], values[:, ::DEGREE]
+    still = function.way and not rounded[:, 0].all()  # a comparison that stays at zero
+    stays = (rounded[:, 0] == 0.0) & (off == 2.0 * noise) if still else None
+    rounded[:, 0] += noise
+    rounded[:, 1] += off
+    seen = np.copysign(np.abs(ends) > rounded, ends)
+    passes = seen[:, 0] * seen[:, 1]
+    kept = kept | (steady & (passes > 0.0))
+    signs = np.sign(values[:, -1:])
+    if stays is not None:
+        kept |= stays
+        signs[stays] = -function.way if function.strict else function.way
+    found = NONE
     if locates:
-        known |= steady & (seen[0] == 0)  # and 0 it stays there, to rounding
-    seen *= known
-    np.copyto(seen, signs[1], where=kept)
-    return Zeros(seen[0], seen[1], *found)
+        known = (steady | bent) & (passes < 0.0)
+        at = known.nonzero()[0]
+        if len(at):
+            found = _located(function, steps, at, c[at], values[at], rounded[at, 0])
+            steady = steady & ~known
+            steady[found[0]] = True
+        seen *= steady[:, None]  # what may be 0 at the start stays 0 there, to rounding
+    else:
+        seen[:] = 0.0
+    np.copyto(seen, signs, where=kept[:, None])
+    return Zeros(seen[:, 0], seen[:, 1], *found)
 
 
 def _located(
@@ -147,11 +154,12 @@ def _located(
 
     Of `values` (k, DEGREE + 1) at the nodes, and of coefficients c, which change sign once.
     """
-    rows = np.arange(len(at))
-    after = ((values > 0.0) == (values[:, -1:] > 0.0)).argmax(axis=1)
-    low, high = _X[after - 1], _X[after]
-    below, above = values[rows, after - 1], values[rows, after]
-    x = low + (high - low) * below / (below - above)
+    above = values > 0.0
+    after = (above == above[:, -1:]).argmax(axis=1)
+    low, high = X.take(after - 1), X.take(after)
+    after += np.arange(0, values.size, DEGREE + 1)
+    below, beyond = values.take(after - 1), values.take(after)
+    x = low + (high - low) * (below / (below - beyond))
     both = (c @ BOTH).reshape(-1, 2, DEGREE + 1)
     for _ in range(ITERATIONS):
         waves = np.cos(np.arccos(x)[:, None] * _K)
@@ -179,14 +187,14 @@ def _located(
     return (at, t, y, apart) if good.all() else (at[good], t[good], y[good], apart[good])
 
 
-def by_boxes(function: EventFunction, *box: Array) -> Places:
+def by_boxes(function: EventFunction, *box: Array) -> Array:
     """The signs (m,) along m steps from begin (m,) to end, the states within dy (m, N) of y."""
-    found: Places | None = None
+    found: Array | None = None
     for part in (*function.switches, function):
         if part.around is None:
-            return np.zeros(len(box[0]), np.int64)
+            return np.zeros(len(box[0]))
         value, reach = part.around(*box)
-        signs = np.subtract(value > reach, value < -reach, dtype=np.int64)
+        signs = np.copysign(np.abs(value) > reach, value)
         found = signs if found is None else signs * np.abs(found)
     assert found is not None
     return found
@@ -208,15 +216,15 @@ class Single(NamedTuple):
 class Followed(NamedTuple):
     """A function along m steps: what it does in which of them.
 
-    `kept` (m,) are the signs that it has all along a step, `last` (m,) those at their ends, 0 where
-    unknown; `slow` (m,) whether a step is to be looked at by itself.  `rows` are zeros passed in
-    others, at these `places`: the function's own place, the time, how far that may be off, the sign
-    after it, and the state.
+    `first` and `last` (m,) are its signs at their begin and end, 0 where unknown; equal ones are
+    kept all along.  `slow` are the places of steps to be looked at by themselves.  `rows` are zeros
+    passed in others, at these `places`: the function's own place, the time, how far that may be
+    off, the sign after it, and the state.
     """
 
-    kept: Places
-    last: Places
-    slow: NDArray[np.bool_]
+    first: Array
+    last: Array
+    slow: Places
     places: Places
     rows: Array
 
@@ -224,7 +232,7 @@ class Followed(NamedTuple):
 def followed(
     i: int,
     function: EventFunction,
-    known: Places,
+    known: Array,
     before: int,
     steps: Callable[[Places], Steps],
     locates: bool,
@@ -233,24 +241,23 @@ def followed(
 
     `steps` has some of them by their places; where it `locates` zeros, those passed once are told.
     """
-    kept, first, last = known, known, known
-    places, rows = NONE[0], np.zeros((0, 0))
-    at = (known == 0).nonzero()[0]
+    first, last, (places, rows) = known, known, NOWHERE
+    at = (known == 0.0).nonzero()[0]
     if len(at):
         zeros = single_zeros(function, steps(at), locates)
         first, last = known.copy(), known.copy()
         first[at], last[at] = zeros.first, zeros.last
-        kept = last * (first == last)
-    slow = last == 0
-    slow[1:] |= first[1:] * last[:-1] != 1
-    if before not in (0, first[0]):  # what holds at the start is no event
-        slow[0] = True
-    if len(at) and len(zeros.at):
-        places = at[zeros.at]
-        rows = np.empty((len(places), 4 + zeros.y.shape[1]))
-        rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = i, zeros.t, zeros.apart, last[places]
-        rows[:, 4:] = zeros.y
-        if np.count_nonzero(slow):
-            told = ~slow[places]
-            places, rows = places[told], rows[told]
-    return Followed(kept, last, slow, places, rows)
+        if len(zeros.at):
+            places = at[zeros.at]
+            rows = np.empty((len(places), 4 + zeros.y.shape[1]))
+            rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = i, zeros.t, zeros.apart, last[places]
+            rows[:, 4:] = zeros.y
+    goes = np.empty(len(known))  # 1 where it goes on as before, to a sign that is known
+    goes[0] = before in (0, first[0])  # what holds at the start is no event
+    np.multiply(first[1:], last[:-1], out=goes[1:])
+    goes *= last != 0.0
+    slow = (goes != 1.0).nonzero()[0]
+    if len(slow):
+        told = goes[places] == 1.0
+        places, rows = places[told], rows[told]
+    return Followed(first, last, slow, places, rows)

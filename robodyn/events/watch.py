@@ -72,6 +72,7 @@ class EventWatch(EventRecord):
             self.take(kept)
         return isinstance(kept, Found)
 
+    @np.errstate(all="ignore")  # values may be huge, or none
     def series(
         self,
         times: Array,
@@ -92,15 +93,15 @@ class EventWatch(EventRecord):
         """
         box = times[:-1], times[1:], boxes[:, 0], boxes[:, 1]
         known = [by_boxes(function, *box) for function in self.watched]
-        unknown = np.zeros(len(boxes), bool)
-        for signs in known:
-            unknown |= signs == 0
+        unknown = known[0] == 0.0
+        for signs in known[1:]:
+            unknown |= signs == 0.0
         left = unknown.nonzero()[0]
         nodes = sampled(left) if len(left) else np.zeros(0)
 
         def steps(at: Places) -> Steps:
             there = nodes if len(at) == len(left) else nodes[np.searchsorted(left, at)]
-            last = ends[at, None]
+            last = None if exact else ends[at, None]
             return Steps(times[at], times[at + 1], there, last, lambda i, t: within(at[i], t))
 
         doubtful = self._doubtful(known, steps)
@@ -118,14 +119,14 @@ class EventWatch(EventRecord):
         return None
 
     def _doubtful(
-        self, known: list[Places], steps: Callable[[Places], Steps]
+        self, known: Sequence[Array], steps: Callable[[Places], Steps]
     ) -> dict[int, list[int]]:
         """Which functions are to be looked at by themselves, by step.
 
         `known` are their signs (m,) along steps, 0 where they may change.  What passes zero once is
         found here, but for what ends the run.
         """
-        self._known, self._after = known, list(known)  # along steps, and at their ends
+        self._ahead, self._after = list(known), list(known)  # at the begin of steps, and their ends
         self._found_in: dict[int, list[Single]] = {}  # by step, what needs no look at it by itself
         doubtful: dict[int, list[int]] = {}
         found: list[tuple[Places, Array]] = []
@@ -136,14 +137,14 @@ class EventWatch(EventRecord):
                 continue
             tells = i < len(self.functions) and i not in self.stops
             way = followed(i, self.watched[i], signs, before, steps, tells)
-            known[i], self._after[i] = way.kept, way.last
-            places, rows = way.places, way.rows
+            self._ahead[i], self._after[i] = way.first, way.last
+            slow, places, rows = way.slow.tolist(), way.places, way.rows
             if touched:
-                way.slow[0] = True
+                slow = [0, *(j for j in slow if j)]
                 places, rows = places[places > 0], rows[places > 0]
             if len(places):
                 found.append((places, rows))
-            for j in way.slow.nonzero()[0].tolist():
+            for j in slow:
                 doubtful.setdefault(j, []).append(i)
         if found and not doubtful and not self.cut:
             last = [int(signs[-1]) for signs in self._after]
@@ -157,6 +158,7 @@ class EventWatch(EventRecord):
                 self._found_in.setdefault(j, []).append(single)
         return doubtful
 
+    @np.errstate(all="ignore")
     def near(self, steps: Sequence[Any]) -> dict[int, list[int]]:
         """For steps of an explicit method, which functions are to be looked at in each of them.
 
@@ -175,14 +177,19 @@ class EventWatch(EventRecord):
         for i in places:
             if j and self._after[i][j - 1]:
                 self.signs[i] = int(self._after[i][j - 1])
-        places = [i for i in places if not self._goes_on(i, int(self._known[i][j]))]
+        places = [i for i in places if not self._goes_on(i, self._all_along(i, j))]
         self._single = self._found_in.pop(j, ())
         if places:
-            self._along = [int(signs[j]) for signs in self._known]
+            self._along = [self._all_along(i, j) for i in range(len(self.watched))]
             return places
         for single in sorted(self._single, key=lambda each: abs(each.t)):
             self.tell(single)
         return places
+
+    def _all_along(self, i: int, j: int) -> int:
+        """The sign that a function keeps in step j, 0 where that is not known."""
+        sign = int(self._after[i][j])
+        return sign if sign == self._ahead[i][j] else 0
 
     def _goes_on(self, i: int, sign: int) -> bool:
         """Whether nothing happens where a function has a sign for certain."""
@@ -194,7 +201,7 @@ class EventWatch(EventRecord):
             if signs[-1]:
                 self.signs[i] = int(signs[-1])
 
-    @np.errstate(all="ignore")  # values may be huge, or none
+    @np.errstate(all="ignore")
     def step(self, step: Step, places: Sequence[int] | None = None) -> Stop | None:
         """Look at one step, for the functions at `places`."""
         passed: list[Single] = []

@@ -145,13 +145,12 @@ class SteppingEngine:
         """See `Engine`."""
         state: list[float] = y.tolist()
         direction = 1.0 if bound > t else -1.0
-        ends: list[float] = []
-        states: list[list[float]] = []
+        ends, states = [t], [state]
         asked: list[_Asked] = []
         kept: list[bytes] = []
         packed, both = Struct(f"{self.order + 2}d").pack, 2 * self.mechanism.n
         whens = (times * direction).tolist() or [math.inf]
-        due, status, begin, closing, halts = 0, Status.FULL, t, self.closing, self.halts
+        due, status, closing, halts = 0, Status.FULL, self.closing, self.halts
         for _ in range(steps):
             most = left = (bound - t) * direction
             if self._met:
@@ -189,9 +188,9 @@ class SteppingEngine:
                 status = Status.REACHED
             if status is not Status.FULL or due == len(whens) or (halts is not None and halts(t)):
                 break
-        made = np.array(states).reshape(len(states), len(y))
-        found = Chunk(np.array(ends), made, times[:due], self._rows(asked), status)
-        return found._replace(kept=self._kept(begin, y, found, kept)) if kept else found
+        every, made = np.array(ends), np.array(states)
+        along = self._kept(every, made, kept) if kept else None
+        return Chunk(every[1:], made[1:], times[:due], self._rows(asked), status, along)
 
     def _held(self, state: list[float], left: float) -> float:
         """How long a step may be; near a missed change point its tolerances are tighter."""
@@ -200,15 +199,14 @@ class SteppingEngine:
         self.tolerances = min(self._given[0], fine), min(self._given[1], fine)
         return min(left, longest)
 
-    def _kept(self, t: float, y: Array, steps: Chunk, kept: list[bytes]) -> Kept:
-        """Of steps from (t, y), by their series."""
+    def _kept(self, t: Array, y: Array, kept: list[bytes]) -> Kept:
+        """Of steps between these states, by their series."""
         from robodyn.taylor.step_boxes import Kept, boxes_along, terms_of
 
-        parts = np.frombuffer(b"".join(kept)).reshape(len(steps.t), 2, self.mechanism.n, -1)
-        states, times = np.concatenate([y[None], steps.y]), np.concatenate([[t], steps.t])
-        h = times[1:] - times[:-1]
+        h = t[1:] - t[:-1]
+        parts = np.frombuffer(b"".join(kept)).reshape(len(h), 2, self.mechanism.n, -1)
         terms = terms_of(parts.transpose(1, 2, 3, 0), h)
-        boxes = boxes_along(self.mechanism, states[:-1], states[1:], terms, h)
+        boxes = boxes_along(self.mechanism, y, terms, h)
         return Kept(boxes, lambda places, _: terms[..., places])
 
     def within(self, times: Array) -> Array:

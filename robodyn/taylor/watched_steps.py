@@ -37,7 +37,7 @@ def with_events(
 
     def within(places: Places, t: Array) -> Array:
         some, x = h[places], t - times[places]
-        found = states_at(mechanism, before[places], terms(places, some), some, x / some)
+        found = states_at(mechanism, before[places], terms(places, some), x, x / some)
         return engine.closed(found) if mechanism.rows else found
 
     ends, exact = chunk.y[:, : 2 * mechanism.n], not mechanism.rows
