@@ -47,19 +47,20 @@ class SmoothMotions:
             )
         return self._sides[mechanism]
 
-    @np.errstate(all="ignore")  # rates that leave the floats end the run
     def check_start(self, mechanism: Mechanism, y: Array, report: Report) -> None:
         """Raise RobodynError, now, where no motion is defined."""
-        n = mechanism.n
-        if self.settings.method == "taylor":
-            if mechanism.springs or not dense_dynamics.elimination_is_safe(mechanism):
-                dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
+        n, by_series = mechanism.n, self.settings.method == "taylor"
+        if by_series and not mechanism.springs and dense_dynamics.elimination_is_safe(mechanism):
             return
-        side = self.side(mechanism)
-        report.evaluator = side.kind
-        if not np.isfinite(side.rates(0.0, y)).all():
-            limit = "the torque or the acceleration is not finite there"
-            raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+        with np.errstate(all="ignore"):  # rates that leave the floats end the run
+            if by_series:
+                dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
+                return
+            side = self.side(mechanism)
+            report.evaluator = side.kind
+            if not np.isfinite(side.rates(0.0, y)).all():
+                limit = "the torque or the acceleration is not finite there"
+                raise RobodynError("cannot start", where=mechanism.source, limit=limit)
 
     def run(self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder) -> Outcome:
         """From (t, y) to the end, or to an event."""
