@@ -189,7 +189,8 @@ class EventWatch(EventRecord):
         places = [i for i in places if not self._goes_on(i, int(self._known[i][j]))]
         self._single = self._found_in.pop(j, [])
         if places:
-            self._along = [int(signs[j]) for signs in self._known]
+            known = zip(self._known, self._after, strict=True)
+            self._along = [int(signs[j] or after[j]) for signs, after in known]
             return places
         for single in sorted(self._single, key=lambda each: abs(each.t)):
             self.tell(single)
