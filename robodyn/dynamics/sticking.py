@@ -241,6 +241,12 @@ def _independent(mechanism: Mechanism, mode: Mode, q: Array) -> Mode:
     return mode._replace(held=tuple(kept))
 
 
+def stands(moving: Mechanism, q: Array) -> bool:
+    """Whether what a mode holds leaves nothing that can move."""
+    least = len(moving.rows) >= moving.n and bool(moving.held)
+    return least and _rank(scaled_jacobian(moving, q)) == moving.n
+
+
 def _rank(rows: Array) -> int:
     s = np.linalg.svd(rows, compute_uv=False)
     return int((s > TOGETHER * s[0]).sum())

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from robodyn.mechanics.loop_rows import coupling_rows
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.scene.scene import Coupling, JointSpring, Limits
+from robodyn.scene.scene import Coupling, JointSpring, Limits, Link, Point
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
@@ -32,11 +32,14 @@ class Mode(Record):
     held: tuple[int, ...] = ()
     slips: tuple[tuple[int, int], ...] = ()
     pressed: tuple[tuple[int, int], ...] = ()
+    stands: bool = False  # nothing can move, and the mechanism is `_standing`
 
 
 @lru_cache(maxsize=256)
 def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
     """The mechanism in a mode; the rows of what is held follow its own."""
+    if mode.stands:
+        return _standing(mechanism)
     dry, limits = dict(mechanism.dry), dict(mechanism.limits)
     description = mechanism.description
     held = description._replace(couplings=tuple(Coupling(k, (), 0.0) for k in mode.held))
@@ -56,6 +59,27 @@ def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
         dry=(),
         limits=(),
     )
+
+
+def _standing(mechanism: Mechanism) -> Mechanism:
+    """Its joints, each alone and held: no rounding of what acts on them moves them in any time."""
+    from robodyn.mechanics.mechanism import build
+
+    description = mechanism.description
+    alone = [
+        Link(x.name, 1.0, 0.0, 0j, 1.0, Point(None, 0j), axis=1.0 + 0j if x.slides else None)
+        for x in description.links
+    ]
+    joints = description._replace(
+        gravity=0j,
+        links=tuple(alone),
+        **dict.fromkeys(("closures", "branches", "springs", "loads", "points"), ()),
+        actuated=mechanism.actuated,
+        start=None,
+        couplings=tuple(Coupling(k, (), 0.0) for k in range(mechanism.n)),
+    )
+    made = build(joints)
+    return replace(made, rows=tuple(row._replace(held=True) for row in made.rows))
 
 
 def pushes(stop: Limits, side: int, q: Any, qd: Any) -> Any:
