@@ -119,6 +119,18 @@ def test_bounces_by_multistep_methods_end_in_rest(e: float, method: str) -> None
     assert motion.report.steps < 5000
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_no_bounce_ends_beyond_the_end(method: str) -> None:
+    """Not by the tolerance either, where bounces become lower than rounding."""
+    for end, tolerance in product((0.7, 0.0046, -3.0), (1e-3, 1e-8)):
+        block = slide(f"limits: {{min: {end}, restitution: 0.5}}", f"{G}", "[0, 1]")
+        given = {"method": method, "rtol": tolerance, "atol": tolerance}
+        for t_eval in (None, np.linspace(0.0, 1.0, 5001)):
+            motion = simulate(block, [end + 0.1], [0.0], 1.0, t_eval=t_eval, **given)
+            assert motion.q.min() > end - 1e-14 * abs(end)
+            assert motion.q[-1] == end
+
+
 @pytest.mark.parametrize(("method", "engine"), ENGINES[::2])
 def test_energy_of_an_elastic_ball(method: str, engine: str) -> None:
     motion = simulate(
@@ -618,7 +630,10 @@ def test_forces_between_bounds_solve_their_problem() -> None:
         A = numbers.normal(size=(int(numbers.integers(1, n + 1)), n))
         W, a0 = A.T @ A, A.T @ numbers.normal(size=len(A)) * 3.0
         low, high = -numbers.uniform(0, 1, n), numbers.uniform(0, 1, n)
-        low[numbers.random(n) < 0.2] = -np.inf
+        endless = numbers.random(n) < 0.2
+        if numbers.random() < 0.5:  # what no forces stop, were they not between bounds
+            a0, endless[1:] = a0 + numbers.normal(size=n), False
+        low[endless] = -np.inf
         f = forces_between(a0, W, low, high)
         a = a0 + W @ f
         assert ((f >= low) & (f <= high)).all()
