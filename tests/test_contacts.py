@@ -151,6 +151,18 @@ def test_an_event_on_a_rate_happens_in_the_impact() -> None:
     assert len(times_of(motion, "up")) == 1
 
 
+@pytest.mark.parametrize(("method", "engine"), ENGINES)
+def test_an_event_where_a_joint_stops_is_told_at_that_very_time(method: str, engine: str) -> None:
+    block = slide(dry(1.0, 1.5, 0.3, "force"))
+    for rate in np.linspace(0.5, 2.0, 12):
+        motion = simulate(
+            block, [0.0], [rate], 3.0, "0.2*sin(t)", method=method, engine=engine, rtol=1e-6,
+            atol=1e-6, events={"rest": "qd1"},
+        )  # fmt: skip
+        assert [event.name for event in motion.events] == ["rest", "block stops"]
+        assert motion.events[0].t == motion.events[1].t
+
+
 def test_starts_and_ends() -> None:
     with pytest.raises(InputError, match="is beyond the joint's min, 0"):
         simulate(ball(0.5), [-1e-6], [0.0], 1.0)

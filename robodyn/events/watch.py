@@ -226,7 +226,11 @@ class EventWatch(EventRecord):
         may = (each for each in passed if each.place in self.stops or each.place >= own)
         ends = next(may, None)
         if ends is not None:
-            passed = [each for each in passed if (each.t - ends.t) * forward <= self.instant]
+            passed = [
+                each if (ends.t - each.t) * forward > self.instant else each._replace(t=ends.t)
+                for each in passed
+                if (each.t - ends.t) * forward <= self.instant
+            ]
             # of what happens at one instant the end of the run comes first
             ends = next((each for each in passed if each.place in self.stops), ends)
         for each in passed:
