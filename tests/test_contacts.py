@@ -157,10 +157,33 @@ def test_an_event_where_a_joint_stops_is_told_at_that_very_time(method: str, eng
     for rate in np.linspace(0.5, 2.0, 12):
         motion = simulate(
             block, [0.0], [rate], 3.0, "0.2*sin(t)", method=method, engine=engine, rtol=1e-6,
-            atol=1e-6, events={"rest": "qd1"},
+            atol=1e-6, events={"rest": "qd1 <= 0"},
         )  # fmt: skip
         assert [event.name for event in motion.events] == ["rest", "block stops"]
         assert motion.events[0].t == motion.events[1].t
+
+
+@pytest.mark.parametrize(("method", "engine"), ENGINES)
+def test_events_where_a_motion_turns_back_or_stays_at_zero(method: str, engine: str) -> None:
+    """What touches its end is never beyond it, and a rate passes zero where it leaves it."""
+    given = {"method": method, "engine": engine}
+    for end in (0.0, 0.3):
+        signs = {"at": "-", "below": "<", "above": ">", "on": "<="}
+        events = {name: f"q1 {sign} {end}" for name, sign in signs.items()}
+        block = slide(f"limits: {{min: {end}, restitution: 0.5}}", f"{G}", "[0, 1]")
+        motion = simulate(block, [end + 0.1], [0.0], 0.36, events=events, **given)
+        assert [event.name for event in motion.events] == ["on", "block hits its min"] * 3
+    block = slide(dry(1.0, 1.5, 0.3, "force"))
+    events = {"turns": "qd1", "up": "qd1 > 0", "down": "qd1 < 0", "rests": "qd1 >= 0"}
+    motion = simulate(block, [0.0], [-1.0], 4.0, "t", events=events, **given)
+    first, others = ["rests", "block stops"], {"turns", "up", "block starts"}
+    assert [event.name for event in motion.events[:2]] == first
+    assert {event.name for event in motion.events[2:]} == others
+    assert len(motion.events) == 5
+    assert np.ptp([event.t for event in motion.events[2:]]) < 1e-6
+    for until in ("q1 < 0", "q1 <= 0"):
+        motion = simulate(ball(0.5), [0.1], [0.0], 0.3, until=until, **given)
+        assert motion.outcome is (Outcome.EVENT if "=" in until else Outcome.FINISHED)
 
 
 def test_starts_and_ends() -> None:
