@@ -435,6 +435,22 @@ def test_no_method_leaps_over_the_bell_of_stribeck(method: str) -> None:
     )
 
 
+@pytest.mark.parametrize(("method", "engine"), ENGINES)
+def test_a_rate_that_turns_round_within_a_step_goes_through_the_bell(
+    method: str, engine: str
+) -> None:
+    """As it does by short steps, where both ends of a step are far above the rate `stribeck`."""
+    block = slide(dry(0.1, 2.0, 0.01, "force"))
+    for rate in (0.15, 0.18):
+        run = functools.partial(
+            simulate, block, [0.0], [rate], 0.0135, "-60 + 9000*t", rtol=1e-9, atol=1e-9
+        )
+        exact = run(max_step=2e-5)
+        motion = run(method=method, engine=engine)
+        assert [x.name for x in motion.events] == [x.name for x in exact.events]
+        assert abs(motion.qd[-1, 0] - exact.qd[-1, 0]) < 1e-6
+
+
 def test_machine_code_holds_steps_at_the_bell_of_stribeck() -> None:
     pytest.importorskip("llvmlite", reason="the extra `fast`")
     for stribeck in (0.1, 0.03, 0.1):  # one code for both

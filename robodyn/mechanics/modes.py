@@ -149,17 +149,23 @@ def moving_mode(
     return Mode((), slips, pressed(mechanism, q, qd))
 
 
-def falls_over(mechanism: Mechanism, before: Sequence[float], after: Sequence[float]) -> bool:
+def falls_over(
+    mechanism: Mechanism, before: Sequence[float], after: Sequence[float], h: float
+) -> bool:
     """Whether friction that falls with the rate may rise and fall between two states (q, qd, ...).
 
     Its bell exp(-(v/stribeck)^2) and all derivatives vanish where v is some times `stribeck`: no
-    method sees from there that it comes.
+    method sees from there that it comes.  The states are h (s) apart, and v in the middle is what
+    Simpson's rule makes of the way between them: it may turn round there.
     """
     n = mechanism.n
     for joint, friction, _ in mechanism.slips:
         v, then, width = before[n + joint], after[n + joint], friction.stribeck
-        if width is not None and abs(then - v) > max(0.5 * abs(v), width):
-            nearest = min(abs(v), abs(then)) if v * then > 0.0 else 0.0
-            if nearest < BELL * width:
-                return True
+        if width is None:
+            continue
+        for there in (then, 1.5 * (after[joint] - before[joint]) / h - 0.25 * (v + then)):
+            if abs(there - v) > max(0.5 * abs(v), width):
+                nearest = min(abs(v), abs(there)) if v * there > 0.0 else 0.0
+                if nearest < BELL * width:
+                    return True
     return False
