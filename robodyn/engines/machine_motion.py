@@ -308,10 +308,7 @@ class _Step(Items):
             self.reach(k.get(h))
 
     def _falls_over(self) -> Word:
-        """Whether friction that falls with the rate may rise and fall within the step.
-
-        It is `modes.falls_over`.
-        """
+        """`modes.falls_over`: friction may rise and fall within the step."""
         k, found, zero = self.k, self.k.all_lanes(False), self.k.number(0.0)
         for j in self.scene.bells:
             v, then, width = (self.get(name) for name in (f"qd{j}", f"to_qd{j}", f"bell{j}"))
