@@ -119,6 +119,18 @@ def test_bounces_by_multistep_methods_end_in_rest(e: float, method: str) -> None
     assert motion.report.steps < 5000
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_no_bounce_ends_beyond_the_end(method: str) -> None:
+    """Not by the tolerance either, where bounces become lower than rounding."""
+    for end, tolerance in product((0.7, 0.0046, -3.0), (1e-3, 1e-8)):
+        block = slide(f"limits: {{min: {end}, restitution: 0.5}}", f"{G}", "[0, 1]")
+        given = {"method": method, "rtol": tolerance, "atol": tolerance}
+        for t_eval in (None, np.linspace(0.0, 1.0, 5001)):
+            motion = simulate(block, [end + 0.1], [0.0], 1.0, t_eval=t_eval, **given)
+            assert motion.q.min() > end - 1e-14 * abs(end)
+            assert motion.q[-1] == end
+
+
 @pytest.mark.parametrize(("method", "engine"), ENGINES[::2])
 def test_energy_of_an_elastic_ball(method: str, engine: str) -> None:
     motion = simulate(
@@ -137,6 +149,41 @@ def test_an_event_on_a_rate_happens_in_the_impact() -> None:
     assert motion.outcome is Outcome.EVENT
     assert abs(motion.t[-1] - math.sqrt(2.0 / G)) < 1e-14
     assert len(times_of(motion, "up")) == 1
+
+
+@pytest.mark.parametrize(("method", "engine"), ENGINES)
+def test_an_event_where_a_joint_stops_is_told_at_that_very_time(method: str, engine: str) -> None:
+    block = slide(dry(1.0, 1.5, 0.3, "force"))
+    for rate in np.linspace(0.5, 2.0, 12):
+        motion = simulate(
+            block, [0.0], [rate], 3.0, "0.2*sin(t)", method=method, engine=engine, rtol=1e-6,
+            atol=1e-6, events={"rest": "qd1 <= 0"},
+        )  # fmt: skip
+        assert [event.name for event in motion.events] == ["rest", "block stops"]
+        assert motion.events[0].t == motion.events[1].t
+
+
+@pytest.mark.parametrize(("method", "engine"), ENGINES)
+def test_events_where_a_motion_turns_back_or_stays_at_zero(method: str, engine: str) -> None:
+    """What touches its end is never beyond it, and a rate passes zero where it leaves it."""
+    given = {"method": method, "engine": engine}
+    for end in (0.0, 0.3):
+        signs = {"at": "-", "below": "<", "above": ">", "on": "<="}
+        events = {name: f"q1 {sign} {end}" for name, sign in signs.items()}
+        block = slide(f"limits: {{min: {end}, restitution: 0.5}}", f"{G}", "[0, 1]")
+        motion = simulate(block, [end + 0.1], [0.0], 0.36, events=events, **given)
+        assert [event.name for event in motion.events] == ["on", "block hits its min"] * 3
+    block = slide(dry(1.0, 1.5, 0.3, "force"))
+    events = {"turns": "qd1", "up": "qd1 > 0", "down": "qd1 < 0", "rests": "qd1 >= 0"}
+    motion = simulate(block, [0.0], [-1.0], 4.0, "t", events=events, **given)
+    first, others = ["rests", "block stops"], {"turns", "up", "block starts"}
+    assert [event.name for event in motion.events[:2]] == first
+    assert {event.name for event in motion.events[2:]} == others
+    assert len(motion.events) == 5
+    assert np.ptp([event.t for event in motion.events[2:]]) < 1e-6
+    for until in ("q1 < 0", "q1 <= 0"):
+        motion = simulate(ball(0.5), [0.1], [0.0], 0.3, until=until, **given)
+        assert motion.outcome is (Outcome.EVENT if "=" in until else Outcome.FINISHED)
 
 
 def test_starts_and_ends() -> None:
@@ -388,6 +435,22 @@ def test_no_method_leaps_over_the_bell_of_stribeck(method: str) -> None:
     )
 
 
+@pytest.mark.parametrize(("method", "engine"), ENGINES)
+def test_a_rate_that_turns_round_within_a_step_goes_through_the_bell(
+    method: str, engine: str
+) -> None:
+    """As it does by short steps, where both ends of a step are far above the rate `stribeck`."""
+    block = slide(dry(0.1, 2.0, 0.01, "force"))
+    for rate in (0.15, 0.18):
+        run = functools.partial(
+            simulate, block, [0.0], [rate], 0.0135, "-60 + 9000*t", rtol=1e-9, atol=1e-9
+        )
+        exact = run(max_step=2e-5)
+        motion = run(method=method, engine=engine)
+        assert [x.name for x in motion.events] == [x.name for x in exact.events]
+        assert abs(motion.qd[-1, 0] - exact.qd[-1, 0]) < 1e-6
+
+
 def test_machine_code_holds_steps_at_the_bell_of_stribeck() -> None:
     pytest.importorskip("llvmlite", reason="the extra `fast`")
     for stribeck in (0.1, 0.03, 0.1):  # one code for both
@@ -462,7 +525,32 @@ def test_a_loop_with_friction_at_every_joint_stops_and_stays(method: str) -> Non
     assert [event.name for event in motion.events[-3:]] == [
         f"{name} stops" for name in ("crank", "coupler", "rocker")
     ]
-    assert np.abs(motion.qd[-1]).max() < 1e-20
+    assert not motion.qd[-1].any()
+
+
+@pytest.mark.parametrize(("method", "engine"), ENGINES)
+def test_what_stands_does_not_move_in_any_time(method: str, engine: str) -> None:
+    """To the last bit, what is tied to held joints too, and as sensitivities have it."""
+    each = "m: 0.7, l: 0.4, r: 0.2, I: 0.03"
+    geared = scene(
+        f"gravity: 9.81\nlinks:\n  - {{name: a, {each}, {dry(50.0, 60.0)}}}\n"
+        f"  - {{name: b, {each}}}\n  - {{name: c, {each}, {dry(50.0, 60.0)}}}\n"
+        'couplings: ["q2 = -2.3 q1"]\nactuated: [a]\n'
+    )
+    closed = four_bar(coupler=dry(50.0, 60.0), rocker="limits: {min: 0, max: 2, restitution: 0.3}")
+    for mechanism, q in ((geared, [0.3, -0.69, 0.4]), (closed, robodyn.assemble(closed, [1.0]))):
+        given = {"method": method, "engine": engine, "events": {"first": "qd1", "other": "qd2"}}
+        for end, tau, names in product((1e5, 3.0), ("2", "3*sin(t)"), ([], ["gravity"])):
+            if end < 10.0 or tau == "2":
+                times = np.linspace(0.0, end, 7)
+                run = functools.partial(simulate, mechanism, q, [0.0] * 3, end, tau, t_eval=times)
+                motion = run(sensitivity=names, **given)
+                assert motion.outcome is Outcome.FINISHED
+                assert (motion.q == q).all()
+                assert not motion.qd.any()
+                assert not motion.qdd.any()
+                assert not motion.events
+                assert motion.report.energy_drift == 0.0
 
 
 def test_what_holds_a_loop_by_virtual_power() -> None:
@@ -593,7 +681,10 @@ def test_forces_between_bounds_solve_their_problem() -> None:
         A = numbers.normal(size=(int(numbers.integers(1, n + 1)), n))
         W, a0 = A.T @ A, A.T @ numbers.normal(size=len(A)) * 3.0
         low, high = -numbers.uniform(0, 1, n), numbers.uniform(0, 1, n)
-        low[numbers.random(n) < 0.2] = -np.inf
+        endless = numbers.random(n) < 0.2
+        if numbers.random() < 0.5:  # what no forces stop, were they not between bounds
+            a0, endless[1:] = a0 + numbers.normal(size=n), False
+        low[endless] = -np.inf
         f = forces_between(a0, W, low, high)
         a = a0 + W @ f
         assert ((f >= low) & (f <= high)).all()

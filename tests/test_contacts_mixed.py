@@ -316,7 +316,7 @@ def test_events_at_one_instant_are_told_once_each(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("rate", [-0.5, -8.0])
+@pytest.mark.parametrize("rate", [-0.5, -8.0, 0.0])
 def test_what_jumps_through_zero_by_an_impact_is_told(method: str, rate: float) -> None:
     """Also where a function has one sign along the single step of the phase before."""
     ball = scene(

@@ -91,6 +91,19 @@ class TestBalance:
 
 
 @by_each_engine
+@pytest.mark.parametrize("engine", ["python", "compiled"])
+@pytest.mark.parametrize("k", [1, 2, 3, 8])
+def test_from_rest_by_a_torque_that_grows(k: int, engine: str) -> None:
+    """Of E = exp(i c t^(k + 2)) all orders but a few vanish, and tell of no step."""
+    arm = load("links:\n  - {name: arm, m: 1, l: 1, r: 0.5, I: 0.1}\n")
+    for end in (2.0, -2.0):
+        exact = end ** (k + 2) / ((k + 1) * (k + 2) * 0.35)
+        for tolerance in (1e-3, 1e-6, 1e-9, 1e-11, 1e-12):
+            given = {"method": "taylor", "engine": engine, "rtol": tolerance, "atol": tolerance}
+            motion = simulate(arm, [0.0], [0.0], end, f"t**{k}", **given)
+            assert abs(motion.q[-1, 0] - exact) < 100.0 * tolerance * max(1.0, abs(exact))
+
+
 class TestChangePoints:
     @pytest.mark.parametrize("tolerance", [1e-6, 1e-13])
     @pytest.mark.parametrize("n", [1, 2, 5])

@@ -175,14 +175,21 @@ def forces_between(a0: Array, W: Array, low: Array, high: Array) -> Array:
     for _ in range(PASSES * len(f)):
         while free.any():
             step = np.zeros_like(f)
-            rest = -(a0 + W @ f)[free]
-            step[free] = np.linalg.lstsq(W[np.ix_(free, free)], rest, rcond=TOGETHER)[0]
-            there = f + step
-            beyond = np.flatnonzero(free & ((there < low) | (there > high)))
+            rest, own = -(a0 + W @ f)[free], W[np.ix_(free, free)]
+            step[free] = np.linalg.lstsq(own, rest, rcond=TOGETHER)[0]
+            there, left = f + step, rest - own @ step[free]
+            passes = (there < low) | (there > high)
+            most = TOGETHER * float((np.abs(a0) + np.abs(W) @ np.abs(f)).max())
+            endless = np.abs(left).max() > most  # no forces stop it: more and more, to a bound
+            if endless:
+                step[free] = np.where(np.abs(left) > most, left, 0.0)
+            bound = np.where(step > 0.0, high, low)
+            if endless:
+                passes = (step != 0.0) & np.isfinite(bound)
+            beyond = np.flatnonzero(free & passes)
             if not len(beyond):
                 f = there
                 break
-            bound = np.where(step > 0.0, high, low)
             parts = (bound - f)[beyond] / step[beyond]
             first = int(beyond[np.argmin(parts)])
             f = f + float(parts.min()) * step
@@ -239,6 +246,12 @@ def _independent(mechanism: Mechanism, mode: Mode, q: Array) -> Mode:
         if (more := _rank(tried)) > rank:
             kept, rows, rank = [*kept, joint], tried, more
     return mode._replace(held=tuple(kept))
+
+
+def stands(moving: Mechanism, q: Array) -> bool:
+    """Whether what a mode holds leaves nothing that can move."""
+    least = len(moving.rows) >= moving.n and bool(moving.held)
+    return least and _rank(scaled_jacobian(moving, q)) == moving.n
 
 
 def _rank(rows: Array) -> int:

@@ -308,21 +308,22 @@ class _Step(Items):
             self.reach(k.get(h))
 
     def _falls_over(self) -> Word:
-        """Whether friction that falls with the rate may rise and fall within the step.
-
-        It is `modes.falls_over`.
-        """
+        """`modes.falls_over`: friction may rise and fall within the step."""
         k, found, zero = self.k, self.k.all_lanes(False), self.k.number(0.0)
         for j in self.scene.bells:
             v, then, width = (self.get(name) for name in (f"qd{j}", f"to_qd{j}", f"bell{j}"))
-            size, other = k.intrinsic("fabs", v), k.intrinsic("fabs", then)
+            size = k.intrinsic("fabs", v)
             half = k.multiply(k.number(0.5), size)
             most = k.select(k.less(half, width), width, half)
-            moved = k.less(most, k.intrinsic("fabs", k.subtract(then, v)))
-            nearest = k.select(k.less(size, other), size, other)
-            nearest = k.select(k.less(zero, k.multiply(v, then)), nearest, zero)
-            near = k.less(nearest, k.multiply(k.number(BELL), width))
-            found = k.either(found, k.both(moved, near))
+            mean = k.divide(k.subtract(self.get(f"to_q{j}"), self.get(f"q{j}")), self.get("x"))
+            ends = k.multiply(k.number(0.25), k.add(v, then))
+            for there in (then, k.subtract(k.multiply(k.number(1.5), mean), ends)):
+                other = k.intrinsic("fabs", there)
+                moved = k.less(most, k.intrinsic("fabs", k.subtract(there, v)))
+                nearest = k.select(k.less(size, other), size, other)
+                nearest = k.select(k.less(zero, k.multiply(v, there)), nearest, zero)
+                near = k.less(nearest, k.multiply(k.number(BELL), width))
+                found = k.either(found, k.both(moved, near))
         return found
 
     def _land(self, go: Word, h: Word) -> None:

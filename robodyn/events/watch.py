@@ -180,7 +180,7 @@ class EventWatch(EventRecord):
         places = [i for i in places if not self._goes_on(i, self._all_along(i, j))]
         self._single = self._found_in.pop(j, ())
         if places:
-            self._along = [self._all_along(i, j) for i in range(len(self.watched))]
+            self._along = [int(after[j]) for after in self._after]
             return places
         for single in sorted(self._single, key=lambda each: abs(each.t)):
             self.tell(single)
@@ -217,15 +217,21 @@ class EventWatch(EventRecord):
             return None
         forward = 1.0 if step.end > step.begin else -1.0
         passed.sort(key=lambda each: each.t * forward)
-        own = len(self.functions)
+        own, cut = len(self.functions), None
         may = (each for each in passed if each.place in self.stops or each.place >= own)
         ends = next(may, None)
         if ends is not None:
-            passed = [each for each in passed if (each.t - ends.t) * forward <= self.instant]
+            passed = [
+                each if (ends.t - each.t) * forward > self.instant else each._replace(t=ends.t)
+                for each in passed
+                if (each.t - ends.t) * forward <= self.instant
+            ]
+            cut = next((each for each in passed if each.place >= own), None)
             # of what happens at one instant the end of the run comes first
-            ends = next((each for each in passed if each.place in self.stops), ends)
+            stops = (each for each in passed if each.place in self.stops)
+            ends = next((each for each in stops if self._passes(each, cut)), cut)
         for each in passed:
-            if each.place < own:
+            if each.place < own and self._passes(each, cut):
                 self.tell(each if each.y is not None else each._replace(y=states.at(each.t)))
         if ends is None:
             return None
@@ -236,16 +242,27 @@ class EventWatch(EventRecord):
     def _end_phase(self, t: float, passed: Sequence[Single], forward: float) -> None:
         """Know the signs at t, where the motion goes on in another way than the step has it.
 
-        What passes zero at this instant is told; it has any sign from then on.
+        What passes zero at this instant has its sign before, or, where that is told, any.
         """
         for i, sign in enumerate(self._along):
             self.signs[i] = sign or self.signs[i]
         for i, signs in self._signs_from.items():
-            self.signs[i] = [x for at, x in signs if (t - at) * forward >= 0.0][-1]
+            before = [x for at, x in signs if (t - at) * forward > self.instant]
+            self.signs[i] = before[-1] if before else signs[0][1]
             self._hidden_until(i, t)
         for each in passed:
-            if abs(each.t - t) <= self.instant:
+            if each.t == t and self._passes(each, each):
                 self.signs[each.place], self.cut[each.place] = 0, t
+
+    def _passes(self, one: Single, cut: Single | None) -> bool:
+        """Whether a function passes zero where it does so along a step that a phase may `cut`.
+
+        At that instant the motion may turn back, or stay: the next step tells, but where `>=`
+        holds at zero.
+        """
+        function = self.watched[one.place]
+        holds = one.sign == function.way and not function.strict
+        return cut is None or one.t != cut.t or holds
 
     def _crossings(self, i: int, step: Step, states: States) -> list[Single]:
         """Where a function passes zero in the way that counts, the states not yet known."""

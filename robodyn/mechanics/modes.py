@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from robodyn.mechanics.loop_rows import coupling_rows
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.scene.scene import Coupling, JointSpring, Limits
+from robodyn.scene.scene import Coupling, JointSpring, Limits, Link, Point
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
@@ -32,11 +32,14 @@ class Mode(Record):
     held: tuple[int, ...] = ()
     slips: tuple[tuple[int, int], ...] = ()
     pressed: tuple[tuple[int, int], ...] = ()
+    stands: bool = False  # nothing can move, and the mechanism is `_standing`
 
 
 @lru_cache(maxsize=256)
 def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
     """The mechanism in a mode; the rows of what is held follow its own."""
+    if mode.stands:
+        return _standing(mechanism)
     dry, limits = dict(mechanism.dry), dict(mechanism.limits)
     description = mechanism.description
     held = description._replace(couplings=tuple(Coupling(k, (), 0.0) for k in mode.held))
@@ -56,6 +59,27 @@ def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
         dry=(),
         limits=(),
     )
+
+
+def _standing(mechanism: Mechanism) -> Mechanism:
+    """Its joints, each alone and held: no rounding of what acts on them moves them in any time."""
+    from robodyn.mechanics.mechanism import build
+
+    description = mechanism.description
+    alone = [
+        Link(x.name, 1.0, 0.0, 0j, 1.0, Point(None, 0j), axis=1.0 + 0j if x.slides else None)
+        for x in description.links
+    ]
+    joints = description._replace(
+        gravity=0j,
+        links=tuple(alone),
+        **dict.fromkeys(("closures", "branches", "springs", "loads", "points"), ()),
+        actuated=mechanism.actuated,
+        start=None,
+        couplings=tuple(Coupling(k, (), 0.0) for k in range(mechanism.n)),
+    )
+    made = build(joints)
+    return replace(made, rows=tuple(row._replace(held=True) for row in made.rows))
 
 
 def pushes(stop: Limits, side: int, q: Any, qd: Any) -> Any:
@@ -125,17 +149,23 @@ def moving_mode(
     return Mode((), slips, pressed(mechanism, q, qd))
 
 
-def falls_over(mechanism: Mechanism, before: Sequence[float], after: Sequence[float]) -> bool:
+def falls_over(
+    mechanism: Mechanism, before: Sequence[float], after: Sequence[float], h: float
+) -> bool:
     """Whether friction that falls with the rate may rise and fall between two states (q, qd, ...).
 
     Its bell exp(-(v/stribeck)^2) and all derivatives vanish where v is some times `stribeck`: no
-    method sees from there that it comes.
+    method sees from there that it comes.  The states are h (s) apart, and v in the middle is what
+    Simpson's rule makes of the way between them: it may turn round there.
     """
     n = mechanism.n
     for joint, friction, _ in mechanism.slips:
         v, then, width = before[n + joint], after[n + joint], friction.stribeck
-        if width is not None and abs(then - v) > max(0.5 * abs(v), width):
-            nearest = min(abs(v), abs(then)) if v * then > 0.0 else 0.0
-            if nearest < BELL * width:
-                return True
+        if width is None:
+            continue
+        for there in (then, 1.5 * (after[joint] - before[joint]) / h - 0.25 * (v + then)):
+            if abs(there - v) > max(0.5 * abs(v), width):
+                nearest = min(abs(v), abs(there)) if v * there > 0.0 else 0.0
+                if nearest < BELL * width:
+                    return True
     return False

@@ -10,7 +10,6 @@ e the restitution of each: of one stop p = -(1 + e) v / (R K^-1 R^T).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,12 +18,14 @@ from robodyn.dynamics.dense_dynamics import responses
 from robodyn.dynamics.dynamics import forward_dynamics
 from robodyn.dynamics.sticking import AT_REST, forces_between, mode_at, resting
 from robodyn.errors import SingularError
+from robodyn.events.signs import ROUNDING
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.tables.arrays import Array
 
 SLACK = 1e-10  # part of the rates by which a condition may be missed
 INSTANT = 8.0  # roundings of the time that are none
+LOW = 4.0 * ROUNDING  # part of where its end is: so low a bounce rounding does not show
 BLUR = 0.1  # part of its rate that a joint thrown back so little may lose or gain
 ENDLESS = 1e-10  # of the time of a run: bounces that end within this part of it are over at once
 
@@ -61,7 +62,7 @@ class Bounces:
             back, leaves = side * float(qdd[joint]), leaving[k]
             if leaves > 0.0 and e[k] < 1.0 and back > 0.0:
                 brief = leaves < 0.5 * back * (1.0 - e[k]) * ENDLESS * abs(self.t_end)
-                low = leaves**2 < 2.0 * back * INSTANT * math.ulp(q[joint])
+                low = leaves**2 < 2.0 * back * LOW * abs(q[joint])
                 if brief or low or not self._resolves(joint, side * qd[joint], back):
                     kept[k] = None if brief or low else 0.0
             self.thrown[joint] = leaves

@@ -21,6 +21,7 @@ from robodyn.errors import InputError
 from robodyn.events.functions import EventFunction
 from robodyn.events.signs import ROUNDING
 from robodyn.events.told import Event
+from robodyn.loops.closing import close_positions
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism
@@ -123,7 +124,10 @@ class Phases:
         self.touches = {end for end in touches if end[0] in self.still}
         sides = {joint: [s for j, s in self.touches if j == joint] for joint in self.still}
         self.bounds = {j: sticking.bounds(self.mechanism, j, sides[j]) for j in self.still}
-        self.moving = in_mode(self.mechanism, self.mode)
+        self.moving, self.integrated = in_mode(self.mechanism, self.mode), self.mode
+        # what varies with the time may end, or have no value: that is seen where it is integrated
+        if not self.mechanism.timed and sticking.stands(self.moving, q):
+            qd[:], self.integrated = 0.0, self.mode._replace(stands=True)
         self._watch(t)
 
     def _watch(self, t: float) -> None:
@@ -238,6 +242,8 @@ class Phases:
         q, qd = self._split(y := y.copy())
         for joint, side in hits:  # rounding must not grow from bounce to bounce
             q[joint] = dict(self.limits[joint].ends)[side]
+        if hits and self.mechanism.rows:
+            q[:] = close_positions(self.mechanism, q, [joint for joint, _ in hits])
         if standing := sorted(rests | {joint for joint, _ in touches}):
             qd[:], also = sticking.stopped(self.mechanism, q, qd, standing)
             rests |= set(also)

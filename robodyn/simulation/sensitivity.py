@@ -127,7 +127,8 @@ def with_sensitivities(
     torques = actuation.constants, torque_lines(actuation), actuation.control is not None, first
     make = partial(_slopes, mechanism, *torques, tuple(names), tuple(sizes))
     inputs, slopes = make(Mode() if mechanism.switches else None)
-    by_modes = modes(lambda mode: make(mode)[1])
+    still = (0.0,) * (n * count)
+    by_modes = modes(lambda mode: (lambda *_: still) if mode.stands else make(mode)[1])
     z = [range(first + 2 * n * k, first + 2 * n * (k + 1)) for k in range(count)]
     rates = [f"zd{i}" for each in z for i in each[n:]]
     moved = [f"zd{i} = z{i + n}" for each in z for i in each[:n]]
@@ -150,7 +151,7 @@ def with_sensitivities(
 @lru_cache(maxsize=256)
 def _number(mechanism: Mechanism, name: str, mode: Mode | None) -> Number:
     """What the Taylor series is differentiated by."""
-    if is_start(mechanism, name):
+    if is_start(mechanism, name) or (mode is not None and mode.stands):
         mechanism = mechanism if mode is None else in_mode(mechanism, mode)
         return Number(mechanism, lambda program: (program.numbers, [0.0] * len(program.numbers)))
     named = with_variable(mechanism, name, Graph().variable(CHANGE), mode)

@@ -82,7 +82,7 @@ class Modes:
         What is held loses its rate within a time that goes with it, and by impulses so.
         """
         y, given, n = phases.y.copy(), phases.given, self.mechanism.n
-        self.enter(phases.mode)
+        self.enter(phases.integrated)
         (q, qd), (own, first, rest, s) = phases._split(given), self._parts(y)
         if phases.hits:
             sorts = resting(self.mechanism, qd), set(touching(self.mechanism, q, qd))
@@ -142,7 +142,7 @@ class Modes:
         before, guards = self._rates(phases, phases.moving, t, y), phases.guards
         shift = self._shift(phases, guard, before, s, t, y)
         found = phases.next(t, y, place)
-        self.enter(phases.mode)
+        self.enter(phases.integrated)
         after = self._rates(phases, phases.moving, t, found)
         again = self.ended is not None and guard.joint != self.ended.joint and guard in self.guards
         if not phases.idle or again:  # else what follows at once does so whenever that is

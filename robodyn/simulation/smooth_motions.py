@@ -11,6 +11,7 @@ from robodyn.dynamics import dense_dynamics
 from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import in_mode
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.settings import Settings
@@ -130,7 +131,7 @@ def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorde
     t, carried = 0.0, smooth.actuation.modes
     while True:
         recorder.begin_phase(phases.moving, phases.functions)
-        outcome = smooth.run(phases.moving, t, y, recorder)
+        outcome = smooth.run(in_mode(phases.mechanism, phases.integrated), t, y, recorder)
         place, stopped = recorder.guard, recorder.stopped
         if outcome is not Outcome.EVENT or place is None or stopped is None:
             return outcome

@@ -164,7 +164,7 @@ class Projecting(_Solver):  # type: ignore[misc]
                 self._accept(closed)
         if self._slipping is None:
             return False
-        over = falls_over(self._slipping, y.tolist(), self.y.tolist())
+        over = falls_over(self._slipping, y.tolist(), self.y.tolist(), self.t - t)
         self._longest = 0.5 * abs(self.t - t) if over else math.inf
         return over
 

@@ -240,7 +240,7 @@ class SteppingEngine:
         gap = self._now.gap
         while h >= 4.0 * math.ulp(t):
             x = h * direction
-            falls = self.mechanism.slips and falls_over(self.mechanism, state, new)
+            falls = self.mechanism.slips and falls_over(self.mechanism, state, new, x)
             if gap is not None and not falls:
                 with suppress(ArithmeticError, ValueError):  # outside a torque's domain
                     if gap(t, state, series, x, new) <= miss / h:
