@@ -272,7 +272,9 @@ def end_from_rest(
     Most of its orders may vanish, as of E where an angle is c t^3, and the last ones tell nothing:
     it is `small` beside the time in which the torques to come turn a link.
     """
-    n, span = mechanism.n, bound - t
+    n, most = mechanism.n, bound - t
+    # a power of two: how long the step is does not depend on how long the run is
+    span = math.copysign(math.ldexp(0.5, math.frexp(most)[1]), most)
     steady = actuation.constants is not None and not mechanism.timed
     if steady or y[n : 2 * n].any():
         return bound
