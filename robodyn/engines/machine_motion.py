@@ -203,7 +203,7 @@ class _Step(Items):
     """Writes one step of all lanes."""
 
     def call(self, name: str) -> None:
-        self.k.line(f"call void @{name}({self.block})")
+        self.k.call(name, self.block)
 
     def reach(self, h: Word) -> None:
         """The state at h after the start."""

@@ -81,7 +81,7 @@ def write_expand(scene: Scene, module: Module, chooses: bool = True) -> None:
         for name, weights in sums:
             levels = [k.lane(segment.write([level])[0], 0) for _, level in weights]
             rest = scene.row(k, block, 0), scene.row(k, block, p), scene.at(k, block, "sums"), p
-            k.line(f"call void @{name}({', '.join(map(str, (*rest, *levels)))})")
+            k.call(name, *rest, *levels)
         words = segment.write([value for *_, value in grown])
         found = {(offset, i): word for (i, offset, _), word in zip(grown, words, strict=True)}
         if k.lanes == 1 and module.together:  # a vector is had at once only where it is stored so
@@ -148,7 +148,7 @@ def _rates(scene: Scene, k: Kernel, block: Word) -> None:
         level = k.negate(k.convert("sitofp", above, SCALAR))
         for function, _ in functions:
             rest = x, scene.row(k, block, m), out, m, level
-            k.line(f"call void @{function}({', '.join(map(str, rest))})")
+            k.call(function, *rest)
         for name, place, j, below in wanted:
             found = k.load(k.at(out, 2 * j, k.numbers))
             if below is not None:
@@ -172,7 +172,7 @@ def write_evaluate(scene: Scene, module: Module) -> None:
     n, graph = scene.mechanism.n, Graph()
     places = [scene.at(k, block, name) for name in ("rows", "value", "slope")]
     rest = k.whole(scene.order + 2), k.whole(2 * n * k.lanes), scene.at(k, block, "x")
-    k.line(f"call void @polynomials({', '.join(map(str, (*places, *rest)))})")
+    k.call("polynomials", *places, *rest)
     turns = value_and_slope(graph, n)
     power: Value = 0.0
     if scene.loop.power:

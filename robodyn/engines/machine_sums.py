@@ -167,7 +167,7 @@ class _Batch:
             rest = [*places, k.add(p, k.whole(v.terms)), k.whole(v.wide), k.whole(v.same)]
             if v.weight is not None:
                 rest += [levels[self.weights.index(v.weight)], k.scalar(v.weight[0])]
-            k.line(f"call void @sum_rows({', '.join(map(str, rest))})")
+            k.call("sum_rows", *rest)
         k.done()
 
     def write(self, columns: int, fewest: int) -> None:
@@ -251,9 +251,7 @@ def repeated(k: Kernel, place: Word, lanes: int, wide: int) -> Word:
     """So many numbers, again and again."""
     if wide == 1:
         return k.load(place, SCALAR)
-    type, again = f"<{lanes} x double>", ", ".join(f"i32 {i % lanes}" for i in range(wide))
-    shuffled = f"shufflevector {k.load(place, type)}, {type} poison, <{wide} x i32> <{again}>"
-    return k.op(f"<{wide} x double>", shuffled)
+    return k.shuffled(k.load(place, f"<{lanes} x double>"), [i % lanes for i in range(wide)])
 
 
 def read_together(

@@ -113,7 +113,7 @@ class VariedScene(Scene):
         for column, names in ((0, ("value", "slope")), (half, ("dvalue", "dslope"))):
             found = [self.at(k, block, name) for name in names]
             places = self.at(k, block, "rows", column), *found
-            k.line(f"call void @polynomials({', '.join(map(str, (*places, *rest)))})")
+            k.call("polynomials", *places, *rest)
         turns = value_and_slope(graph, n)
         for x in ("value", "slope"):
             known |= {f"{x} {j}": {WAY: graph.variable(f"d{x} {j}")} for j in range(2 * n)}
@@ -136,7 +136,7 @@ class VariedScene(Scene):
 
         def reach(time: Word, begin: Word, target: Word, place: Word) -> None:
             self.put(k, block, "x", k.spread(k.subtract(time, begin)))
-            k.line(f"call void @evaluate({block})")
+            k.call("evaluate", block)
             there = k.at(target, k.multiply(place, k.whole(wide)), k.numbers)
             self._copy(k, to, there, wide)
 
@@ -148,7 +148,7 @@ class VariedScene(Scene):
                 k.store(value, k.at(state, i, k.numbers))
             self.put(k, block, "t", k.spread(begin))
             self.torques(k, block)
-            k.line(f"call void @expand({block})")
+            k.call("expand", block)
             direction = k.subtract(end, begin)
             with k.forever() as done:
                 due = k.get(row, WHOLE)

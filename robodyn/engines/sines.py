@@ -68,7 +68,7 @@ def _called(
             found = k.op(k.result, f"insertvalue {found}, {word}, {i}")
         k.done(found)
     type = _PAIR.format(kernel.numbers)
-    whole = kernel.op(type, f"call {type} @{name}({', '.join(map(str, args))})")
+    whole = kernel.result_of(type, name, *args)
     return [kernel.op(kernel.numbers, f"extractvalue {whole}, {i}") for i in range(2)]
 
 
@@ -147,12 +147,8 @@ def _signed(kernel: Kernel, value: Word, quarter: Word) -> Word:
 def each_lane(kernel: Kernel, name: str, *args: Word) -> Word:
     """A function of the C library, lane by lane."""
     kernel.module.declare(name, SCALAR, *[SCALAR] * len(args))
-
-    def call(i: int) -> Word:
-        listed = ", ".join(str(kernel.lane(a, i)) for a in args)
-        return kernel.op(SCALAR, f"call double @{name}({listed})")
-
-    return kernel.gathered([call(i) for i in range(kernel.lanes)])
+    given = ([kernel.lane(a, i) for a in args] for i in range(kernel.lanes))
+    return kernel.gathered([kernel.result_of(SCALAR, name, *lane) for lane in given])
 
 
 def polynomial(kernel: Kernel, x: Word, coefficients: Sequence[float]) -> Word:

@@ -69,10 +69,10 @@ class LaneObserver(Observer):
         n = self.scene.mechanism.n
         if self.extremes:
             with k.loop(k.whole(n)) as j:
-                k.line(f"call void @widen({block}, {j})")
+                k.call("widen", block, j)
         if self.scene.link >= 0:
-            k.line(f"call void @cross({block})")
-        k.line(f"call void @energies({block})")
+            k.call("cross", block)
+        k.call("energies", block)
         KE, PE = get("longest"), get("miss")
         E = k.add(KE, PE)
         items.widen("PE_low", "PE_high", PE, take)
@@ -100,9 +100,9 @@ class LaneObserver(Observer):
                 k.store(item, k.at(block, i, k.numbers))
             fresh = k.compare("oeq", scene.get(k, block, "begun"), k.number(0.0))
             with k.when(k.any(fresh)):
-                k.line(f"call void @begin({block})")
+                k.call("begin", block)
                 scene.put(k, block, "begun", k.number(1.0))
-            k.op(WHOLE, f"call i64 @advance({block}, {budget}, {block})")
+            k.result_of(WHOLE, "advance", block, budget, block)
             running = k.compare("oeq", scene.get(k, block, "status"), k.number(RUNNING))
             k.set(waiting, k.add(k.get(waiting, WHOLE), k.count(running)))
             with k.loop(count) as i:
@@ -137,7 +137,7 @@ class LaneObserver(Observer):
         items = _Kept(scene, k, block)
         get, put = items.get, items.put
         if scene.closes:
-            k.line(f"call void @close({block})")
+            k.call("close", block)
             running = k.compare("oeq", get("status"), k.number(RUNNING))
             poor = k.both(running, k.compare("ult", get("quality"), get("suspect")))
             put("status", k.select(poor, k.number(float(Status.SINGULAR)), get("status")))
@@ -146,7 +146,7 @@ class LaneObserver(Observer):
         for m, name in enumerate(scene.state[: 2 * n]):
             for side in ("low", "high"):
                 put(f"{side}{m}", get(name))
-        k.line(f"call void @energies({block})")
+        k.call("energies", block)
         KE, PE = get("longest"), get("miss")
         E = k.add(KE, PE)
         for name in ("start", "E_low", "E_high"):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.machine_sums import over
 from robodyn.events.signs import MISSED
-from robodyn.taylor.coordinate_code import SUMS, call
+from robodyn.taylor.coordinate_code import SUMS
 from robodyn.taylor.function_code import wide
 from robodyn.taylor.step_boxes import SLACK
 
@@ -28,7 +28,7 @@ def write_box(scene: Scene, module: Module) -> None:
     h, slack = k.intrinsic("fabs", x), k.number(SLACK)
     used, parts, aparts, owns = (k.room(SCALAR, i * n) for i in (1, wide(scene.order), 1, 1))
     k.each(n, lambda j: k.store(k.whole(1), k.at(used, j, WHOLE)))
-    call(k, "event_begin", block, x, used, parts)
+    k.call("event_begin", block, x, used, parts)
 
     def keep(j: Word, _: Sequence[Word]) -> Sequence[Word]:
         place = k.at(parts, k.multiply(j, k.whole(wide(scene.order))))
@@ -45,7 +45,7 @@ def write_box(scene: Scene, module: Module) -> None:
             k.store(k.add(*both), k.at(owns, j))
     if scene.closes:
         scene.put(k, block, "x", x)
-        k.line(f"call void @evaluate({block})")
+        k.call("evaluate", block)
     begin, ends = (scene.at(k, block, name) for name in ("q0", "to_q0"))
 
     def put(j: Word, _: Sequence[Word]) -> Sequence[Word]:

@@ -64,16 +64,6 @@ def binomials(order: int) -> Array:
     return rows
 
 
-def call(k: Kernel, name: str, *arguments: Word) -> None:
-    """Call a function that has no result."""
-    k.line(f"call void @{name}({', '.join(map(str, arguments))})")
-
-
-def lanes(k: Kernel, values: Sequence[float]) -> Word:
-    """These numbers side by side."""
-    return Word(f"<{', '.join(str(k.scalar(value)) for value in values)}>", k.numbers)
-
-
 class CoordinateCode:
     """Writes what bounds the slope of a coordinate, which turns or `slides`.
 
@@ -195,7 +185,7 @@ class CoordinateCode:
             for first, part in enumerate((*series, twice)):
                 for i, word in zip(self.begins, part, strict=True):
                     k.store(word, k.at(room, WIDE + first * self.room + i))
-            call(k, "event_products", room, *sizes, found, sums)
+            k.call("event_products", room, *sizes, found, sums)
         k.done()
 
     def _write_products(self) -> None:
@@ -239,8 +229,8 @@ class CoordinateCode:
         later, change = [], []
         for i, each in zip(self.begins, sizes, strict=False):
             orders = range(i, i + WIDE)
-            later.append(k.multiply(each, lanes(k, [float(m > 1) for m in orders])))
-            change.append(k.multiply(each, lanes(k, [(m - 1.0) * (m > 2) for m in orders])))
+            later.append(k.multiply(each, k.vector([float(m > 1) for m in orders])))
+            change.append(k.multiply(each, k.vector([(m - 1.0) * (m > 2) for m in orders])))
         first, second = (k.lane(values[0], i) for i in (1, 2))
         off = k.add(k.add(self._total(k, later), tails[0]), noise)
         bend = k.add(k.add(self._total(k, change), tails[1]), k.multiply(most, noise))
@@ -262,7 +252,7 @@ class CoordinateCode:
         return k.multiply(size, k.scalar(16.0 * EPS * self.count**2))
 
     def _orders(self, k: Kernel, times: float, begin: int) -> Word:
-        return lanes(k, [times * (begin + i) for i in range(WIDE)])
+        return k.vector([times * (begin + i) for i in range(WIDE)])
 
     def _sizes(self, k: Kernel, series: Sequence[Sequence[Word]]) -> list[Word]:
         """|rho| + |theta|, or |s|, of each order."""
@@ -275,17 +265,13 @@ class CoordinateCode:
         for i, size in zip(self.begins, sizes, strict=True):
             weights = [float(m**power * (m >= least)) for m in range(i, i + WIDE)]
             if any(weights):
-                parts.append(k.multiply(size, lanes(k, weights)))
+                parts.append(k.multiply(size, k.vector(weights)))
         return self._total(k, parts)
 
     def _total(self, k: Kernel, vectors: Sequence[Word]) -> Word:
         total, wide = reduce(k.add, vectors), WIDE
         while wide > 1:
             wide //= 2
-            halves = []
-            for first in (0, wide):
-                places = ", ".join(f"i32 {first + i}" for i in range(wide))
-                text = f"shufflevector {total}, {total.type} poison, <{wide} x i32> <{places}>"
-                halves.append(k.op(f"<{wide} x {SCALAR}>", text))
-            total = k.add(*halves)
+            halves = range(wide), range(wide, 2 * wide)
+            total = k.add(*(k.shuffled(total, half) for half in halves))
         return k.op(SCALAR, f"extractelement {total}, i64 0")

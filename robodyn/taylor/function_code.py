@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.machine_sums import WIDE, alike
-from robodyn.taylor.coordinate_code import SUMS, CoordinateCode, call, computed, lanes
+from robodyn.taylor.coordinate_code import SUMS, CoordinateCode, computed
 
 if TYPE_CHECKING:
     from robodyn.engines.machine_steps import Scene
@@ -53,7 +53,7 @@ def _write_coordinates(scene: Scene, k: Kernel, name: str) -> None:
         with k.loop(k.whole(joints[-1] + 1), k.whole(joints[0])) as j:
             series, own = k.at(first, k.add(j, j)), _own(scene, k, parts, j)
             with k.when(k.compare("ne", k.load(k.at(used, j), WHOLE), k.whole(0))):
-                call(k, called, series, *given, k.at(own, len(SUMS)), own)
+                k.call(called, series, *given, k.at(own, len(SUMS)), own)
     k.done()
 
 
@@ -101,7 +101,7 @@ def _write_rows(scene: Scene, module: Module) -> None:
     for by, by_rate, own in _weighed(scene, k, form, parts, h):
         for i in begins:
             found = k.at(own, len(SUMS) + i)
-            orders = lanes(k, [1.0 / max(m, 1) for m in range(i, i + WIDE)])
+            orders = k.vector([1.0 / max(m, 1) for m in range(i, i + WIDE)])
             way = k.multiply(k.multiply(k.load(found), orders), k.spread(by))
             rate = k.multiply(k.load(k.at(found, 1)), k.spread(by_rate))
             place = k.at(rows, i)

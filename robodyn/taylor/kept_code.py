@@ -58,11 +58,11 @@ class Rows(Observer):
                 target = k.at(self._told(k, own, "series"), place)
                 k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
             box = k.at(self._told(k, own, "boxes"), k.multiply(taken, k.whole(2 * turns)))
-            k.line(f"call void {self._told(k, own, 'box').text}({block}, {end}, {there}, {box})")
+            k.call(self._told(k, own, "box"), block, end, there, box)
             self._again(k, there, to)
         with k.when(k.compare("sge", self._told(k, own, "watches"), k.whole(1))):
             watch = self._told(k, own, "watch")
-            k.line(f"call void {self._told(k, own, 'look').text}({block}, {watch}, {there}, {end})")
+            k.call(self._told(k, own, "look"), block, watch, there, end)
             self._again(k, there, to)
         with k.forever() as done:
             given = self._told(k, own, "given")
@@ -71,9 +71,9 @@ class Rows(Observer):
             ahead = k.multiply(k.subtract(time, end), direction)
             k.leave(k.less(k.number(0.0), ahead), done)
             scene.put(k, block, "x", k.subtract(time, begin))
-            k.line(f"call void @evaluate({block})")
+            k.call("evaluate", block)
             if scene.closes:
-                k.line(f"call void @close({block})")
+                k.call("close", block)
             row = k.at(self._told(k, own, "rows"), k.multiply(given, wide))
             at_end = k.compare("oeq", time, end)
 

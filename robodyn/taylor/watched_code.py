@@ -29,7 +29,6 @@ from robodyn.events.rounding import EPS, STATE
 from robodyn.events.signs import DEGREE, MISSED, ROUNDING, SLOPES
 from robodyn.taylor import NoCodeError
 from robodyn.taylor.box_code import write_box
-from robodyn.taylor.coordinate_code import call
 from robodyn.taylor.function_code import wide, write_function
 from robodyn.taylor.zero_code import tell_unsure, told, value_of, write_zero
 
@@ -85,19 +84,19 @@ class Watch:
         missed = zero
         if scene.closes:
             scene.put(k, block, "x", x)
-            k.line(f"call void @evaluate({block})")
+            k.call("evaluate", block)
             miss = value_of(k, form, scene.at(k, block, "to_q0"), end)
             missed = k.intrinsic("fabs", k.subtract(miss, last))
             missed = k.multiply(k.number(MISSED), missed)
-        call(k, "event_slope", form, parts, x, one, slope)
+        k.call("event_slope", form, parts, x, one, slope)
         goes_on, passes, ends = self._seen(k, slope, form, first, last, noise, missed)
         with k.when(k.either(goes_on, passes)):
             k.store(ends, k.at(form, self.sign))
         with k.when(passes):
             given = block, watch, f, form, parts, zero, x, zero, first, last, noise
-            call(k, "event_locate", *given)
+            k.call("event_locate", *given)
         with k.when(k.invert(k.either(goes_on, passes))):
-            call(k, "event_pieces", block, watch, f, form, x, first, last, noise, missed)
+            k.call("event_pieces", block, watch, f, form, x, first, last, noise, missed)
         k.done()
 
     def _write_pieces(self, module: Module) -> None:
@@ -118,19 +117,19 @@ class Watch:
             reaches = k.slot(last)
             with k.when(k.compare("slt", to, k.whole(PIECES))):
                 there_x = k.add(start, long)
-                then = k.op(SCALAR, f"call double @event_at({block}, {form}, {there_x})")
+                then = k.result_of(SCALAR, "event_at", block, form, there_x)
                 k.set(reaches, then)
             then, half = k.get(reaches, SCALAR), k.multiply(k.number(0.5), long)
             middle = k.add(start, half)
-            call(k, "event_about", block, middle, half, table, used, parts)
-            call(k, "event_slope", form, parts, half, k.number(2.0), slope)
+            k.call("event_about", block, middle, half, table, used, parts)
+            k.call("event_slope", form, parts, half, k.number(2.0), slope)
             goes_on, passes, ends = self._seen(k, slope, form, now, then, noise, missed)
             sure = k.either(goes_on, passes)
             with k.when(sure):
                 k.store(ends, k.at(form, self.sign))
                 with k.when(passes):
                     given = block, watch, f, form, parts, middle, half, minus, now, then, noise
-                    call(k, "event_locate", *given)
+                    k.call("event_locate", *given)
                 k.leave(k.compare("sge", to, k.whole(PIECES)), done)
                 k.set(place, to)
                 k.set(value, then)
@@ -212,9 +211,9 @@ class Watch:
         scene = self.scene
         parts = k.room(SCALAR, wide(scene.order) * self.n)
         x = k.subtract(end, scene.get(k, block, "t"))
-        call(k, "event_begin", block, x, told(k, watch, "used"), parts)
+        k.call("event_begin", block, x, told(k, watch, "used"), parts)
         forms = told(k, watch, "forms")
         with k.loop(told(k, watch, "functions")) as f:
             form = k.at(forms, k.multiply(f, k.whole(self.sign + 1)))
-            call(k, "event_look", block, watch, f, form, there, end, parts)
+            k.call("event_look", block, watch, f, form, there, end, parts)
         k.done()

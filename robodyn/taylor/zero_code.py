@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.events.rounding import EPS
-from robodyn.taylor.coordinate_code import call, computed
+from robodyn.taylor.coordinate_code import computed
 
 if TYPE_CHECKING:
     from robodyn.engines.machine_steps import Scene
@@ -41,7 +41,7 @@ def tell_unsure(k: Kernel, watch: Word, where: Word) -> None:
 
 def value_of(k: Kernel, form: Word, state: Word, t: Word) -> Word:
     """A function's value at a state and a time."""
-    return k.op(SCALAR, f"call double @event_value({form}, {state}, {t})")
+    return k.result_of(SCALAR, "event_value", form, state, t)
 
 
 def write_zero(scene: Scene, module: Module) -> None:
@@ -68,9 +68,9 @@ def _write_state(scene: Scene, module: Module) -> None:
     k = Kernel(module, "event_at", (ADDRESS, ADDRESS, SCALAR), SCALAR)
     block, form, x = k.arguments
     scene.put(k, block, "x", x)
-    k.line(f"call void @evaluate({block})")
+    k.call("evaluate", block)
     if scene.closes:
-        k.line(f"call void @close({block})")
+        k.call("close", block)
     t = k.add(scene.get(k, block, "t"), x)
     k.done(value_of(k, form, scene.at(k, block, "to_q0"), t))
 
@@ -85,7 +85,7 @@ def _write_locate(scene: Scene, module: Module) -> None:
     block, watch, f, form, parts, x, h, low, first, last, noise = k.arguments
     count, zero, one = 2 * scene.mechanism.n, k.number(0.0), k.number(1.0)
     begin, rows = scene.get(k, block, "t"), k.room(SCALAR, computed(scene.order))
-    call(k, "event_rows", form, parts, h, rows)
+    k.call("event_rows", form, parts, h, rows)
     k.store(zero, rows)
     k.store(k.subtract(first, _polynomial(scene, k, rows, low)[0]), rows)
     part = k.divide(first, k.subtract(first, last))
@@ -114,7 +114,7 @@ def _write_locate(scene: Scene, module: Module) -> None:
     sure, tries = k.slot(k.all_lanes(False)), k.slot(k.whole(0))
     with k.forever() as done:
         now, tried = k.get(at, SCALAR), k.get(tries, WHOLE)
-        miss = k.op(SCALAR, f"call double @event_at({block}, {form}, {now})")
+        miss = k.result_of(SCALAR, "event_at", block, form, now)
         moved = k.subtract(now, k.get(before, SCALAR))
         secant = k.divide(k.subtract(miss, k.get(missed, SCALAR)), moved)
         fast = k.get(speed, SCALAR)
