@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+import re
 import stat
 import subprocess
 import sys
@@ -308,6 +309,14 @@ class TestCache:
 
         for text in (write, lambda _: pytest.fail("written again")):
             assert machine.make(text, key="seven").function("f")() == 7
+
+    def test_a_key_tells_the_sources_of_all_that_write_text(self):
+        names = set()
+        for path in (ROOT / "robodyn").rglob("*.py"):
+            text = path.read_text()
+            if "engines.assembler import" in text:
+                names |= {path.parent.name, *re.findall(r"^from robodyn\.(\w+)", text, re.M)}
+        assert names - {"tables"} == set(machine.ROOMS)
 
     def test_functions_join_code_that_they_call(self):
         code = machine.make(lambda _: "define i64 @f() {\n  ret i64 7\n}\n")

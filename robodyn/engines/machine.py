@@ -29,6 +29,7 @@ LARGE = 5000
 LONG = 1000  # lines of a function that then is; those that are shorter hold the loops
 LEAST_LLVM = 17  # the first in which an address has no other type
 LIBRARY = (*FUNCTIONS, "pow", "fma")  # of C, that kernels may call
+ROOMS = ("engines", "events", "loops", "mechanics", "sweeps", "taylor")  # that decide the text
 PLAIN = "plain"  # the processor's family without what is optional: for tests
 
 
@@ -260,10 +261,9 @@ def this_processor(family: str = "") -> Processor:
 
 @lru_cache(maxsize=1)
 def generator() -> str:
-    """What tells these sources, and those of the program, from other versions of them."""
+    """What tells the sources of ROOMS from other versions of them."""
     digest = hashlib.sha256()
-    here = Path(__file__).parent
-    for room in (here, *(here.parent / name for name in ("loops", "mechanics", "taylor"))):
-        for path in sorted(room.glob("*.py")):
+    for room in ROOMS:
+        for path in sorted((Path(__file__).parent.parent / room).glob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
