@@ -35,12 +35,10 @@ _NUMBER["choose"] = lambda x, y, a, b: a if x < y else b
 class Graph:
     """The shared nodes of one formula.
 
-    A parameter of 0, 1 or -1 is that number, and belongs to the shape of the code, but for those
-    whose names are `free`.
+    A parameter of 0, 1 or -1 is that number, and belongs to the shape of the code.
     """
 
-    def __init__(self, free: Container[str] = ()) -> None:
-        self.free = free
+    def __init__(self) -> None:
         self.nodes: list[Expression] = []
         self.parameters: dict[str, float] = {}  # what `parameter` was told
         self.zeros: list[Expression] = []  # of parameters alone; taken for 0, as they are now
@@ -52,7 +50,7 @@ class Graph:
 
     def parameter(self, name: str, number: float) -> Value:
         """A number that may be another in the next call."""
-        if number in (0.0, 1.0, -1.0) and name not in self.free:
+        if number in (0.0, 1.0, -1.0):
             return float(number)
         self.parameters[name] = float(number)
         return self.node("par", (name,))

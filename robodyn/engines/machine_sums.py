@@ -7,7 +7,7 @@ last term then.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import groupby, product
 from typing import NamedTuple
 
@@ -15,7 +15,6 @@ from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Wo
 from robodyn.engines.expression import Value
 from robodyn.engines.order_loop import LoopExpansion, Sum
 
-FEW = 8  # joints whose text is written one by one; that of more is a loop
 WIDE = 8  # items that a sum takes at a time: what stands beside a run may be read
 
 
@@ -73,24 +72,6 @@ def runs(loop: LoopExpansion) -> tuple[list[Run], dict[str, int], int]:
             room += wide + WIDE
             left = [pair for pair in left if pair not in members]
     return found, places, room
-
-
-def over(
-    k: Kernel,
-    joints: Sequence[int],
-    write: Callable[[Word, Sequence[Word]], Sequence[Word]],
-    totals: Sequence[Word] = (),
-) -> Sequence[Word]:
-    """Write something for joints j, one after the other; it takes j and totals, and gives those."""
-    if len(joints) <= FEW:
-        for j in joints:
-            totals = write(k.whole(j), totals)
-        return totals
-    with k.loop(k.whole(joints[-1] + 1), k.whole(joints[0])) as i:
-        sums = [k.carried(total) for total in totals]
-        for total, value in zip(sums, write(i, sums), strict=True):
-            k.becomes(total, value)
-    return sums
 
 
 def alike(slides: Collection[int], n: int) -> Iterator[tuple[bool, Sequence[int]]]:

@@ -5,11 +5,10 @@ A coordinate's rate stays as near to that at the step's start as `off`, the thir
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
-from robodyn.engines.machine_sums import over
 from robodyn.events.signs import MISSED
 from robodyn.taylor.coordinate_code import SUMS
 from robodyn.taylor.function_code import wide
@@ -17,6 +16,8 @@ from robodyn.taylor.step_boxes import SLACK
 
 if TYPE_CHECKING:
     from robodyn.engines.machine_steps import Scene
+
+FEW = 8  # coordinates whose text is written one by one; that of more is a loop
 
 
 def write_box(scene: Scene, module: Module) -> None:
@@ -30,15 +31,14 @@ def write_box(scene: Scene, module: Module) -> None:
     k.each(n, lambda j: k.store(k.whole(1), k.at(used, j, WHOLE)))
     k.call("event_begin", block, x, used, parts)
 
-    def keep(j: Word, _: Sequence[Word]) -> Sequence[Word]:
+    def keep(j: Word) -> None:
         place = k.at(parts, k.multiply(j, k.whole(wide(scene.order))))
         first, off = (k.load(k.at(place, SUMS.index(name))) for name in ("first", "off"))
         rounding = k.multiply(slack, k.add(k.intrinsic("fabs", first), off))
         for room in (aparts, owns):
             k.store(k.divide(k.add(off, rounding), h), k.at(room, j))
-        return ()
 
-    over(k, range(n), keep)
+    _each(k, n, keep)
     for j, above in enumerate(scene.mechanism.above):
         if above is not None:
             both = (k.load(k.at(aparts, i)) for i in (j, above))
@@ -48,7 +48,7 @@ def write_box(scene: Scene, module: Module) -> None:
         k.call("evaluate", block)
     begin, ends = (scene.at(k, block, name) for name in ("q0", "to_q0"))
 
-    def put(j: Word, _: Sequence[Word]) -> Sequence[Word]:
+    def put(j: Word) -> None:
         own, places = k.load(k.at(owns, j)), (j, k.add(j, k.whole(n)))
         q, qd = (k.load(k.at(begin, place)) for place in places)
         half = k.multiply(k.multiply(k.number(0.5), x), qd)
@@ -62,7 +62,15 @@ def write_box(scene: Scene, module: Module) -> None:
                 reach = k.add(reach, missed)
             k.store(middle, k.at(box, place))
             k.store(reach, k.at(k.at(box, count), place))
-        return ()
 
-    over(k, range(n), put)
+    _each(k, n, put)
     k.done()
+
+
+def _each(k: Kernel, count: int, write: Callable[[Word], None]) -> None:
+    """Write something for 0 .. count - 1, one by one where these are FEW."""
+    if count > FEW:
+        k.each(count, write)
+    else:
+        for j in range(count):
+            write(k.whole(j))
