@@ -156,8 +156,8 @@ def test_torques_without_a_series_take_dop853():
     mech, torques = arm("abs(q2), 0")
     assert best_method(mech, torques) == "DOP853"
     assert best_method(*arm("sin(t), -qd2")) == "taylor"
-    start = np.array([-1.3, -0.01, 0.5, 0.25])  # q2 changes its sign at 0.05 s
-    times = [0.05, 0.1]
+    start = np.array([-1.3, -0.01, 0.5, 0.25])  # q2 changes its sign at 0.04 s
+    times = [0.05]
     exact = reference(mech, start, np.array(times), torques).y
     assert (exact[:, 1] > 0.0).any()
     settings, _ = settings_for(mech, start, 0.1, torques, Settings(AUTO), 1e-8)

@@ -98,13 +98,13 @@ def test_of_a_closed_mechanism_the_actuated_joints_count(robodyn: Run, ref: Path
     assert robodyn(*CRANK, *gains, "--track", ref).succeeds().out == part.out
 
 
-def test_a_pipe_of_three(shell: Run) -> None:
+def test_a_pipe_of_three(quick_shell: Run) -> None:
     """A reference written by awk; the torques that were applied are those that `torque` finds."""
     awk = """awk 'BEGIN {print "t,q1,q2"; for (k = 0; k <= 40; k++)
         printf "%.17g,%.17g,%.17g\\n", k/20, sin(k/20), 0.3*cos(k/10)}'"""
     simulated = f"robodyn {' '.join(PIPED)} --track -"
     line = f"{awk} | {simulated} | tee >(cat >&2) | robodyn torque robots/2r.yaml -"
-    given = shell(line)
+    given = quick_shell(line)
     assert given.code == 0
     assert_the_same_torques(given, Outcome(0, given.err, ""))
 

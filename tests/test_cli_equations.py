@@ -122,12 +122,12 @@ def test_head_ends_it_quietly(shell: Run) -> None:
     assert given.err == "0\n"
 
 
-def test_the_examples_of_the_help_work(shell: Run, tmp_path: Path) -> None:
-    text = shell("robodyn equations --help").succeeds().out
+def test_the_examples_of_the_help_work(quick_shell: Run, tmp_path: Path) -> None:
+    text = quick_shell("robodyn equations --help").succeeds().out
     lines = [line.strip() for line in text.splitlines() if line.strip().startswith("robodyn ")]
     assert len(lines) >= 4
     for line in lines:
-        given = shell(line, cwd=tmp_path)
+        given = quick_shell(line, cwd=tmp_path)
         assert (given.code, given.err.count("\n")) == (0, 1)
         assert "the example scene of this name is taken" in given.err
     assert {"four-bar.tex", "arm.c"} <= {path.name for path in tmp_path.iterdir()}

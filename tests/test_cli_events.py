@@ -113,18 +113,12 @@ def test_a_sweep_tells_events(robodyn: Run, workers: int) -> None:
             assert "not met" in told.err
 
 
-def test_a_sweep_with_events_goes_on(robodyn: Run, tmp_path: Path) -> None:
-    out = tmp_path / "out.csv"
-    options = (
-        "sweep",
-        "robots/four-bar.yaml",
-        "--vary",
-        "q1=0:350deg:70",
-        "--qd",
-        5,
-        "--time",
-        0.2,
-    )
+def test_a_sweep_with_events_goes_on(
+    robodyn: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robodyn.sweeps.sweep_request.ONE_BY_ONE", 10)  # points of a chunk
+    out, vary = tmp_path / "out.csv", ("--vary", "q1=0:350deg:14")
+    options = ("sweep", "robots/four-bar.yaml", *vary, "--qd", 5, "--time", 0.2)
     options += ("--event", "line=sin(q2)", "--result", "events", "--quiet")
     whole = robodyn(*options).succeeds()
     robodyn(*options, "-o", out).succeeds()

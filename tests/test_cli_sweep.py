@@ -318,7 +318,7 @@ def test_a_scheduler_that_dies(tmp_path: Path) -> None:
         command += ["--engine", "python", "--scheduler", address]
         sweep = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
         wait_for(begun[0], "Receive client")
-        time.sleep(1.0)
+        time.sleep(0.3)
         begun[0].kill()
         _, told = sweep.communicate(timeout=60)
     finally:

@@ -93,10 +93,11 @@ def test_a_pipe_that_is_closed_already(shell: Run, line: str) -> None:
     assert given.err == "0\n"
 
 
-def test_a_pipe_of_two_commands(shell: Run) -> None:
+def test_a_pipe_of_two_commands(quick_shell: Run) -> None:
     """Energy of states that passed through torque, columns and all."""
     states = "printf 'q1,note,q2\\n0.3,a b,-0.7\\n'"
-    given = shell(f"{states} | robodyn torque robots/2r.yaml - | robodyn energy robots/2r.yaml -")
+    line = f"{states} | robodyn torque robots/2r.yaml - | robodyn energy robots/2r.yaml -"
+    given = quick_shell(line)
     (row,) = given.succeeds().rows
     assert list(row) == ["q1", "note", "q2", "tau1", "tau2", "KE", "PE", "energy"]
     assert row["note"] == "a b"
@@ -199,8 +200,8 @@ def test_a_full_disk_is_told(shell: Run, line: str) -> None:
     shell(f"{line} >/dev/full").fails(1, "No space left on device")
 
 
-def test_a_scene_may_come_through_a_pipe(shell: Run) -> None:
-    given = shell("cat robots/2r.yaml | robodyn torque /dev/stdin --q 0.1,0.2").succeeds()
+def test_a_scene_may_come_through_a_pipe(quick_shell: Run) -> None:
+    given = quick_shell("cat robots/2r.yaml | robodyn torque /dev/stdin --q 0.1,0.2").succeeds()
     assert relative_error(given.has("tau1", "tau2"), gravity(0.1, 0.2)) < 1e-13
 
 

@@ -264,9 +264,12 @@ def _empty(keep: Callable[..., object], *args: object):
     yield from ()
 
 
-def test_a_sweep_that_was_cut_off_goes_on(robodyn: Run, reference: Path) -> None:
+def test_a_sweep_that_was_cut_off_goes_on(
+    robodyn: Run, reference: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robodyn.sweeps.sweep_request.ONE_BY_ONE", 5)  # points of a chunk
     out = reference.with_name("rows.csv")
-    line = ("sweep", ARM, *PD, "--track", reference, *NORMAL, "--sample", 130, "--points", 3)
+    line = ("sweep", ARM, *PD, "--track", reference, *NORMAL, "--sample", 7, "--points", 3)
     line += ("--result", "max(tau1)", "--rtol", 1e-3, "--atol", 1e-3, "--workers", 1, "--quiet")
     whole = robodyn(*line).succeeds().out
     calls = []
