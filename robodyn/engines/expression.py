@@ -94,7 +94,7 @@ def add(a: Value, b: Value) -> Value:
         if _negative(y):
             positive = negate(y)
             return 0.0 if positive is x else _unless_zero(x.graph.node("-", (x, positive)))
-    first, second = sorted((a, b), key=lambda x: x.index)
+    first, second = (a, b) if a.index < b.index else (b, a)
     return _unless_zero(a.graph.node("+", (first, second)))
 
 
@@ -129,7 +129,7 @@ def multiply(a: Value, b: Value) -> Value:
     for x, y in ((a, b), (b, a)):  # constant factors gather in front
         if _has_factor(x):
             return multiply(_value(x.args[0]), multiply(_value(x.args[1]), y))
-    first, second = sorted((a, b), key=lambda x: x.index)
+    first, second = (a, b) if a.index < b.index else (b, a)
     return a.graph.node("*", (first, second))
 
 
@@ -193,7 +193,7 @@ class Expression:
         for a in self.args:
             if isinstance(a, Expression) and a.number is None:
                 return None
-        values = (a.number if isinstance(a, Expression) else a for a in self.args)
+        values = [a.number if isinstance(a, Expression) else a for a in self.args]
         try:
             return float(_NUMBER[self.op](*values))
         except (ArithmeticError, ValueError):
