@@ -68,36 +68,21 @@ def points(
 
     import numpy as np
 
-    from robodyn.dynamics.state_columns import (
-        jacobian_columns,
-        jacobian_values,
-        link_columns,
-        link_values,
-        point_values,
-        transmission_values,
-    )
-    from robodyn.kinematics.transmission import rate_ratios, ratio_named
+    from robodyn.dynamics.state_columns import Solved, columns_of, jacobian_columns, link_columns
+    from robodyn.kinematics.transmission import ratio_named
 
     if jacobian:
         columns += jacobian_columns(mechanism, named)
     if links:
         columns += link_columns(mechanism)
-    loops = _loops(mechanism) if transmission else []
-    columns += loops
-    ratios = [ratio_named(mechanism, text) for text in ratio or ()]
-    columns += [each.name for each in ratios]
+    columns += _loops(mechanism) if transmission else []
+    columns += [ratio_named(mechanism, text).name for text in ratio or ()]
 
     def compute(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, **_: object) -> np.ndarray:
-        parts = [point_values(mechanism, named, q, qd, qdd)]
-        if jacobian:
-            parts.append(jacobian_values(mechanism, named, q))
-        if links:
-            parts.append(link_values(mechanism, q, qd, qdd))
-        if loops:
-            parts.append(transmission_values(mechanism, q))
-        if ratios:
-            parts.append(rate_ratios(mechanism, ratios, q, qd))
-        return np.concatenate(parts, axis=-1)
+        none = np.zeros(0)  # of what acts the columns ask nothing
+        solved = Solved(none, q, qd, qdd, none, none)
+        found = columns_of(mechanism, named, solved, columns)
+        return np.stack([found[name] for name in columns], axis=-1)
 
     evaluate(mechanism, given, quantities, columns, compute, adds=True)
 

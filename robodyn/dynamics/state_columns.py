@@ -135,9 +135,8 @@ Group = tuple[list[str], Callable[[Solved], Array]]
 
 def _groups(mechanism: Mechanism, named: Sequence[NamedPoint]) -> list[Group]:
     """The columns that are computed together, by names, and their values (T, columns)."""
-    mech, links = mechanism, mechanism.link_names
-    powers = [f"power{k + 1}" for k in mechanism.actuated]
-    groups: list[Group] = [
+    mech, powers = mechanism, [f"power{k + 1}" for k in mechanism.actuated]
+    return [
         (["energy"], lambda x: np.sum(energies(mech, x.q, x.qd), axis=0)[:, None]),
         (torque_columns(mech), lambda x: torque_values(mech, x.q, x.qd, x.tau, x.multipliers)),
         (powers, lambda x: power_values(mech, x.qd, x.tau)),
@@ -150,20 +149,15 @@ def _groups(mechanism: Mechanism, named: Sequence[NamedPoint]) -> list[Group]:
         (point_columns(named), lambda x: point_values(mech, named, x.q, x.qd, x.qdd)),
         (jacobian_columns(mech, named), lambda x: jacobian_values(mech, named, x.q)),
     ]
-    for name in (f"{a}/{b}" for a in links for b in links if a != b):
-
-        def ratio(x: Solved, name: str = name) -> Array:
-            return rate_ratios(mech, [ratio_named(mech, name)], x.q, x.qd)
-
-        groups.append(([name], ratio))
-    return groups
 
 
 def column_names(mechanism: Mechanism, named: Sequence[NamedPoint]) -> list[str]:
     """All of them, those of the state before."""
     state = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
     others = (name for names, _ in _groups(mechanism, named) for name in names)
-    return list(dict.fromkeys(["t", *state, *others]))
+    links = mechanism.link_names
+    ratios = (f"{a}/{b}" for a in links for b in links if a != b)
+    return list(dict.fromkeys(["t", *state, *others, *ratios]))
 
 
 def columns_of(
@@ -176,4 +170,8 @@ def columns_of(
     for names, compute in _groups(mechanism, named):
         if not found.keys() >= set(names) & set(wanted):
             found |= dict(zip(names, compute(solved).T, strict=True))
+    ratios = [ratio_named(mechanism, name) for name in wanted if name not in found]
+    if ratios:
+        each = rate_ratios(mechanism, ratios, solved.q, solved.qd)
+        found |= {ratio.name: x for ratio, x in zip(ratios, each.T, strict=True)}
     return {name: found[name] for name in wanted}
