@@ -381,7 +381,7 @@ def test_rows_leave_as_they_are_made(format: str) -> None:
     ) as child:
         assert child.stdout is not None
         assert child.stderr is not None
-        for _ in range(2_000 if format == "table" else 20_000):  # which takes longer to draw
+        for _ in range(1_000 if format == "table" else 20_000):  # which takes longer to draw
             assert child.stdout.readline()
         child.stdout.close()
         assert child.stderr.read() == b""
