@@ -147,7 +147,8 @@ class Instructions:
     def intrinsic(self, name: str, *args: Word) -> Word:
         """llvm.sqrt, llvm.fabs and the like of numbers."""
         type = args[0].type
-        full = f"llvm.{name}.{_suffix(type)}"
+        suffix = "f64" if type == SCALAR else f"v{type[1:].split()[0]}f64"
+        full = f"llvm.{name}.{suffix}"
         self.module.declare(full, type, *(a.type for a in args))
         return self.result_of(type, full, *args)
 
@@ -270,9 +271,3 @@ _KIND = {name: (name, f"f{name} contract") for name in ("add", "sub", "mul")}
 
 def _floats(word: Word) -> bool:
     return "double" in word.type
-
-
-def _suffix(type: str) -> str:
-    if type == SCALAR:
-        return "f64"
-    return f"v{type[1:].split()[0]}f64"

@@ -228,7 +228,8 @@ def lane_least_squares(
         step = there - u[lanes]
         r, J = evaluate(there, lanes)
         new = _cost(r)
-        promised = -np.einsum("ni,ni->n", g[lanes] + 0.5 * _times(H[lanes], step), step)
+        slope = g[lanes] + 0.5 * (H[lanes] @ step[..., None])[..., 0]
+        promised = -np.einsum("ni,ni->n", slope, step)
         gained = cost[lanes] - new
         good = np.isfinite(new) & (gained > 0.0)
         size = np.abs(step).max(axis=-1)
@@ -254,10 +255,6 @@ def _normal(r: Array, J: Array) -> tuple[Array, Array]:
     """J^T J and J^T r."""
     with np.errstate(all="ignore"):
         return np.swapaxes(J, 1, 2) @ J, np.einsum("nrk,nr->nk", J, r)
-
-
-def _times(H: Array, s: Array) -> Array:
-    return np.asarray((H @ s[..., None])[..., 0])
 
 
 def _step(H: Array, g: Array, u: Array, scale: Array, mu: Array) -> Array:

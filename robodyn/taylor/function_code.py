@@ -30,14 +30,11 @@ def write_function(scene: Scene, module: Module) -> None:
     slides, n = scene.mechanism.slides, scene.mechanism.n
     for kind in sorted({kind for kind, _ in alike(slides, n)}):
         CoordinateCode(scene, vectors, kind).write()
-    for name, types in (("begin", [SCALAR]), ("about", [SCALAR, SCALAR, ADDRESS])):
-        _write_coordinates(scene, Kernel(module, f"event_{name}", _types(*types), "void"), name)
+    for name, given in (("begin", [SCALAR]), ("about", [SCALAR, SCALAR, ADDRESS])):
+        types = ADDRESS, *given, ADDRESS, ADDRESS
+        _write_coordinates(scene, Kernel(module, f"event_{name}", types, "void"), name)
     _write_slope(scene, module)
     _write_rows(scene, vectors)
-
-
-def _types(*types: str) -> tuple[str, ...]:
-    return ADDRESS, *types, ADDRESS, ADDRESS
 
 
 def wide(order: int) -> int:
