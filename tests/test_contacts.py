@@ -22,7 +22,9 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.scene.description import from_text
 from robodyn.simulation.impacts import rates_after
+from robodyn.simulation.phases import DOUBTS, Phases
 from robodyn.simulation.recording import Outcome
+from robodyn.simulation.run_torques import as_actuation
 from robodyn.simulation.simulation import Motion, simulate
 
 G = 9.81
@@ -746,3 +748,15 @@ def test_wrong_values_are_refused() -> None:
         assert key in told
         where = {"min": ("min", "max")}.get(name, (name, "torque", "static"))
         assert any(f"{key}.{x}" in told for x in where), (text, told, value)
+
+
+def test_a_joint_without_ends_rests_at_none() -> None:
+    """Where rounding hides whether a joint starts, it is no stop that holds it."""
+    friction = "friction: {force: 1, static: 1}"
+    block = "{name: block, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0"
+    mechanism = scene(f"links:\n  - {block}, {friction}}}\n")
+    phases = Phases(mechanism, as_actuation(mechanism, [2.0]), np.zeros(3), 1.0, 1e-9)
+    assert phases.guards[0].kind == "slips"
+    phases.idle, phases.doubts = 1, DOUBTS - 1
+    phases.next(0.0, phases.y, 0)
+    assert phases.mode.slips == ((0, 1),)

@@ -26,7 +26,13 @@ from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.recording import Recorder, Sink, joined
 from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.run_statistics import RunStatistics
-from robodyn.simulation.run_torques import applied_torques, as_actuation, check_span, over_run
+from robodyn.simulation.run_torques import (
+    applied_torques,
+    as_actuation,
+    check_span,
+    no_hold,
+    over_run,
+)
 from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
 from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
 from robodyn.tables.arrays import Array
@@ -286,6 +292,8 @@ def run(
         from robodyn.engines.row_values import near_table_end
 
         report.advice = near_table_end(mechanism, *recorder.last) or report.advice
+    if actuation.control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
+        report.advice = no_hold(mechanism, actuation.control) or report.advice
     return outcome, recorder
 
 
