@@ -135,7 +135,7 @@ def simulate(
     max_step: float = np.inf,
     events: Mapping[str, str] | None = None,
     until: str | None = None,
-    sensitivity: Sequence[str] = (),
+    sensitivity: Sequence[str] | None = None,
 ) -> Motion:
     """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
@@ -187,7 +187,7 @@ def simulate(
     if recorder.contacts:
         happened = sorted([*happened, *recorder.contacts], key=lambda event: abs(event.t))
     phases = [(len(t), moving) for t, _, moving in rows]
-    none = np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity))))
+    none = np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity or ()))))
     t, y = joined([(t, y) for t, y, _ in rows] or [none])
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
