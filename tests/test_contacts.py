@@ -22,9 +22,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.scene.description import from_text
 from robodyn.simulation.impacts import rates_after
-from robodyn.simulation.phases import DOUBTS, Phases
 from robodyn.simulation.recording import Outcome
-from robodyn.simulation.run_torques import as_actuation
 from robodyn.simulation.simulation import Motion, simulate
 
 G = 9.81
@@ -748,27 +746,3 @@ def test_wrong_values_are_refused() -> None:
         assert key in told
         where = {"min": ("min", "max")}.get(name, (name, "torque", "static"))
         assert any(f"{key}.{x}" in told for x in where), (text, told, value)
-
-
-def test_a_joint_without_ends_rests_at_none() -> None:
-    """Where rounding hides whether a joint starts, it is no stop that holds it."""
-    friction = "friction: {force: 1, static: 1}"
-    block = "{name: block, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0"
-    mechanism = scene(f"links:\n  - {block}, {friction}}}\n")
-    phases = Phases(mechanism, as_actuation(mechanism, [2.0]), np.zeros(3), 1.0, 1e-9)
-    assert phases.guards[0].kind == "slips"
-    phases.idle, phases.doubts = 1, DOUBTS - 1
-    phases.next(0.0, phases.y, 0)
-    assert phases.mode.slips == ((0, 1),)
-
-
-@pytest.mark.parametrize("how", [("DOP853", "auto"), ("taylor", "python"), ("taylor", "compiled")])
-def test_a_joint_that_starts_again_does_not_touch_zero(how: tuple[str, str]) -> None:
-    """Its rate was zero to rounding while it was held, and is so for a moment after."""
-    block = "{name: block, joint: prismatic, axis: [1, 0], m: 1.3, l: 0, r: 0, I: 0"
-    mechanism = scene(f"links:\n  - {block}, friction: {{force: 1, static: 1}}}}\n")
-    given = {"tau": "0.9 + 0.5*sin(20*t)", "events": {"v": "qd1"}, "engine": how[1]}
-    for tol in (1e-6, 1e-9, 1e-12):
-        motion = simulate(mechanism, [0.7], [0.0], 4.0, method=how[0], rtol=tol, atol=tol, **given)
-        assert motion.report.events["block starts"] > 10
-        assert not [x for x in motion.report.remarks if "touches zero" in x]
