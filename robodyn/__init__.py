@@ -140,11 +140,15 @@ def __dir__() -> list[str]:
 
 
 def _of_a_mechanism(function: FunctionType) -> FunctionType:
-    """The function, which says so where its first argument is no mechanism."""
+    """The function, which says so where its first argument is no mechanism, or one too large."""
     from functools import wraps
 
     from robodyn.errors import InputError
     from robodyn.mechanics.mechanism import Mechanism
+
+    names = function.__code__.co_varnames[: function.__code__.co_argcount]
+    room = function.__module__.split(".")[1]
+    at_states = "qd" in names and room in ("dynamics", "loops", "kinematics")
 
     @wraps(function)
     def checked(*given: Any, **named: Any) -> Any:
@@ -153,6 +157,10 @@ def _of_a_mechanism(function: FunctionType) -> FunctionType:
             told = repr(first) if isinstance(first, (str, bytes)) else type(first).__name__
             limit = "must be a Mechanism, which robodyn.load makes of a file or a name"
             raise InputError("mechanism", where=function.__name__, value=told, limit=limit)
+        if at_states:
+            from robodyn.dynamics.placed import within_floats
+
+            return within_floats(function, names, given, named)
         return function(*given, **named)
 
     checked.__module__ = "robodyn"  # where others find it, as pickles do

@@ -21,7 +21,9 @@ from robodyn.dynamics.sticking import mode_at
 from robodyn.events import pieces, signs
 from robodyn.mechanics import actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.phases import DOUBTS, Phases
 from robodyn.simulation.recording import Outcome
+from robodyn.simulation.run_torques import as_actuation
 from robodyn.simulation.simulation import Motion, simulate
 
 # -- which joints of a loop stick ------------------------------------------------------------------
@@ -454,3 +456,27 @@ def test_a_loop_without_load_that_stops_stays() -> None:
         motion = simulate(mechanism, q, qd, 2.0, rtol=1e-9, atol=1e-9, max_evals=5000)
         assert motion.outcome is Outcome.FINISHED
         assert not motion.qd[-1].any()
+
+
+def test_a_joint_without_ends_rests_at_none() -> None:
+    """Where rounding hides whether a joint starts, it is no stop that holds it."""
+    friction = "friction: {force: 1, static: 1}"
+    block = "{name: block, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0"
+    mechanism = scene(f"links:\n  - {block}, {friction}}}\n")
+    phases = Phases(mechanism, as_actuation(mechanism, [2.0]), np.zeros(3), 1.0, 1e-9)
+    assert phases.guards[0].kind == "slips"
+    phases.idle, phases.doubts = 1, DOUBTS - 1
+    phases.next(0.0, phases.y, 0)
+    assert phases.mode.slips == ((0, 1),)
+
+
+@pytest.mark.parametrize("how", [("DOP853", "auto"), ("taylor", "python"), ("taylor", "compiled")])
+def test_a_joint_that_starts_again_does_not_touch_zero(how: tuple[str, str]) -> None:
+    """Its rate was zero to rounding while it was held, and is so for a moment after."""
+    block = "{name: block, joint: prismatic, axis: [1, 0], m: 1.3, l: 0, r: 0, I: 0"
+    mechanism = scene(f"links:\n  - {block}, friction: {{force: 1, static: 1}}}}\n")
+    given = {"tau": "0.9 + 0.5*sin(20*t)", "events": {"v": "qd1"}, "engine": how[1]}
+    for tol in (1e-6, 1e-9, 1e-12):
+        motion = simulate(mechanism, [0.7], [0.0], 4.0, method=how[0], rtol=tol, atol=tol, **given)
+        assert motion.report.events["block starts"] > 10
+        assert not [x for x in motion.report.remarks if "touches zero" in x]

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import TWO_LINK
+from contact_scenes import FIVE_BAR, scene
 from numpy.polynomial import Polynomial
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from scipy.optimize import brentq
 
 import oracles
 import random_mechanisms
@@ -546,3 +548,26 @@ def test_the_slopes_of_a_law_are_those_of_its_torques(control: str) -> None:
         torques, rates = (x.reshape(wide, -1) for x in np.split(found, [2 * wide]))
         found = np.hstack([torques, rates]).T
         assert np.abs(found - expected).max() < 1e-6 * (1.0 + np.abs(expected).max()), (control, qd)
+
+
+def test_a_set_point_beyond_a_dead_centre_ends_the_run_soon() -> None:
+    """The rods of a five-bar line up on the way: what is asked of the cranks has no bound there."""
+    mechanism = scene(FIVE_BAR.format(each="damping: 0.01"))
+    w, ways = np.sqrt(50.0 - 2.0**2), np.array([0.4, -0.3])
+
+    def left(t: float) -> float:
+        """Of the rods' 1.6 m between the cranks' tips; e decays as edd + 4 ed + 50 e = 0 has it."""
+        still = np.exp(-2.0 * t) * (np.cos(w * t) + 2.0 / w * np.sin(w * t))
+        tips = 0.5 * np.exp(1j * (np.array([2.0, 1.0]) + ways * (1.0 - still)))
+        return float(1.6 - abs(1.0 + tips[1] - tips[0]))
+
+    lined_up = brentq(left, 0.0, 0.3)
+    q, beyond = assemble(mechanism, [2.0, 1.0]), ReferenceTable.set_point([2.4, 0.7], 2.0)
+    for rate, most in ((None, 200_000), (100.0, 2_000)):
+        law = controller(mechanism, beyond, "computed-torque", 50.0, 4.0, control_rate=rate)
+        motion = simulate(mechanism, q, np.zeros(4), 2.0, tau=law, max_evals=most)
+        assert motion.outcome.label == ("too many evaluations" if rate else "step too small")
+        assert motion.report.evaluations < 10_000
+        assert motion.t[-1] == pytest.approx(lined_up, abs=0.03 if rate else 1e-8)
+        assert "of a at t = 0.1" in motion.report.advice
+        assert "beside a dead centre" in motion.report.advice

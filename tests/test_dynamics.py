@@ -833,3 +833,25 @@ class TestChangePoint:
         found = robodyn.forward_dynamics(mech, q, qd, [0.7, 0.0, 0.0])
         assert found == pytest.approx(expected, rel=1e-10)
         assert robodyn.inverse_dynamics(mech, q, qd, found) == pytest.approx([0.7, 0, 0], abs=1e-10)
+
+
+def test_a_state_whose_results_leave_the_floats_is_named() -> None:
+    """An error in place of nan and numpy's warnings, of single states and of many."""
+    arm, loop = (robodyn.load(ROOT / f"robots/{name}.yaml") for name in ("2r", "four-bar"))
+    q = robodyn.assemble(loop, [1.0])
+    ones = np.ones(2)
+    at_states = (robodyn.inverse_dynamics, robodyn.forward_dynamics, robodyn.shaking_force)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for function in at_states:
+            with pytest.raises(RobodynError, match=r"qd\[1\] = 1e\+300: is too large"):
+                function(arm, ones, [1.0, 1e300], ones)
+            with pytest.raises(RobodynError, match=r"qd\[\d\] = .*e\+300: is too large"):
+                function(loop, q, robodyn.loop_velocities(loop, q, [1e300]), 0.0 * q)
+        many = np.ones((300, 2))
+        many[299, 0] = -1e200
+        with pytest.raises(RobodynError, match=r"qd\[299, 0\] = -1e\+200: is too large"):
+            robodyn.kinetic_energy(arm, many, many)
+        with pytest.raises(RobodynError, match=r"qdd\[0\] = 1e\+308: is too large"):
+            robodyn.inverse_dynamics(arm, ones, ones, qdd=[1e308, 1e308])
+        assert np.isfinite(robodyn.inverse_dynamics(arm, ones, 1e100 * ones, ones)).all()

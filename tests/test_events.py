@@ -302,3 +302,20 @@ def test_what_changes_too_often_is_said(pendulum: Mechanism) -> None:
     watch = watched(pendulum, "sin(1e12*t)", [0.0, 1.0])
     assert watch.lost
     assert "too often" in " ".join(watch.remarks())
+
+
+def test_what_has_one_sign_passes_nothing_where_it_is_zero(pendulum: Mechanism) -> None:
+    """No rounding hides whether it does: nothing is said of it."""
+    for text in ("abs(q1 - 1.3)**0.5", "sqrt(abs(q1 - 1.3)) - 0", "hypot(q1 - 1.3, t - 1.3)"):
+        for look in (watched, by_series):
+            with case(text, look):
+                watch = look(pendulum, text, [0.0, 1.0, 2.0])
+                assert not watch.found
+                assert not watch.grazes
+
+
+def test_nothing_is_watched(pendulum: Mechanism) -> None:
+    watch, none = EventWatch([], 2.0), np.zeros((0, 2))
+    times, boxes = np.array([0.0, 1.0, 2.0]), np.zeros((2, 2, 2))
+    nothing = (lambda _: none, none, lambda _: None, True, lambda *_: none)
+    assert watch.series(times, boxes, *nothing) is None

@@ -683,3 +683,13 @@ def test_an_open_and_a_closed_scene_against_many_digits(method: str, engine: str
     slid = -0.12 * math.sin(end[0]) * dq + [0.0, math.cos(end[0]), 0.0]
     assert run.sensitivity is not None
     assert relative_error(run.sensitivity[-1][[0, 2, 1]], np.stack([dq, dw, slid])) < 1e-9
+
+
+def test_no_names_and_what_are_none() -> None:
+    mech = rd.load(ROOT / "robots/2r.yaml")
+    for nothing in (None, (), []):
+        assert rd.simulate(mech, [0, 0], [0, 0], 0.1, sensitivity=nothing).sensitivity is None
+    wrong: list[object] = ["q1", [None], [1]]
+    for names in wrong:
+        with pytest.raises(InputError, match=r"sensitivity = .*: must be a list of names"):
+            rd.simulate(mech, [0, 0], [0, 0], 0.1, sensitivity=names)  # type: ignore[arg-type]

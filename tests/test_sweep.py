@@ -449,3 +449,22 @@ class TestCluster:
         assert "none came within 2 s" in str(caught.value)
         assert address in str(caught.value)
         assert told == ["the cluster has lost all its workers: waiting 2 s for another (patience)"]
+
+
+def test_extremes_of_bounces_in_closed_form() -> None:
+    """A rate jumps at a stop: what lies within a step begins after the impact."""
+    scene = """gravity: 9.81
+links:
+  - {name: ball, joint: prismatic, axis: [0, 1], m: 1, l: 0, r: 0, I: 0,
+     limits: {min: 0, restitution: 0.5}}
+"""
+    drops, e, t_end = (0.1, 0.3, 1.1), 0.5, 2.0
+    variation = Variation((Axis("q1", drops), Axis("links.ball.limits.restitution", (0.5, 1.0))))
+    given = {"q": (0.0,), "qd": (0.0,), "tau": (0.0,), "t_end": t_end}
+    falls = Plan(scene, "ball", variation, results=("extremes", "flip", "drift"), **given)
+    rows = whole(falls, workers=1)
+    v = -np.sqrt(2.0 * 9.81 * np.repeat(drops, 2))
+    wanted = {"q1_min": 0.0, "q1_max": np.repeat(drops, 2), "qd1_min": v, "drift": 0.0}
+    wanted |= {"qd1_max": -v * np.tile([e, 1.0], 3)}
+    for name, value in wanted.items():
+        np.testing.assert_allclose(column(falls, rows, name), value, rtol=1e-9, atol=1e-9)

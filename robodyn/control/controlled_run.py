@@ -40,6 +40,7 @@ class Tracked:
         self._duration = 0.0
         self._largest, self._at = np.full(joints, -1.0), np.zeros(joints)
         self._torque = np.zeros(joints)
+        self.hardest: tuple[float, Array] | None = None
 
     def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:
         """Those that act at t, in the state y = (q, qd, ...)."""
@@ -61,6 +62,8 @@ class Tracked:
             ended = ed + self.reference.at(t, "left")[1] - rates
         for k in range(len(t)):
             acting = np.abs(self.torques(float(t[k]), y[k].tolist()))
+            if self.hardest is None or np.fmax.reduce(acting) > self._torque.max():
+                self.hardest = float(t[k]), y[k]
             self._torque = np.fmax(self._torque, acting)
         self._compare(np.broadcast_to(t[:, None], e.shape), np.abs(e))
         if self._last is not None:

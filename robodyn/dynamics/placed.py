@@ -8,19 +8,21 @@ accelerations are written here, once, and T = dX/dx is in `columns`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.errors import InputError
+from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.records import Record
 
 FEW = 32  # numbers
+STATE = ("qd", "qdd", "tau", "q")  # what functions of a state are given
 
 
 def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
@@ -54,6 +56,26 @@ def finite(name: str, array: Array) -> Array:
         place = f"{name}[{', '.join(map(str, where))}]"
         raise InputError(place, value=array[tuple(where)], limit="must be finite")
     return array
+
+
+def within_floats(
+    function: Callable[..., Any], names: Sequence[str], given: Sequence[Any], named: dict[str, Any]
+) -> Any:
+    """What a function of a mechanism and a state gives; its arguments have `names`.
+
+    Raises RobodynError that names the largest number of the state where results leave the floats.
+    """
+    try:
+        with np.errstate(over="raise"):
+            return function(*given, **named)
+    except FloatingPointError:
+        values = dict(zip(names, given, strict=False)) | named
+    arrays = {name: np.abs(numbers(name, values[name])) for name in STATE if name in values}
+    name = max(arrays, key=lambda name: arrays[name].max())
+    place = np.unravel_index(arrays[name].argmax(), arrays[name].shape)
+    value = np.asarray(values[name], float)[place]
+    limit = "is too large: results beyond the floats follow"
+    raise RobodynError(f"{name}[{', '.join(map(str, place))}]", value=value, limit=limit)
 
 
 def matvec(matrix: NDArray[Any], vector: NDArray[Any]) -> Array:

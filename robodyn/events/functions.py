@@ -18,7 +18,7 @@ import numpy as np
 from robodyn.dynamics.placed import relative_matrix
 from robodyn.errors import InputError
 from robodyn.events.rounding import Bounded, around_of, bound_of
-from robodyn.events.smooth_parts import switches
+from robodyn.events.smooth_parts import has_one_sign, switches
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.expression_units import state_dimension
 from robodyn.scene.expressions import FUNCTIONS, NotAllowedError, Written, state_names
@@ -64,7 +64,8 @@ class EventFunction(Part):
     `way` 1: where it becomes positive, -1: negative, 0: both.  Where it stays at zero a comparison
     holds if it has an equality (not `strict`).  It is smooth where none of its `switches`, which
     are smooth between zeros of those before them, passes zero.  `linear` are its coefficients
-    (2 + 4n) of 1, t, q and qd, where it is a sum of these (`linear_form`).
+    (2 + 4n) of 1, t, q and qd, where it is a sum of these (`linear_form`).  Where it is seen to
+    have one sign, it may touch zero, but not pass.
     """
 
     name: str
@@ -72,6 +73,7 @@ class EventFunction(Part):
     strict: bool
     switches: tuple[Part, ...]
     linear: Array | None = field(default=None, compare=False)
+    has_one_sign: bool = False
 
 
 @lru_cache(maxsize=256)
@@ -105,9 +107,10 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
     cuts = tuple(
         Part(_vectorised(x, n), bound_of(x, n), around=around_of(x, n)) for x in switches(tree)
     )
-    made = _vectorised(tree, n), bound_of(tree, n)
+    made: tuple[Any, ...] = _vectorised(tree, n), bound_of(tree, n)
     linear = linear_form(mechanism, tree)
-    return EventFunction(*made, name, way, strict, cuts, linear, around=around_of(tree, n))
+    made += name, way, strict, cuts, linear, has_one_sign(tree)
+    return EventFunction(*made, around=around_of(tree, n))
 
 
 def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> tuple[EventFunction, ...]:

@@ -21,6 +21,20 @@ def switches(tree: ast.expr) -> list[ast.expr]:
     return list(found.values())
 
 
+def has_one_sign(node: ast.expr) -> bool:
+    """Whether an expression says that it is nowhere below zero: abs(x), sqrt(x), their powers."""
+    match node:
+        case ast.Call(func=ast.Name(id="_abs" | "_sqrt" | "_hypot")):
+            return True
+        case ast.BinOp(left=left, op=ast.Sub(), right=ast.Constant(value=0)):
+            return has_one_sign(left)
+        case (
+            ast.BinOp(left=left, op=ast.Pow()) | ast.Call(func=ast.Name(id="_pow"), args=[left, _])
+        ):
+            return has_one_sign(left)
+    return False
+
+
 def _all(node: ast.expr) -> Iterator[ast.expr]:
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.expr):

@@ -93,8 +93,8 @@ class EventWatch(EventRecord):
         """
         box = times[:-1], times[1:], boxes[:, 0], boxes[:, 1]
         known = [by_boxes(function, *box) for function in self.watched]
-        unknown = known[0] == 0.0
-        for signs in known[1:]:
+        unknown = np.zeros(len(boxes), bool)
+        for signs in known:
             unknown |= signs == 0.0
         left = unknown.nonzero()[0]
         nodes = sampled(left) if len(left) else np.zeros(0)
@@ -277,7 +277,7 @@ class EventWatch(EventRecord):
                 self._hidden(i, stretch)
                 continue
             touched = self._touched[i]
-            told = self._hidden_until(i, stretch.begin)
+            told = self._hidden_until(i, stretch.begin) or function.has_one_sign
             if self.signs[i] not in (0, sign):
                 if function.way in (0, sign):
                     t = step.begin
@@ -312,12 +312,14 @@ class EventWatch(EventRecord):
     def _hidden_until(self, i: int, t: float) -> bool:
         """Rounding hides a function no longer; tells whether that was long enough to be told."""
         touched, self._touched[i] = self._touched[i], None
-        if not touched or i >= len(self.functions) or abs(t - touched[0]) <= LONG * self.length:
+        if not touched or i >= len(self.functions):
             return False
-        spans = self.hidden.setdefault(self.functions[i].name, [])
+        spans = self.hidden.get(self.functions[i].name, [])
         if spans and abs(touched[0] - spans[-1][1]) <= self.instant:
-            touched = spans.pop()
-        spans.append((touched[0], t))
+            touched = spans.pop()  # which it goes on, as where a joint starts that was held
+        elif abs(t - touched[0]) <= LONG * self.length:
+            return False
+        self.hidden[self.functions[i].name] = [*spans, (touched[0], t)]
         return True
 
     def _passed(

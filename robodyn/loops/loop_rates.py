@@ -24,6 +24,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
 SINGULAR = 1e-7  # a least singular value below this part of the loop's size is singular
+LITTLE_HOLD = 0.05  # such a value of the passive joints: torques beside a dead centre grow large
 REDUNDANT = 1e-10  # singular values below this part of the largest one are rounding
 GAP_ALLOWED = 1e-6  # part of the loop's size (or of the terms of a rate) that input may miss
 
@@ -87,6 +88,16 @@ def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
         if least > REDUNDANT:
             return ""
     return "dead centre" if passive else ""
+
+
+def near_dead_centre(mechanism: Mechanism, q: Array) -> bool:
+    """Whether the actuated joints have little hold of the others at q (n, or more: a state)."""
+    passive = list(mechanism.passive)
+    if not mechanism.rows or not passive:
+        return False
+    return bool(
+        _smallest(mechanism, scaled_jacobian(mechanism, q[: mechanism.n])[:, passive]) < LITTLE_HOLD
+    )
 
 
 def check_way_on(mechanism: Mechanism, q: Array, qd: Array) -> None:

@@ -35,7 +35,12 @@ class Steps(Protocol):
 
 
 class Control(Steps, Protocol):
-    """What a controller is told of the run besides, and what it tells."""
+    """What a controller is told of the run besides, and what it tells.
+
+    `hardest` is when it asked the largest torque of all steps, and in which state y.
+    """
+
+    hardest: tuple[float, NDArray[np.float64]] | None
 
     def along(self, count: int, timed: bool = False) -> Callable[..., Sequence[float]]:
         """How its law changes along so many ways; see `recorded_law.py`."""

@@ -237,7 +237,9 @@ class Phases:
         self.doubts = self.doubts + 1 if begins or (inside and not meets) else 0
         if meets:
             hits = sorted({*hits, (guard.joint, guard.side)})
-        if self.doubts == DOUBTS:  # the method cannot tell how far it is thrown back: it rests
+        if (
+            inside and self.doubts == DOUBTS
+        ):  # the method cannot tell how far it is thrown back: it rests
             touches.add((guard.joint, guard.side))
         q, qd = self._split(y := y.copy())
         for joint, side in hits:  # rounding must not grow from bounce to bounce

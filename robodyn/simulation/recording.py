@@ -240,24 +240,25 @@ class Recorder:
             running = self.guard is not None
         self.report.t_reached = t
         if self.held >= STEPS_AT_ONCE:
-            endless = running and self._endless()
+            outcome = self._endless() if running else None
             self.flush_steps()
-            if endless:
-                raise StopRun(Outcome.ENDLESS)
+            if outcome is not None:
+                raise StopRun(outcome)
         if self.report.evaluations > self.max_evaluations and running:
             raise StopRun(Outcome.TOO_MANY_EVALUATIONS)
         self._look(t)
 
-    def _endless(self) -> bool:
-        """Whether even by much longer steps the end is never reached; steps that grow may do so."""
+    def _endless(self) -> Outcome | None:
+        """How a run ends that by much longer steps would not; steps that grow may do so."""
         t = np.concatenate([t for t, _ in self.steps])
-        early, late = np.array_split(np.abs(np.diff(t)), 2)
-        before = max(self.longest, float(early.max()))
-        self.longest = max(before, float(late.max()))
-        most = max(MOST_STEPS, NEVER * self.max_evaluations)
-        most = min(most, 1.0 / np.finfo(float).eps)  # more are not told apart by floats
-        never = abs(self.report.t_end - float(t[-1])) > most * self.longest
-        return never and abs(self.report.t_end) > FAR_END and self.longest <= 2.0 * before
+        early, late = (float(x.max()) for x in np.array_split(np.abs(np.diff(t)), 2))
+        before = max(self.longest, early)
+        self.longest = max(before, late)
+        most, left = NEVER * self.max_evaluations, abs(self.report.t_end - float(t[-1]))
+        if abs(self.report.t_end) <= FAR_END:
+            return Outcome.STEP_TOO_SMALL if left > most * late and late <= 2.0 * early else None
+        most = min(max(MOST_STEPS, most), 1.0 / np.finfo(float).eps)  # floats tell no more apart
+        return Outcome.ENDLESS if left > most * self.longest <= 2.0 * most * before else None
 
     def settle(self) -> Report:
         """The report, with the statistics of all steps."""

@@ -13,6 +13,7 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.run_control import Control
 from robodyn.tables.arrays import Array
 
 
@@ -89,3 +90,19 @@ def check_span(actuation: Actuation, t_end: float) -> None:
         if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
             span = f"{first:g} to {last:g} s"
             raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
+
+
+def no_hold(mechanism: Mechanism, control: Control) -> str:
+    """What to do about a controlled run that fails beside a dead centre, else nothing."""
+    from robodyn.loops.loop_rates import near_dead_centre
+
+    if control.hardest is None or not near_dead_centre(mechanism, control.hardest[1]):
+        return ""
+    most = max(control.tracking(), key=lambda joint: joint.largest_torque)
+    unit = "N" if mechanism.link_names.index(most.joint) in mechanism.slides else "N m"
+    return (
+        f"the controller asked {most.largest_torque:.3g} {unit} of {most.joint} at t = "
+        f"{control.hardest[0]:.6g} s, beside a dead centre, where no finite torque of the actuated "
+        "joints moves the others: keep the reference away from there, or cut torques off "
+        "(--tau-max)"
+    )

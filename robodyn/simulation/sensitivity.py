@@ -95,6 +95,9 @@ def with_sensitivities(
         limit = "links without inertia of their own, or closures that depend on one another"
     if limit or not names or len(set(names)) < len(names):
         raise InputError("sensitivity", where=where, limit=limit or "needs names, each once")
+    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+        limit = 'must be a list of names, such as ["q1"]'
+        raise InputError("sensitivity", value=repr(names), limit=limit)
     n, sizes, starts = mechanism.n, [], []
     for name in names:
         sizes.append(1.0 if is_start(mechanism, name) else size_of(mechanism, name))

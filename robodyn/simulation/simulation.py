@@ -26,7 +26,13 @@ from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.recording import Recorder, Sink, joined
 from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.run_statistics import RunStatistics
-from robodyn.simulation.run_torques import applied_torques, as_actuation, check_span, over_run
+from robodyn.simulation.run_torques import (
+    applied_torques,
+    as_actuation,
+    check_span,
+    no_hold,
+    over_run,
+)
 from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
 from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
 from robodyn.tables.arrays import Array
@@ -129,7 +135,7 @@ def simulate(
     max_step: float = np.inf,
     events: Mapping[str, str] | None = None,
     until: str | None = None,
-    sensitivity: Sequence[str] = (),
+    sensitivity: Sequence[str] | None = None,
 ) -> Motion:
     """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
@@ -181,7 +187,7 @@ def simulate(
     if recorder.contacts:
         happened = sorted([*happened, *recorder.contacts], key=lambda event: abs(event.t))
     phases = [(len(t), moving) for t, _, moving in rows]
-    none = np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity))))
+    none = np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity or ()))))
     t, y = joined([(t, y) for t, y, _ in rows] or [none])
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
@@ -286,6 +292,8 @@ def run(
         from robodyn.engines.row_values import near_table_end
 
         report.advice = near_table_end(mechanism, *recorder.last) or report.advice
+    if actuation.control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
+        report.advice = no_hold(mechanism, actuation.control) or report.advice
     return outcome, recorder
 
 

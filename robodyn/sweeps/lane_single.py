@@ -10,13 +10,18 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import groupby, pairwise
 
 import numpy as np
 
 from robodyn.control.laws import controller
 from robodyn.dynamics import closed_form
 from robodyn.errors import RobodynError, SingularError
+from robodyn.events.told import Event
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.settings import SCIPY_RTOL
 from robodyn.simulation.simulation import Motion, simulate
@@ -27,6 +32,7 @@ from robodyn.sweeps.sweep_plan import Plan
 from robodyn.tables.arrays import Array
 from robodyn.trajectories.splines import hermite
 
+SHORT = 1e-8  # part of a motion: rounding hides the rates within shorter steps
 CANNOT_START = "cannot start"
 
 
@@ -79,11 +85,11 @@ def single(
             told[2 * len(events) :] = of_motion(rows, plan.told, plan.of, reference)
         inner &= len(t) > 1
         if inner:
-            parts = np.arange(QUARTERS) / QUARTERS
-            finer = np.append((t[:-1, None] + np.diff(t)[:, None] * parts).ravel(), t[-1])
-            between = run(finer[np.append(True, np.diff(finer) != 0.0)])
-            if len(between.t) and between.t[-1] == t[-1]:  # else it did not get as far
-                motion = between
+            parts = np.arange(1, QUARTERS) / QUARTERS
+            within = t[:-1, None] + np.diff(t)[:, None] * parts
+            within = within[np.abs(np.diff(t)) > SHORT * abs(t[-1])].ravel()
+            contacts = [event for event in motion.events if event.name not in events]
+            motion = _joined(motion, run(within), contacts)
     except SingularError:
         return Outcome.SINGULAR.label, ""
     except RobodynError:
@@ -93,22 +99,52 @@ def single(
     return motion.outcome.label, report.missed
 
 
+def _joined(motion: Motion, between: Motion, contacts: list[Event]) -> Motion:
+    """The rows of both in their order, and one more where a phase begins.
+
+    That has the state after an impact; the row of the motion at its time ends the phase before.
+    """
+    after = {event.t: event.y for event in contacts}  # the last one of an instant
+    rows = sorted([*_rows(motion), *_rows(between)], key=lambda row: abs(row[0]))
+    found = []
+    for row, following in pairwise(rows):
+        (at, y, tau, moving), next_moving = row, following[3]
+        found.append(row)
+        if at in after or moving is not next_moving:
+            found.append((at, after.get(at, y), tau, next_moving))
+    found.append(rows[-1])
+    t, states, torques = (np.array([row[part] for row in found]) for part in range(3))
+    q, qd = np.split(states, 2, axis=1)
+    alike = ([*each] for _, each in groupby((moving for *_, moving in found), id))
+    phases = [(len(same), same[0]) for same in alike]
+    return replace(motion, t=t, q=q, qd=qd, tau=torques, phases=phases)
+
+
+def _rows(motion: Motion) -> Iterator[tuple[float, Array, Array, Mechanism]]:
+    """The times, states and torques of a motion, and what moves there."""
+    moving = (what for count, what in motion.phases for _ in range(count))
+    states = np.hstack([motion.q, motion.qd])
+    return zip(motion.t.tolist(), states, motion.tau, moving, strict=True)
+
+
 def _fill(
     ends: Ends, lane: int, motion: Motion, report: Report, inner: bool, link: int, angle: float
 ) -> None:
     """What the run of this report left; `inner`: of a motion at the quarters of its steps."""
     mechanism, t = motion.mechanism, motion.t
     states = np.concatenate([motion.q, motion.qd], axis=1)
-    energy = np.sum(closed_form.energies(mechanism, motion.q, motion.qd), axis=0)
+    parts = motion.in_phases(motion.q, motion.qd)
+    energy = np.concatenate([np.sum(closed_form.energies(*part), axis=0) for part in parts])
     energy -= mechanism.energy_offset
     ends.t[lane], ends.y[lane], ends.steps[lane] = t[-1], states[-1], report.steps
     ends.energy[lane] = energy.min(), energy.max()
     ends.drift[lane], ends.flip[lane] = report.energy_drift, math.nan
     if inner:
-        h, begin = np.diff(motion.t), motion.q[:-1]
-        with warnings.catch_warnings():
+        lasts = np.abs(np.diff(t)) > SHORT * abs(t[-1])  # and is no jump
+        h, begin, start = np.diff(t)[lasts], motion.q[:-1][lasts], t[:-1][lasts]
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # remarks belong to single motions
-            pieces = hermite(motion.t, motion.q, motion.qd, motion.qdd)
+            pieces = hermite(t, motion.q, motion.qd, motion.qdd)[lasts]
         rates = derivative(pieces.swapaxes(0, 1)).swapaxes(1, 2)
         low, high, rate_low, rate_high = (x.T for x in extremes(rates, h))
         beyond = [[begin + low, rate_low], [begin + high, rate_high]]
@@ -118,7 +154,7 @@ def _fill(
         path = mechanism.arrays.J[link]
         angles = angle + (begin - begin[0]) @ path
         x = crossings(angles, np.einsum("kjb,j->kb", rates, path), h, math.pi)
-        flips = motion.t[:-1] + x
+        flips = start + x
         ends.flip[lane] = min(flips[~np.isnan(x)], key=abs, default=math.nan)
 
 
