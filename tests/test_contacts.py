@@ -5,13 +5,16 @@ from __future__ import annotations
 import functools
 import math
 import random
+from importlib.util import find_spec
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import FRESH
 from contact_scenes import FIVE_BAR, FOUR_BAR, SLIDER_CRANK, dry, kkt, scene
+from named_case import case
 from scipy.integrate import solve_ivp
 
 import robodyn
@@ -449,6 +452,46 @@ def test_a_rate_that_turns_round_within_a_step_goes_through_the_bell(
         motion = run(method=method, engine=engine)
         assert [x.name for x in motion.events] == [x.name for x in exact.events]
         assert abs(motion.qd[-1, 0] - exact.qd[-1, 0]) < 1e-6
+
+
+FAST = 9000.0, -60.0, 0.15, 0.03
+DIPS = [  # a scene, the torque besides a t + b, then a, b, the first rate and the end; F(x, v)
+    (dry(0.1, 2.0, 0.01, "force"), "", "", FAST,
+     lambda x, v: math.copysign(0.1 + 1.9 * math.exp(-((v / 0.01) ** 2)), -v)),
+    ("friction: {force: 2, speed: 0.001}", "", "", FAST, lambda x, v: -2.0 * math.tanh(v / 0.001)),
+    ("", "", " - 2*exp(-(qd1/0.01)**2)", FAST, lambda x, v: -2.0 * math.exp(-((v / 0.01) ** 2))),
+    ("", "", " + 20*exp(-((q1-0.0004)/5e-5)**2)", FAST,
+     lambda x, v: 20.0 * math.exp(-(((x - 0.0004) / 5e-5) ** 2))),
+    ("", "springs: [{joint: block, length: 0, law: '20*exp(-((x-0.0004)/5e-5)**2)'}]", "", FAST,
+     lambda x, v: -20.0 * math.exp(-(((x - 0.0004) / 5e-5) ** 2))),
+    ("", "springs: [{joint: block, length: 0, table: F.csv}]", "", (600.0, -85.0, 0.6, 0.05),
+     lambda x, v: 20.0 * float(np.interp(x, [0.0018, 0.0022], [0.0, 1.0]))),
+]  # fmt: skip
+
+
+def test_what_a_motion_meets_and_leaves_within_a_step_acts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a series begins it is flat, or another line, and a step's end and middle are there too.
+
+    Against DOP853 of v' = a t + b + F(x, v) in short steps.
+    """
+    monkeypatch.chdir(tmp_path)
+    Path("F.csv").write_text("x,F\n-1,0\n0.0018,0\n0.0022,-20\n1,-20\n")
+    engines = ["python", "compiled"] if find_spec("llvmlite") else ["python"]
+    given = {"method": "taylor", "rtol": 1e-9, "atol": 1e-9}
+    for keys, rest, more, (a, b, rate, end), force in DIPS:
+        exact = solve_ivp(
+            lambda t, y, a=a, b=b, force=force: (y[1], a * t + b + force(*y)),
+            (0.0, end), [0.0, rate], "DOP853", rtol=1e-12, atol=1e-14, max_step=2e-5,
+        )  # fmt: skip
+        for engine in engines:
+            motion = simulate(
+                slide(keys, rest=rest), [0.0], [rate], end, f"{a}*t + {b}{more}", engine=engine,
+                **given,
+            )  # fmt: skip
+            with case(keys, rest, more, engine):
+                assert abs(motion.qd[-1, 0] - exact.y[1, -1]) < 1e-7
 
 
 def test_machine_code_holds_steps_at_the_bell_of_stribeck() -> None:
