@@ -87,6 +87,7 @@ class MotionProgram:
         self.bends = self.program.named["bends"]
         self.arms = [self.program.arms[slot] for slot in self.bends]
         self.spans = _spans(self.program, [*self.power, *self.bends])
+        self.steady = actuation.constants is not None and not mechanism.timed
 
     def start(self, generic: bool = False) -> Start:
         """Where the formulas of a step begin, and what they take.
@@ -217,12 +218,17 @@ def longest_step(
     atol: Value,
     power: Callable[[Value, float], Value] = expression.power,
     slides: Sequence[int] = (),
+    steady: bool = True,
 ) -> Value:
     """The step at which the last coefficients are as large as the tolerance.
 
     Of two orders, as every other coefficient may vanish; a rate errs by atol + rtol |w|, an angle
     by atol + rtol, and no link turns so far that its turns cannot be counted.  The displacements of
     `slides` (m) and their rates count as these.
+
+    Where what acts is not `steady` most coefficients may vanish, as of E = exp(i c t^m), and the
+    last ones tell nothing.  What is left out begins with the order p + 2 there: after a last term x
+    of an order k, with less than x^((p + 2)/k)/2, and its rate with p + 2 times that.
     """
     rho, theta = series.rho, series.theta
     p = len(rho[0]) - 2
@@ -241,6 +247,11 @@ def longest_step(
     angle = (p + 1.0) * (atol + rtol)
     shorter = h * power(angle / (h * tol), 1.0 / (p + 1))
     h = expression.choose(angle, h * tol, shorter, h)
+    turns = [] if steady else [k for k in range(len(w)) if k not in slides]
+    radius = power(2.0 * (atol + rtol) / (p + 2.0), 1.0 / (p + 2)) if turns else 0.0
+    for k in range((p + 1) // 2 + 1, p) if turns else ():
+        sizes = _largest([abs(each[j][k]) for each in (rho, theta) for j in turns])
+        h = expression.least(h, radius * power(sizes + TINY, -1.0 / k))
     tails: Value = 0.0  # comparisons may pass over what is not finite
     for each in theta:
         tails = tails + each[p + 1]

@@ -158,9 +158,8 @@ class _Series:
         if held not in self.made:
             self.made[held] = MotionProgram(self.mechanism, self.actuation, False, held)
         series, w, arms = self.expanded(self.made[held], t, y, self.order)
-        longest = longest_step(
-            series, w, self.tolerance, self.tolerance, slides=self.mechanism.slides
-        )
+        both, steady = (self.tolerance, self.tolerance), self.made[held].steady
+        longest = longest_step(series, w, *both, slides=self.mechanism.slides, steady=steady)
         if not longest > SMALLEST_STEP:
             return None
         h = min(stop - t, LONG(longest))

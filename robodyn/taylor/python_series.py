@@ -60,7 +60,8 @@ def step_text(
     start = motion.start()
     found = motion.expand(RECORDED, start.numbers, order, start.state)
     variable, w = start.graph.variable, start.state.w
-    longest = longest_step(found, w, variable("rtol"), variable("atol"), slides=mechanism.slides)
+    both, slides = (variable("rtol"), variable("atol")), mechanism.slides
+    longest = longest_step(found, w, *both, slides=slides, steady=motion.steady)
     longest = _turning(mechanism, [variable(f"qd{k}") for k in range(n)], longest)
     state = end_of_step(mechanism, found, start.steady, work, variable)
     series = _parts(found)
@@ -172,7 +173,8 @@ def step_rows(
         atol: float,
     ) -> Expanded:
         found, start = expanded(order, t, y, tau, dtau)
-        longest = longest_step(found, start.w, rtol, atol, slides=mechanism.slides)
+        both, slides = (rtol, atol), mechanism.slides
+        longest = longest_step(found, start.w, *both, slides=slides, steady=motion.steady)
         longest = _turning(mechanism, y[mechanism.n : 2 * mechanism.n], longest)
         if math.isnan(longest):
             return 0.0, y, ()
