@@ -117,13 +117,16 @@ def read_segment(scene: Scene, k: Kernel, block: Word) -> Segment:
 
 def _longest(scene: Scene, k: Kernel, block: Word) -> None:
     graph, turns = Graph(), range(0, 2 * scene.mechanism.n, 2)
-    orders = range(scene.order + 2)
-    rho = [coefficients(graph, i, orders) for i in turns]
-    theta = [coefficients(graph, i + 1, orders) for i in turns]
+    steady = scene.motion.steady
+    first = scene.order if steady else scene.order // 2  # of the orders that it reads
+    zeros: list[Value] = [0.0] * first
+    last = range(first, scene.order + 2)
+    rho = [zeros + coefficients(graph, i, last) for i in turns]
+    theta = [zeros + coefficients(graph, i + 1, last) for i in turns]
     w = [graph.variable(f"{i + 1}_1") for i in turns]
     tolerances = graph.variable("rtol"), graph.variable("atol")
     slides, series = scene.mechanism.slides, Coefficients(rho, theta, [], [])
-    h = longest_step(series, w, *tolerances, rough, slides, scene.motion.steady)
+    h = longest_step(series, w, *tolerances, rough, slides, steady)
     if scene.loop.power:  # it may be beyond the floats where the motion is not
         power = graph.variable(f"{len(rho) * 2 + scene.loop.watched}_{scene.order}")
         h = choose(abs(power), math.inf, h, math.nan)

@@ -24,6 +24,8 @@ Torques = Callable[[float, Sequence[float]], Sequence[float]]
 
 SAMPLES = 1000  # of a run, at least
 POINTS = 8  # of a Gauss-Legendre rule
+SHORT = 1e-4  # of a run: in shorter steps the way may be what moves a joint onto its end
+FEW = 100  # steps: more tell by their ends alone how fast the joints are on the way
 LONG = 2  # samples that a step must span to be looked at: shorter ones are samples themselves
 
 
@@ -62,12 +64,14 @@ class RunStatistics:
             work, self.missed = work + unseen, max(self.missed, float(np.abs(unseen).max()))
         if self.last is None:
             report.energy_start, self.last = float(KE[0] + PE[0]), (t[:1], q[:1])
-        width = np.diff(t, prepend=self.last[0])[:, None]
-        mean = np.diff(q, axis=0, prepend=self.last[1]) / np.where(width == 0.0, np.inf, width)
-        self.last = t[-1:], q[-1:]
         fastest = float(KE.max())
-        if (np.abs(mean).max(axis=0) > np.abs(qd).max(axis=0)).any():  # steps end at rest
+        if len(t) < FEW:  # they may all end at rest
+            width = t - np.concatenate([self.last[0], t[:-1]])
+            way = q - np.concatenate([self.last[1], q[:-1]])
+            width[np.abs(width) < SHORT * abs(report.t_end)] = np.inf
+            mean = way / width[:, None]
             fastest = max(fastest, float(closed_form.energies(mechanism, q, mean)[0].max()))
+        self.last = t[-1:], q[-1:]
         error = float(np.abs(KE + PE - work - report.energy_start).max())
         before = report.energy_drift * report.energy_in_motion
         moving = max(fastest, float(np.ptp(PE)), report.energy_in_motion)
