@@ -68,7 +68,7 @@ class RunStatistics:
         if len(t) < FEW:  # they may all end at rest
             width = t - np.concatenate([self.last[0], t[:-1]])
             way = q - np.concatenate([self.last[1], q[:-1]])
-            width[np.abs(width) < SHORT * abs(report.t_end)] = np.inf
+            width[np.abs(width) <= SHORT * abs(report.t_end)] = np.inf
             mean = way / width[:, None]
             fastest = max(fastest, float(closed_form.energies(mechanism, q, mean)[0].max()))
         self.last = t[-1:], q[-1:]
