@@ -5,14 +5,18 @@ from __future__ import annotations
 import functools
 import math
 import random
+from importlib.util import find_spec
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import FRESH
 from contact_scenes import FIVE_BAR, FOUR_BAR, SLIDER_CRANK, dry, kkt, scene
+from named_case import case
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import robodyn
 from robodyn.dynamics import closed_form
@@ -22,6 +26,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.scene.description import from_text
 from robodyn.simulation.impacts import rates_after
+from robodyn.simulation.phases import Phases
 from robodyn.simulation.recording import Outcome
 from robodyn.simulation.simulation import Motion, simulate
 
@@ -449,6 +454,85 @@ def test_a_rate_that_turns_round_within_a_step_goes_through_the_bell(
         motion = run(method=method, engine=engine)
         assert [x.name for x in motion.events] == [x.name for x in exact.events]
         assert abs(motion.qd[-1, 0] - exact.qd[-1, 0]) < 1e-6
+
+
+def test_a_joint_that_left_its_stop_meets_it_where_it_stands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """However little a method sees of how it leaves: the impact is no tolerance beyond."""
+    met, follow = [], Phases.next
+
+    def following(phases: Phases, t: float, y: Any, place: int) -> Any:
+        if phases.guards[place].kind == "inside" and t - phases.begun > 0.1:
+            met.append((t, y[0]))
+        return follow(phases, t, y, place)
+
+    monkeypatch.setattr(Phases, "next", following)
+    off = math.asin(G / 20.0) / 6.0  # where 20 sin(6 t) lifts the weight of 1 kg
+    rise = lambda t: 20.0 / 6.0 * math.cos(6.0 * off) * (t - off)  # noqa: E731
+    fall = lambda t: 20.0 / 36.0 * (math.sin(6.0 * t) - math.sin(6.0 * off))  # noqa: E731
+    back = brentq(lambda t: rise(t) - fall(t) - 0.5 * G * (t - off) ** 2, 0.6, 1.2)
+    for method in METHODS:
+        for tolerance in (1e-3, 1e-6):
+            met.clear()
+            simulate(
+                ball(0.0), [0.0], [0.0], 1.0, "20*sin(6*t)", method=method,
+                rtol=tolerance, atol=tolerance,
+            )  # fmt: skip
+            with case(method, tolerance):
+                ((t, height),) = met
+                assert abs(height) < 1e-14
+                assert abs(t - back) < tolerance
+
+
+def test_the_energy_in_motion_where_steps_end_at_rest() -> None:
+    """v = t - t^2 from rest to rest, of 1 kg: at most 1/32 J, by its mean rate 1/72 J."""
+    for method in ("taylor", "DOP853"):
+        motion = simulate(
+            slide(dry(1.0, 1.0, name="force")), [0.0], [0.0], 1.4, "2 - 2*t", method=method
+        )
+        assert motion.q[-1, 0] == pytest.approx(1.0 / 6.0, abs=1e-9)
+        assert 0.99 / 72.0 < motion.report.energy_in_motion < 1.01 / 32.0
+
+
+FAST = 9000.0, -60.0, 0.15, 0.03
+DIPS = [  # a scene, the torque besides a t + b, then a, b, the first rate and the end; F(x, v)
+    (dry(0.1, 2.0, 0.01, "force"), "", "", FAST,
+     lambda x, v: math.copysign(0.1 + 1.9 * math.exp(-((v / 0.01) ** 2)), -v)),
+    ("friction: {force: 2, speed: 0.001}", "", "", FAST, lambda x, v: -2.0 * math.tanh(v / 0.001)),
+    ("", "", " - 2*exp(-(qd1/0.01)**2)", FAST, lambda x, v: -2.0 * math.exp(-((v / 0.01) ** 2))),
+    ("", "", " + 20*exp(-((q1-0.0004)/5e-5)**2)", FAST,
+     lambda x, v: 20.0 * math.exp(-(((x - 0.0004) / 5e-5) ** 2))),
+    ("", "springs: [{joint: block, length: 0, law: '20*exp(-((x-0.0004)/5e-5)**2)'}]", "", FAST,
+     lambda x, v: -20.0 * math.exp(-(((x - 0.0004) / 5e-5) ** 2))),
+    ("", "springs: [{joint: block, length: 0, table: F.csv}]", "", (600.0, -85.0, 0.6, 0.05),
+     lambda x, v: 20.0 * float(np.interp(x, [0.0018, 0.0022], [0.0, 1.0]))),
+]  # fmt: skip
+
+
+def test_what_a_motion_meets_and_leaves_within_a_step_acts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a series begins it is flat, or another line, and a step's end and middle are there too.
+
+    Against DOP853 of v' = a t + b + F(x, v) in short steps.
+    """
+    monkeypatch.chdir(tmp_path)
+    Path("F.csv").write_text("x,F\n-1,0\n0.0018,0\n0.0022,-20\n1,-20\n")
+    engines = ["python", "compiled"] if find_spec("llvmlite") else ["python"]
+    given = {"method": "taylor", "rtol": 1e-9, "atol": 1e-9}
+    for keys, rest, more, (a, b, rate, end), force in DIPS:
+        exact = solve_ivp(
+            lambda t, y, a=a, b=b, force=force: (y[1], a * t + b + force(*y)),
+            (0.0, end), [0.0, rate], "DOP853", rtol=1e-12, atol=1e-14, max_step=2e-5,
+        )  # fmt: skip
+        for engine in engines:
+            motion = simulate(
+                slide(keys, rest=rest), [0.0], [rate], end, f"{a}*t + {b}{more}", engine=engine,
+                **given,
+            )  # fmt: skip
+            with case(keys, rest, more, engine):
+                assert abs(motion.qd[-1, 0] - exact.y[1, -1]) < 1e-7
 
 
 def test_machine_code_holds_steps_at_the_bell_of_stribeck() -> None:

@@ -16,12 +16,15 @@ from robodyn.engines.series import Arithmetic, Planar, Series, State, Value
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
+from robodyn.mechanics.program import COORDINATES, Function, Program, Slot, arguments
 from robodyn.mechanics.torque_rows import torque_slots
 from robodyn.tables.records import Record
 
 KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
 TINY = 1e-290  # in place of a coefficient that vanishes
 TURN = 2.0  # rad: a link that turns farther in a step may not have its turns counted
+FLAT = 45.0  # exp(-FLAT) is nothing beside 1
+_STEEP = {"exp": 1.0, "sinh": 1.0, "cosh": 1.0, "tanh": 2.0}  # as exp(-steep |x|) where x is large
 
 
 class Coefficients(Record):
@@ -29,13 +32,26 @@ class Coefficients(Record):
 
     `power` (order + 1) is that of what changes the energy, but for constant torques, whose work is
     tau times the way (empty where nothing does); `watched` (k, order) are values that may bend
-    where the series do not tell.
+    where the series do not tell, `spanned` (order each) those whose whole way in a step says so.
     """
 
     rho: list[list[Value]]
     theta: list[list[Value]]
     power: list[Value]
     watched: list[list[Value]]
+    spanned: Sequence[list[Value]] = ()
+
+
+class Span(Record):
+    """A slot whose way in a step must not go where its series know nothing: see `strays`.
+
+    It stands in a function that is flat, but for exp(-`steep` |x|), where x is large; or `line` is
+    its place among those of `bends`, and it goes from 1 to 2 on a line of a table.
+    """
+
+    slot: Slot
+    steep: float
+    line: int = -1
 
 
 class Start(Record):
@@ -70,6 +86,8 @@ class MotionProgram:
         self.power = self.program.named.get("power", [])
         self.bends = self.program.named["bends"]
         self.arms = [self.program.arms[slot] for slot in self.bends]
+        self.spans = _spans(self.program, [*self.power, *self.bends])
+        self.steady = actuation.constants is not None and not mechanism.timed
 
     def start(self, generic: bool = False) -> Start:
         """Where the formulas of a step begin, and what they take.
@@ -137,7 +155,60 @@ class MotionProgram:
             [list(theta[: order + 2]) for _, theta in turns],
             [series.real[slot][m] for slot in self.power for m in range(order + 1)],
             [[series.real[slot][m] for m in range(order)] for slot in self.bends],
+            [[series.real[x.slot][m] for m in range(order)] for x in self.spans],
         )
+
+
+def _spans(program: Program, wanted: Sequence[Slot]) -> list[Span]:
+    """What the motion changes of what is wanted, where that may be flat, or a line of a table."""
+    rows, bends = program.rows, program.named["bends"]
+    steep: dict[Slot, float] = {}
+    moving: set[Slot] = set()
+    for slot in program.schedule(wanted).slots:
+        row = rows[slot]
+        if isinstance(row, COORDINATES) or not moving.isdisjoint(arguments(row)):
+            moving.add(slot)
+            if isinstance(row, Function) and row.name in _STEEP:
+                steep[row.x] = max(steep.get(row.x, 0.0), _STEEP[row.name])
+    lines = [Span(x, 0.0, bends.index(x)) for x in program.named.get("lines", ())]
+    return [*(Span(*each) for each in steep.items()), *lines]
+
+
+def strays(
+    spans: Sequence[Span],
+    arms: Sequence[Value],
+    series: Sequence[Sequence[Value]],
+    x: Value,
+    small: Value,
+    relative: Value,
+) -> Value:
+    """Above zero where a step x may go where its series do not hold, and come back.
+
+    A function that is flat where a step begins, or a line of a table, tells nothing of what lies
+    beyond.  So a bound is: what is spanned stays about the hull of its first terms, those of a
+    parabola's polygon, as far as the sizes of the others say.  Of exp(-steep |x|) the term whose
+    order is steep |change of x| is the largest, and the last one tells of it where there are as
+    many.  A line may be left by what moves a torque by `small`, N m, or by the part `relative`.
+    """
+    found: Value = -1.0
+    for span, each in zip(spans, series, strict=True):
+        h, rest = abs(x), 0.0
+        for coefficient in reversed(each[3:]):
+            rest = rest * h + abs(coefficient)
+        rest = rest * (h * h * h)
+        first, second, third = (*each[:3], 0.0, 0.0)[:3]
+        middle, end = first + 0.5 * second * x, first + (second + third * x) * x
+        low = expression.least(expression.least(first, middle), end) - rest
+        high = expression.greatest(expression.greatest(first, middle), end) + rest
+        if span.line >= 0:
+            beyond = 2.0 * expression.greatest(1.0 - low, high - 2.0)
+            passed = beyond - expression.greatest(small / arms[span.line], relative)
+        else:
+            near = span.steep * expression.greatest(expression.greatest(low, -high), 0.0)
+            nearer = span.steep * abs(first) - near - len(each)
+            passed = expression.choose(near, FLAT, nearer, -1.0)
+        found = expression.greatest(found, passed)
+    return found
 
 
 def longest_step(
@@ -147,12 +218,17 @@ def longest_step(
     atol: Value,
     power: Callable[[Value, float], Value] = expression.power,
     slides: Sequence[int] = (),
+    steady: bool = True,
 ) -> Value:
     """The step at which the last coefficients are as large as the tolerance.
 
     Of two orders, as every other coefficient may vanish; a rate errs by atol + rtol |w|, an angle
     by atol + rtol, and no link turns so far that its turns cannot be counted.  The displacements of
     `slides` (m) and their rates count as these.
+
+    Where what acts is not `steady` most coefficients may vanish, as of E = exp(i c t^m), and the
+    last ones tell nothing.  What is left out begins with the order p + 2 there: after a last term x
+    of an order k, with less than x^((p + 2)/k)/2, and its rate with p + 2 times that.
     """
     rho, theta = series.rho, series.theta
     p = len(rho[0]) - 2
@@ -171,6 +247,11 @@ def longest_step(
     angle = (p + 1.0) * (atol + rtol)
     shorter = h * power(angle / (h * tol), 1.0 / (p + 1))
     h = expression.choose(angle, h * tol, shorter, h)
+    turns = [] if steady else [k for k in range(len(w)) if k not in slides]
+    radius = power(2.0 * (atol + rtol) / (p + 2.0), 1.0 / (p + 2)) if turns else 0.0
+    for k in range((p + 1) // 2 + 1, p) if turns else ():
+        sizes = _largest([abs(each[j][k]) for each in (rho, theta) for j in turns])
+        h = expression.least(h, radius * power(sizes + TINY, -1.0 / k))
     tails: Value = 0.0  # comparisons may pass over what is not finite
     for each in theta:
         tails = tails + each[p + 1]

@@ -26,7 +26,6 @@ from robodyn.engines.machine_steps import ALIGNED, Items, Scene
 from robodyn.engines.segment import Segment
 from robodyn.loops.misses import SLOWEST, TURN, orientation
 from robodyn.loops.projection import PASSES
-from robodyn.mechanics.modes import BELL
 from robodyn.taylor import PARTS, Status
 
 RUNNING = -1.0
@@ -284,9 +283,9 @@ class _Step(Items):
     def _shorten(self, go: Word, h: Word, small: Word) -> None:
         """Halve the step until the torque at its end is that of the series.
 
-        And in its middle, where friction or a table may turn over and back.
+        And until nothing within it strays from where the series hold.
         """
-        k, scene = self.k, self.scene
+        k = self.k
         fast = self._fastest(k.number(0.0))
         miss = k.add(self.get("atol"), k.multiply(self.get("rtol"), fast))
         miss = k.multiply(miss, self.get("lightest"))
@@ -294,37 +293,11 @@ class _Step(Items):
             now = k.get(h)
             self.put("miss", k.divide(miss, now))
             self.call("compare")
-            agrees = self.get("agrees")
-            if scene.mechanism.bends_inside:
-                self.reach(k.multiply(now, k.number(0.5)))
-                self.call("compare")
-                agrees = k.multiply(agrees, self.get("agrees"))
-                self.reach(now)
-            poor = k.either(k.compare("oeq", agrees, k.number(0.0)), self._falls_over())
-            poor = k.both(go, poor)
+            poor = k.both(go, k.compare("oeq", self.get("agrees"), k.number(0.0)))
             poor = k.both(poor, k.compare("oge", now, small))
             k.leave(k.invert(k.any(poor)), good)
             k.set(h, k.select(poor, k.multiply(now, k.number(0.5)), now))
             self.reach(k.get(h))
-
-    def _falls_over(self) -> Word:
-        """`modes.falls_over`: friction may rise and fall within the step."""
-        k, found, zero = self.k, self.k.all_lanes(False), self.k.number(0.0)
-        for j in self.scene.bells:
-            v, then, width = (self.get(name) for name in (f"qd{j}", f"to_qd{j}", f"bell{j}"))
-            size = k.intrinsic("fabs", v)
-            half = k.multiply(k.number(0.5), size)
-            most = k.select(k.less(half, width), width, half)
-            mean = k.divide(k.subtract(self.get(f"to_q{j}"), self.get(f"q{j}")), self.get("x"))
-            ends = k.multiply(k.number(0.25), k.add(v, then))
-            for there in (then, k.subtract(k.multiply(k.number(1.5), mean), ends)):
-                other = k.intrinsic("fabs", there)
-                moved = k.less(most, k.intrinsic("fabs", k.subtract(there, v)))
-                nearest = k.select(k.less(size, other), size, other)
-                nearest = k.select(k.less(zero, k.multiply(v, there)), nearest, zero)
-                near = k.less(nearest, k.multiply(k.number(BELL), width))
-                found = k.either(found, k.both(moved, near))
-        return found
 
     def _land(self, go: Word, h: Word) -> None:
         """Where a step's end is no good start, a shorter part of it that is the best."""

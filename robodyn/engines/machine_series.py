@@ -97,7 +97,7 @@ def write_expand(scene: Scene, module: Module, chooses: bool = True) -> None:
     k.done()
 
 
-def _coefficients(graph: Graph, column: int, orders: range) -> list[Value]:
+def coefficients(graph: Graph, column: int, orders: range) -> list[Value]:
     """As variables of a graph that `read_segment` reads."""
     return [graph.variable(f"{column}_{m}") for m in orders]
 
@@ -117,14 +117,16 @@ def read_segment(scene: Scene, k: Kernel, block: Word) -> Segment:
 
 def _longest(scene: Scene, k: Kernel, block: Word) -> None:
     graph, turns = Graph(), range(0, 2 * scene.mechanism.n, 2)
-    zeros: list[Value] = [0.0] * scene.order
-    last = range(scene.order, scene.order + 2)
-    rho = [zeros + _coefficients(graph, i, last) for i in turns]
-    theta = [zeros + _coefficients(graph, i + 1, last) for i in turns]
+    steady = scene.motion.steady
+    first = scene.order if steady else scene.order // 2  # of the orders that it reads
+    zeros: list[Value] = [0.0] * first
+    last = range(first, scene.order + 2)
+    rho = [zeros + coefficients(graph, i, last) for i in turns]
+    theta = [zeros + coefficients(graph, i + 1, last) for i in turns]
     w = [graph.variable(f"{i + 1}_1") for i in turns]
     tolerances = graph.variable("rtol"), graph.variable("atol")
     slides, series = scene.mechanism.slides, Coefficients(rho, theta, [], [])
-    h = longest_step(series, w, *tolerances, rough, slides)
+    h = longest_step(series, w, *tolerances, rough, slides, steady)
     if scene.loop.power:  # it may be beyond the floats where the motion is not
         power = graph.variable(f"{len(rho) * 2 + scene.loop.watched}_{scene.order}")
         h = choose(abs(power), math.inf, h, math.nan)
@@ -177,7 +179,7 @@ def write_evaluate(scene: Scene, module: Module) -> None:
     power: Value = 0.0
     if scene.loop.power:
         column = 2 * n + scene.loop.watched
-        series = _coefficients(graph, column, range(scene.order + 1))
+        series = coefficients(graph, column, range(scene.order + 1))
         power = integral(series, graph.variable("x"))
     steady = [graph.variable(f"u{j}") if x else 0.0 for j, x in enumerate(scene.loop.start.steady)]
     outputs = ends(scene.mechanism, turns, power, steady, scene.work, graph.variable)

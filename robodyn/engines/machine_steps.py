@@ -22,10 +22,15 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 from robodyn.engines.assembler import ADDRESS, Kernel, Module, Word
-from robodyn.engines.expansion import KINK, MotionProgram
-from robodyn.engines.expression import Value
+from robodyn.engines.expansion import KINK, MotionProgram, strays
+from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, projection_formula
-from robodyn.engines.machine_series import write_evaluate, write_expand
+from robodyn.engines.machine_series import (
+    coefficients,
+    read_segment,
+    write_evaluate,
+    write_expand,
+)
 from robodyn.engines.machine_sums import WIDE, Run, runs
 from robodyn.engines.order_loop import LoopExpansion, loop_expansion
 from robodyn.engines.segment import Segment
@@ -81,12 +86,9 @@ class Scene:
         self.values = {f"c{i}": x for i, x in enumerate(program.numbers)}
         self.values |= {f"u{j}": x for j, x in enumerate(actuation.constants or ())}
         self.values |= {f"arm{i}": program.arms[slot] for i, slot in enumerate(self.bends)}
-        bells = [(j, x.stribeck) for j, x, _ in mechanism.slips if x.stribeck is not None]
-        self.bells = [j for j, _ in bells]  # joints whose friction falls with the rate
-        self.values |= {f"bell{j}": width for j, width in bells}
         self.values |= kept or {}
         shapes = [program.shape, mechanism.above, mechanism.order, order, work, self.closes]
-        shapes += [self.bells, mechanism.bends_inside, self.linear, rate_series, link]
+        shapes += [self.linear, rate_series, link]
         shapes += [list(kept or ()), [bool(x) for x in actuation.constants or ()]]
         if self.closes:
             closing = EquationsOfMotion(mechanism)
@@ -268,7 +270,10 @@ class Scene:
         return total, most
 
     def _compare(self, module: Module) -> None:
-        """Whether what may bend is, at the state there, what its series gives at x."""
+        """Whether what may bend is, at the state there, what its series gives at x.
+
+        And nothing strays on the way.
+        """
         k, block = self.kernel(module, "compare")
         names = self.there([f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)])
         watched = self.loop.columns[2 * self.mechanism.n :][: self.loop.watched]
@@ -283,6 +288,13 @@ class Scene:
             part = k.multiply(relative, most)
             within = k.either(k.compare("ole", missed, allowed), k.compare("ole", missed, part))
             agrees = k.both(agrees, within)
+        if spans := self.motion.spans:
+            graph, orders = Graph(), range(self.order)
+            series = [coefficients(graph, column, orders) for column in self.loop.spanned]
+            arms = [graph.variable(f"arm{i}") for i in range(len(self.bends))]
+            given = map(graph.variable, ("x", "miss", "relative"))
+            way = read_segment(self, k, block).write([strays(spans, arms, series, *given)])[0]
+            agrees = k.both(agrees, k.invert(k.less(k.number(0.0), way)))
         self.put(k, block, "agrees", k.select(agrees, k.number(1.0), k.number(0.0)))
         k.done()
 

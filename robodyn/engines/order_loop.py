@@ -211,8 +211,8 @@ class LoopExpansion(NamedTuple):
     """Formulas of all orders.
 
     `columns` are the series that are kept: first rho and theta of each link, then those of
-    `watched`, then the power, where there is one.  Orders below `first` are recorded one by one;
-    that of the loop ends at `last`.
+    `watched`, then the power, where there is one; `spanned` are the places of what is so.  Orders
+    below `first` are recorded one by one; that of the loop ends at `last`.
     """
 
     start: Start
@@ -221,6 +221,7 @@ class LoopExpansion(NamedTuple):
     offsets: set[int]  # from p, of what is read one by one
     watched: int
     power: bool
+    spanned: list[int]
     first: int
     last: int
 
@@ -271,16 +272,19 @@ def loop_expansion(motion: MotionProgram, order: int) -> LoopExpansion:
     series.advance(Order(loop.p))
     columns = [x for slot in motion.turns for x in series.turn(slot)]
     columns += [series.real[slot] for slot in [*motion.bends, *motion.power]]
+    spanned = [series.real[x.slot] for x in motion.spans]
+    columns += spanned
     for _, one in loop.sums.values():  # series that are summed alike, side by side
         columns += [one.x, one.y]
-    columns += [x for x in loop.series if x.read]
+    columns = list(dict.fromkeys([*columns, *(x for x in loop.series if x.read)]))
     return LoopExpansion(
         start,
         list(loop.sums.values()),
-        list(dict.fromkeys(columns)),
+        columns,
         loop.offsets,
         len(motion.bends),
         bool(motion.power),
+        [columns.index(x) for x in spanned],
         first,
         order if motion.power else order - 1,
     )

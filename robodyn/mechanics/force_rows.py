@@ -128,6 +128,8 @@ class ForceRows(LinkRows):
         slot, watched = signal_rows(self, signal, own)
         for each, scale in watched:
             self._bends(each, arm * scale)
+            if isinstance(signal, Table):
+                self.program.named.setdefault("lines", []).append(each)
         return slot
 
     def _scene_forces(self, work: bool) -> None:

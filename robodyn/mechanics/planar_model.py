@@ -187,11 +187,6 @@ class Mechanism:
         """Whether anything follows a table, whose rows a step of a series must not pass."""
         return any(isinstance(signal, Table) for signal in self.signals)
 
-    @cached_property
-    def bends_inside(self) -> bool:
-        """Whether what acts may bend and bend back within a step of a series."""
-        return self.rubs or self.has_tables
-
     @property
     def rated(self) -> bool:
         """Whether laws or loads depend on rates."""

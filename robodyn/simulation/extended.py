@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import jacobian_at, scaled_jacobian
 from robodyn.dynamics.placed import joint_ways, placed_at, relative_matrix
-from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
+from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step, strays
 from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError, RobodynError
@@ -158,18 +158,14 @@ class _Series:
         if held not in self.made:
             self.made[held] = MotionProgram(self.mechanism, self.actuation, False, held)
         series, w, arms = self.expanded(self.made[held], t, y, self.order)
-        longest = longest_step(
-            series, w, self.tolerance, self.tolerance, slides=self.mechanism.slides
-        )
+        both, steady = (self.tolerance, self.tolerance), self.made[held].steady
+        longest = longest_step(series, w, *both, slides=self.mechanism.slides, steady=steady)
         if not longest > SMALLEST_STEP:
             return None
         h = min(stop - t, LONG(longest))
         while h > SMALLEST_STEP:
             new = _along(self.mechanism, series, y, h)
-            if not arms:
-                return h, new
-            states = ((h, new), (h / 2, _along(self.mechanism, series, y, h / 2)))
-            if all(self.agrees(series, held, x, t + x, at) for x, at in states):
+            if not arms or self.agrees(series, held, h, t + h, new):
                 return h, new
             h = h / 2
         return None
@@ -188,7 +184,8 @@ class _Series:
     def agrees(self, series: Coefficients, held: Any, x: Any, t: Any, y: Long) -> bool:
         """Whether what may bend, x after the series began, is at t and y what the series say.
 
-        A difference that changes no rate by more than its rounding counts as none.
+        A difference that changes no rate by more than its rounding counts as none; and nothing
+        strays on the way.
         """
         try:
             found, _, arms = self.expanded(self.made[held], t, y, 1)
@@ -196,6 +193,8 @@ class _Series:
             return False
         rates = y[self.mechanism.n : 2 * self.mechanism.n]
         small = ROUNDING * np.abs(rates).max() * self.lightest / x  # N m
+        if strays(self.made[held].spans, arms, series.spanned, x, small, AGREE) > 0.0:
+            return False
         for each, known, arm in zip(series.watched, found.watched, arms, strict=True):
             terms = np.array(each) * x ** np.arange(len(each))
             if not abs(terms.sum() - known[0]) <= AGREE * np.abs(terms).max() + small / arm:

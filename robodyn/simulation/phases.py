@@ -32,6 +32,7 @@ from robodyn.tables.arrays import Array
 
 End = tuple[int, int]  # a joint and a side
 
+ONWARD = 10.0  # times what is missed: slower back than so a joint may only seem to turn back
 DOUBTS = 3  # times that a joint is let leave its end
 KINK = 1e-14  # of the time of a run: so much beyond a kink the torques are those that follow it
 
@@ -149,14 +150,14 @@ class Phases:
         size = float(self._size(guard, np.array([t]), self.y[None])[0])
         if guard.kind in ("inside", "presses", "apart"):
             size += float(self.mechanism.arrays.units[guard.joint])
-        offset = 0.0
+        offset, missed = 0.0, 0.0
         if abs(here) <= NEAR * size:  # it is zero there, but for rounding
             offset = min(here, 0.0)
             if self.idle or self.doubts:  # what is below the tolerance ended a phase at once
                 fastest = float(np.abs(self._split(self.y)[1]).max(initial=0.0))
-                offset -= max(self.small, INSTANT * math.ulp(t) * fastest)
+                missed = max(self.small, INSTANT * math.ulp(t) * fastest)
         return EventFunction(
-            lambda t, y: values(t, y) - offset,
+            lambda t, y: self._but_for(missed, guard, values(t, y) - offset, y),
             lambda t, y: ROUNDING * self._size(guard, t, y),
             f"{guard.kind} {guard.joint} {guard.side}",
             way=-1,
@@ -177,6 +178,17 @@ class Phases:
         push: Array = pushes(self.limits[joint], side, q, qd)
         # apart: inside of the end, or faster out than the stop follows
         return push if kind == "presses" else np.maximum(-push, inside)
+
+    def _but_for(self, missed: float, guard: Guard, values: Array, y: Array) -> Array:
+        """The values, where these may be less than zero by what is missed.
+
+        Those of a stop only as long as the joint does not turn back: it is met where it stands.
+        """
+        if not missed or guard.kind in ("slips", "holds"):
+            return values + missed
+        way = guard.side if guard.kind == "presses" else -guard.side
+        onward = way * y[:, self.mechanism.n + guard.joint] + ONWARD * missed
+        return np.maximum(values, np.minimum(values + missed, onward))
 
     def _size(self, guard: Guard, t: Array, y: Array) -> Array:
         n, (kind, joint, side) = self.mechanism.n, guard

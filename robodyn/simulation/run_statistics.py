@@ -24,6 +24,8 @@ Torques = Callable[[float, Sequence[float]], Sequence[float]]
 
 SAMPLES = 1000  # of a run, at least
 POINTS = 8  # of a Gauss-Legendre rule
+SHORT = 1e-4  # of a run: in shorter steps the way may be what moves a joint onto its end
+FEW = 100  # steps: more tell by their ends alone how fast the joints are on the way
 LONG = 2  # samples that a step must span to be looked at: shorter ones are samples themselves
 
 
@@ -34,7 +36,7 @@ class RunStatistics:
         self.report, self.actuation, self.closes = report, actuation, closes
         self.mechanism: Mechanism | None = None  # of the steps before
         self.rank = 0  # of its closures, where it is known
-        self.begun = False  # whether the energy at the start is known
+        self.last: tuple[Array, Array] | None = None  # t (1,) and q (1, n) of the last step
         self.missed = 0.0  # J
         self.last_singular: float | None = None
         self.unseen: UnseenWork | None = None
@@ -60,11 +62,19 @@ class RunStatistics:
         if self.unseen is not None:
             unseen = self.unseen(t, q, qd)
             work, self.missed = work + unseen, max(self.missed, float(np.abs(unseen).max()))
-        if not self.begun:
-            report.energy_start, self.begun = float(KE[0] + PE[0]), True
+        if self.last is None:
+            report.energy_start, self.last = float(KE[0] + PE[0]), (t[:1], q[:1])
+        fastest = float(KE.max())
+        if len(t) < FEW:  # they may all end at rest
+            width = t - np.concatenate([self.last[0], t[:-1]])
+            way = q - np.concatenate([self.last[1], q[:-1]])
+            width[np.abs(width) <= SHORT * abs(report.t_end)] = np.inf
+            mean = way / width[:, None]
+            fastest = max(fastest, float(closed_form.energies(mechanism, q, mean)[0].max()))
+        self.last = t[-1:], q[-1:]
         error = float(np.abs(KE + PE - work - report.energy_start).max())
         before = report.energy_drift * report.energy_in_motion
-        moving = max(float(KE.max()), float(np.ptp(PE)), report.energy_in_motion)
+        moving = max(fastest, float(np.ptp(PE)), report.energy_in_motion)
         report.energy_in_motion = moving
         report.energy_drift = max(error, before) / moving if moving > 0.0 else 0.0
         report.work_missed = self.missed / moving if moving > 0.0 else 0.0

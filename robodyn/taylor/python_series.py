@@ -20,8 +20,9 @@ from robodyn.engines.expansion import (
     end_of_step,
     horner,
     longest_step,
+    strays,
 )
-from robodyn.engines.expression import Expression, Value, greatest, least
+from robodyn.engines.expression import Expression, Graph, Value, greatest, least
 from robodyn.engines.formulas import RECORDED
 from robodyn.engines.series import FLOATS, State
 from robodyn.mechanics.actuation import Actuation
@@ -31,7 +32,8 @@ from robodyn.taylor.steps import Expanded, SteppingEngine, Steps
 
 def _parts(found: Coefficients) -> list[list[Any]]:
     """The series as `Steps` has them."""
-    return [*found.rho, *found.theta, *([found.power] if found.power else []), *found.watched]
+    power = [found.power] if found.power else []
+    return [*found.rho, *found.theta, *power, *found.watched, *found.spanned]
 
 
 def _turning(mechanism: Mechanism, rates: Sequence[Any], longest: Any) -> Any:
@@ -58,7 +60,8 @@ def step_text(
     start = motion.start()
     found = motion.expand(RECORDED, start.numbers, order, start.state)
     variable, w = start.graph.variable, start.state.w
-    longest = longest_step(found, w, variable("rtol"), variable("atol"), slides=mechanism.slides)
+    both, slides = (variable("rtol"), variable("atol")), mechanism.slides
+    longest = longest_step(found, w, *both, slides=slides, steady=motion.steady)
     longest = _turning(mechanism, [variable(f"qd{k}") for k in range(n)], longest)
     state = end_of_step(mechanism, found, start.steady, work, variable)
     series = _parts(found)
@@ -96,51 +99,46 @@ def step_text(
         motion.arms,
         bool(found.power),
         None if torques or not motion.arms else _gap(motion, order, names),
+        _strays(motion, order) if motion.spans else None,
     )
 
 
-def _gap(motion: MotionProgram, order: int, names: Sequence[str]) -> Callable[..., float]:
-    """What the torques miss their series by at a step's end, and in its middle where they may bend.
+def _strays(motion: MotionProgram, order: int) -> Callable[..., float]:
+    """`expansion.strays` of what is spanned, the step, and what may be missed."""
+    variable = Graph().variable
+    names = [[f"s{i}_{k}" for k in range(order)] for i in range(len(motion.spans))]
+    series = [list(map(variable, each)) for each in names]
+    given = map(variable, ("x", "small", "relative"))
+    lines, shown = source_text.float_source([strays(motion.spans, motion.arms, series, *given)])
+    taken = "".join(f"({', '.join(each)},), " for each in names)
+    body = [f"*_, {taken}= series", *lines, f"return {shown[0]}"]
+    return _defined("strays", "series, x, small, relative", body)
 
-    In all, N m; a function of t, y and the series there, the step x, and the state at its end.
+
+def _gap(motion: MotionProgram, order: int, names: Sequence[str]) -> Callable[..., float]:
+    """What the torques miss their series by at a step's end.
+
+    In all, N m; a function of t and the series where it starts, the step x, and y at its end.
     """
-    start, mechanism = motion.start(), motion.mechanism
+    start = motion.start()
     variable = start.graph.variable
-    counts = ("r", mechanism.n, order + 2), ("s", mechanism.n, order + 2)
-    called = [
-        [[f"{name}{j}_{k}" for k in range(size)] for j in range(count)]
-        for name, count, size in (*counts, ("b", len(motion.bends), order))
-    ]
-    whole = [[list(map(variable, each)) for each in kind] for kind in called]
-    x, ends = variable("x"), [f"{name}_" for name in names]
-    places: list[tuple[Value, list[Value]]] = [(x, list(map(variable, ends)))]
-    if mechanism.bends_inside:
-        given = {name: variable(name) for name in names} | {"x": 0.5 * x}
-        found = Coefficients(whole[0], whole[1], [], [])
-        middle = end_of_step(mechanism, found, (), False, given.__getitem__)
-        places.append((given["x"], middle))
+    called = [[f"b{j}_{k}" for k in range(order)] for j in range(len(motion.bends))]
+    x, y = variable("x"), list(map(variable, names))
     total: Value = 0.0
-    for after, y in places:
-        state = motion.state(RECORDED, variable("t") + after, y, ((), ()), start.steady)
-        values = motion.expand(RECORDED, start.numbers, 1, state).watched
-        for arm, each, value in zip(motion.arms, whole[2], values, strict=True):
-            total = total + arm * abs(horner(each, after)[0] - value[0])
+    state = motion.state(RECORDED, variable("t") + x, y, ((), ()), start.steady)
+    values = motion.expand(RECORDED, start.numbers, 1, state).watched
+    for arm, each, value in zip(motion.arms, called, values, strict=True):
+        total = total + arm * abs(horner(list(map(variable, each)), x)[0] - value[0])
     lines, shown = source_text.float_source([total])
     used = set(re.findall(r"\w+", " ".join([*lines, *shown])))
 
     def taken(each: Sequence[str]) -> str:
         return "".join(f"{name if name in used else '_'}, " for name in each)
 
-    rho, theta, bends = ([f"({taken(each)})" for each in kind] for kind in called)
-    between = ["*_"] if motion.power else []
-    body = [
-        f"{taken(names)}*_ = y",
-        f"{taken(ends)}*_ = end",
-        f"{', '.join([*rho, *theta, *between, *bends])}, = series",
-        *lines,
-        f"return {shown[0]}",
-    ]
-    return _defined("gap", "t, y, series, x, end", body)
+    bends = "".join(f"({taken(each)}), " for each in called)
+    before = "_, " * (2 * motion.mechanism.n + len(motion.power))
+    body = [f"{taken(names)}*_ = y", f"{before}{bends}*_ = series", *lines, f"return {shown[0]}"]
+    return _defined("gap", "t, y, series, x", body)
 
 
 def _defined(name: str, arguments: str, body: Sequence[str]) -> Callable[..., Any]:
@@ -175,7 +173,8 @@ def step_rows(
         atol: float,
     ) -> Expanded:
         found, start = expanded(order, t, y, tau, dtau)
-        longest = longest_step(found, start.w, rtol, atol, slides=mechanism.slides)
+        both, slides = (rtol, atol), mechanism.slides
+        longest = longest_step(found, start.w, *both, slides=slides, steady=motion.steady)
         longest = _turning(mechanism, y[mechanism.n : 2 * mechanism.n], longest)
         if math.isnan(longest):
             return 0.0, y, ()
@@ -191,7 +190,12 @@ def step_rows(
     def watched(t: float, y: list[float], *torques: Any) -> tuple[float, ...]:
         return tuple(each[0] for each in expanded(1, t, y, *torques)[0].watched)
 
-    return Steps(expand, watched, motion.arms, bool(motion.power))
+    def strayed(series: Sequence[Sequence[float]], *given: float) -> Any:
+        found = series[len(series) - len(motion.spans) :]
+        return strays(motion.spans, motion.arms, found, *given)
+
+    power = bool(motion.power)
+    return Steps(expand, watched, motion.arms, power, None, strayed if motion.spans else None)
 
 
 class StraightEngine(SteppingEngine):

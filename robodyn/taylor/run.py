@@ -10,20 +10,18 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robodyn.dynamics.dynamics import forward_dynamics
 from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
-from robodyn.simulation.run_torques import applied_torques, check_start
+from robodyn.simulation.run_torques import check_start
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Engine, NoCodeError, Status
 from robodyn.taylor.engine_choice import EngineChoice
@@ -43,8 +41,6 @@ AHEAD = 4  # where an event ends the run, or a phase of it, at first
 CALL = 0.1  # s that a call of compiled code may take, and about what a look for events may
 ROWS_A_STEP = 4  # rows at times that cost what a step does
 MOST_IDLE = 8  # rounds without a step, after which there is none
-HALVES = 60  # of a run at most, down to the time that torques take to turn a link
-INSIDE = 1.0 - 1e-6  # of a span: at its end other torques may begin
 LEAD = 8  # steps of DOP853 away from where a torque has no series
 SMALLEST_RTOL = 3e-14  # of scipy's methods
 
@@ -92,7 +88,6 @@ class TaylorRun:
         self.crosses = False  # whether only the motion that leads across a change point leads on
         self.stuck = False  # whether none does: a torque bends without end, or rounding hides it
         self.idle = 0  # times in a row that nothing led on
-        self.single = False  # whether the next step is one that ends early
         self.held = False  # whether steps may leap, or start too near: Python's engine holds them
         events = self.recorder.events
         self.most_ahead = max(1, min(COMPILED_STEPS, KEPT // mechanism.n))
@@ -141,10 +136,7 @@ class TaylorRun:
         bound = next_stop(actuation.kinks, actuation.leaves, self.t, self.t_end)
         if abs(bound - self.t) > self.max_step:
             bound = self.t + math.copysign(self.max_step, self.t_end)
-        small = self.atol ** (1.0 / self.choice.now.order)
-        end = end_from_rest(self.mechanism, actuation, self.t, self.y, bound, small)
-        self.single = end != bound or self.max_step < math.inf
-        return end
+        return bound
 
     def _lead(self, bound: float) -> Outcome | None:
         """Go on by DOP853 to where a series leads on; the outcome where that fails."""
@@ -194,7 +186,7 @@ class TaylorRun:
         python, events = isinstance(runner, SteppingEngine), recorder.events
         left = recorder.max_evaluations - recorder.report.evaluations
         most = TOGETHER if python and not self.choice.waits else runner.most
-        steps = 1 if self.single else max(1, min(most, left + 1))
+        steps = max(1, min(most, left + 1)) if self.max_step == math.inf else 1
         runner.keeps = events is not None
         steps = min(steps, self.ahead) if events is not None else steps
         called = time.perf_counter()
@@ -262,32 +254,6 @@ class TaylorRun:
         if status is Status.SINGULAR:
             self.held = not self.crosses
         return None
-
-
-def end_from_rest(
-    mechanism: Mechanism, actuation: Actuation, t: float, y: Array, bound: float, small: float
-) -> float:
-    """Where a step from rest ends at the latest under torques that vary with the time.
-
-    Most of its orders may vanish, as of E where an angle is c t^3, and the last ones tell nothing:
-    it is `small` beside the time in which the torques to come turn a link.
-    """
-    n, most = mechanism.n, bound - t
-    # a power of two: how long the step is does not depend on how long the run is
-    span = math.copysign(math.ldexp(0.5, math.frexp(most)[1]), most)
-    steady = actuation.constants is not None and not mechanism.timed
-    if steady or y[n : 2 * n].any():
-        return bound
-    with suppress(RobodynError):  # where there are no accelerations, the steps tell it
-        for _ in range(HALVES):
-            at = np.array([t + INSIDE * span])
-            tau = applied_torques(mechanism, actuation, at, y[None])[0]
-            qdd = forward_dynamics(mechanism, y[:n], y[n : 2 * n], tau, float(at[0]))
-            turned = float(np.abs(qdd / mechanism.arrays.units).max()) * span**2
-            if turned <= 1.0:
-                return t + span * small if turned else bound
-            span *= 0.5
-    return bound
 
 
 def reach(actuation: Actuation, t: float, y: Array) -> None:

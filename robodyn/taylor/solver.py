@@ -23,7 +23,7 @@ from robodyn.mechanics.torque_times import over_a_scene_run
 from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk, Status
 from robodyn.taylor.engine_choice import stepping_engine
-from robodyn.taylor.run import end_from_rest, reach
+from robodyn.taylor.run import reach
 from robodyn.taylor.steps import SteppingEngine
 
 
@@ -60,14 +60,12 @@ class TaylorSolver(OdeSolver):
         if t0 == 0.0:
             tau = over_a_scene_run(mechanism, tau, self.y.tolist(), float(t_bound))
         self.engine = stepping_engine(mechanism, tau, rtol, atol, order=order)
-        self.actuation, self.atol = tau, atol
+        self.actuation = tau
         if tau.told is not None:
             tau.told.begin(self.y.tolist(), float(t_bound))
 
     def _step_impl(self) -> tuple[bool, str | None]:
         bound = next_stop(self.actuation.kinks, self.actuation.leaves, self.t, float(self.t_bound))
-        given = self.engine.mechanism, self.actuation, self.t, self.y, bound
-        bound = end_from_rest(*given, self.atol ** (1.0 / self.engine.order))
         chunk = self._advance(bound)
         misses = self.engine.misses
         if misses is not None and len(chunk.t):

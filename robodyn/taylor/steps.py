@@ -15,7 +15,6 @@ from robodyn.dynamics.placed import joint_ways
 from robodyn.engines.expansion import KINK
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import PARTS, STEPS, Chunk, Forms, Status
@@ -34,9 +33,10 @@ class Steps(NamedTuple):
 
     `expand(t, y, tau, slope, most, direction, rtol, atol)` gives a step of at most `most`, the
     state at its end, and its series: rho (n), theta (n), the power where something `works` that is
-    no steady torque, then those of what may bend.  Of a step that cannot be made there are none.
-    `watched(t, y, tau, slope)` has the values of what may bend; `arms` make torques of these;
-    `gap(t, y, series, x, end)`, if any, is no less than what these miss within a step.
+    no steady torque, then those of what may bend, and of what is spanned.  Of a step that cannot be
+    made there are none.  `watched(t, y, tau, slope)` has the values of what may bend; `arms` make
+    torques of these; `gap(t, y, series, x)`, if any, is no less than what these miss at the end y
+    of a step x from t; `strays(series, x, small, relative)`, if any, is that of `expansion`.
     """
 
     expand: Callable[..., Expanded]
@@ -44,6 +44,7 @@ class Steps(NamedTuple):
     arms: list[float]
     works: bool
     gap: Callable[..., float] | None = None
+    strays: Callable[..., float] | None = None
 
 
 class _Asked(NamedTuple):
@@ -130,15 +131,14 @@ class SteppingEngine:
         where it began (tanh(1e5*t), friction), or where a spring's ends pass one another.  What it
         misses by may be `small`, N m, or that part of its terms.
         """
-        arms = self._now.arms
+        arms, first = self._now.arms, 2 * self.mechanism.n + self._now.works
         try:
             values = self._now.watched(t, y, *self._table(t, y, 1.0))
         except (ArithmeticError, ValueError):  # outside the domain
             return False
-        watched = series[len(series) - len(arms) :]
         return all(
             _agree(each, x, value, relative, small / arm)
-            for each, value, arm in zip(watched, values, arms, strict=True)
+            for each, value, arm in zip(series[first:], values, arms, strict=False)
         )
 
     def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
@@ -231,28 +231,25 @@ class SteppingEngine:
     ) -> tuple[float, list[float]]:
         """The step halved until the torque at its end is that of the series.
 
-        And in its middle, where friction or a table may turn over and back.
+        And until nothing within it strays from where the series hold.
         """
         n, (rtol, atol) = self.mechanism.n, self.tolerances
         relative = max(math.sqrt(rtol), KINK)
         miss = atol + rtol * max(map(abs, state[n : 2 * n]))  # of a rate
         miss *= (self.order + 1) * self.lightest
-        gap = self._now.gap
+        gap, strays, whole = self._now.gap, self._now.strays, h
         while h >= 4.0 * math.ulp(t):
-            x = h * direction
-            falls = self.mechanism.slips and falls_over(self.mechanism, state, new, x)
-            if gap is not None and not falls:
-                with suppress(ArithmeticError, ValueError):  # outside a torque's domain
-                    if gap(t, state, series, x, new) <= miss / h:
-                        break
-            if not falls and self._agrees(series, x, t + x, new, relative, miss / h):
-                if not self.mechanism.bends_inside:
-                    break
-                middle = self.states(state, series, np.array([0.5 * x]))[0].tolist()
-                if self._agrees(series, 0.5 * x, t + 0.5 * x, middle, relative, miss / h):
+            x, small = h * direction, miss / h
+            if strays is None or not strays(series, x, small, relative) > 0.0:
+                if h != whole:
+                    new = self.states(state, series, np.array([x]))[0].tolist()
+                if gap is not None:
+                    with suppress(ArithmeticError, ValueError):  # outside a torque's domain
+                        if gap(t, new, series, x) <= small:
+                            break
+                if self._agrees(series, x, t + x, new, relative, small):
                     break
             h *= 0.5
-            new = self.states(state, series, np.array([h * direction]))[0].tolist()
         return h, new
 
     def _land(
