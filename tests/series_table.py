@@ -127,7 +127,7 @@ def by_steps(name, which, kind):
     series = [longs(x) for x in series]
     turns, rest = np.reshape(series[: 2 * n], (2, n, -1)), series[2 * n :]
     power = rest.pop(0) if made._now.works else longs(())
-    return Found(turns, power, rest, longest)
+    return Found(turns, power, rest[: len(made._now.arms)], longest)
 
 
 def by_machine_code(name, which, lanes=1):

@@ -13,18 +13,16 @@ from robodyn.engines.expression import Graph
 from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.engines.frames import start
 from robodyn.engines.series import Arithmetic, Planar, Series, State, Value
+from robodyn.engines.strays import spans
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import COORDINATES, Function, Program, Slot, arguments
 from robodyn.mechanics.torque_rows import torque_slots
 from robodyn.tables.records import Record
 
 KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
 TINY = 1e-290  # in place of a coefficient that vanishes
 TURN = 2.0  # rad: a link that turns farther in a step may not have its turns counted
-FLAT = 45.0  # exp(-FLAT) is nothing beside 1
-_STEEP = {"exp": 1.0, "sinh": 1.0, "cosh": 1.0, "tanh": 2.0}  # as exp(-steep |x|) where x is large
 
 
 class Coefficients(Record):
@@ -40,18 +38,6 @@ class Coefficients(Record):
     power: list[Value]
     watched: list[list[Value]]
     spanned: Sequence[list[Value]] = ()
-
-
-class Span(Record):
-    """A slot whose way in a step must not go where its series know nothing: see `strays`.
-
-    It stands in a function that is flat, but for exp(-`steep` |x|), where x is large; or `line` is
-    its place among those of `bends`, and it goes from 1 to 2 on a line of a table.
-    """
-
-    slot: Slot
-    steep: float
-    line: int = -1
 
 
 class Start(Record):
@@ -86,7 +72,7 @@ class MotionProgram:
         self.power = self.program.named.get("power", [])
         self.bends = self.program.named["bends"]
         self.arms = [self.program.arms[slot] for slot in self.bends]
-        self.spans = _spans(self.program, [*self.power, *self.bends])
+        self.spans = spans(self.program, [*self.power, *self.bends])
         self.steady = actuation.constants is not None and not mechanism.timed
 
     def start(self, generic: bool = False) -> Start:
@@ -157,58 +143,6 @@ class MotionProgram:
             [[series.real[slot][m] for m in range(order)] for slot in self.bends],
             [[series.real[x.slot][m] for m in range(order)] for x in self.spans],
         )
-
-
-def _spans(program: Program, wanted: Sequence[Slot]) -> list[Span]:
-    """What the motion changes of what is wanted, where that may be flat, or a line of a table."""
-    rows, bends = program.rows, program.named["bends"]
-    steep: dict[Slot, float] = {}
-    moving: set[Slot] = set()
-    for slot in program.schedule(wanted).slots:
-        row = rows[slot]
-        if isinstance(row, COORDINATES) or not moving.isdisjoint(arguments(row)):
-            moving.add(slot)
-            if isinstance(row, Function) and row.name in _STEEP:
-                steep[row.x] = max(steep.get(row.x, 0.0), _STEEP[row.name])
-    lines = [Span(x, 0.0, bends.index(x)) for x in program.named.get("lines", ())]
-    return [*(Span(*each) for each in steep.items()), *lines]
-
-
-def strays(
-    spans: Sequence[Span],
-    arms: Sequence[Value],
-    series: Sequence[Sequence[Value]],
-    x: Value,
-    small: Value,
-    relative: Value,
-) -> Value:
-    """Above zero where a step x may go where its series do not hold, and come back.
-
-    A function that is flat where a step begins, or a line of a table, tells nothing of what lies
-    beyond.  So a bound is: what is spanned stays about the hull of its first terms, those of a
-    parabola's polygon, as far as the sizes of the others say.  Of exp(-steep |x|) the term whose
-    order is steep |change of x| is the largest, and the last one tells of it where there are as
-    many.  A line may be left by what moves a torque by `small`, N m, or by the part `relative`.
-    """
-    found: Value = -1.0
-    for span, each in zip(spans, series, strict=True):
-        h, rest = abs(x), 0.0
-        for coefficient in reversed(each[3:]):
-            rest = rest * h + abs(coefficient)
-        rest = rest * (h * h * h)
-        first, second, third = (*each[:3], 0.0, 0.0)[:3]
-        middle, end = first + 0.5 * second * x, first + (second + third * x) * x
-        low = expression.least(expression.least(first, middle), end) - rest
-        high = expression.greatest(expression.greatest(first, middle), end) + rest
-        if span.line >= 0:
-            beyond = 2.0 * expression.greatest(1.0 - low, high - 2.0)
-            passed = beyond - expression.greatest(small / arms[span.line], relative)
-        else:
-            near = span.steep * expression.greatest(expression.greatest(low, -high), 0.0)
-            nearer = span.steep * abs(first) - near - len(each)
-            passed = expression.choose(near, FLAT, nearer, -1.0)
-        found = expression.greatest(found, passed)
-    return found
 
 
 def longest_step(

@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 from robodyn.engines.assembler import ADDRESS, Kernel, Module, Word
-from robodyn.engines.expansion import KINK, MotionProgram, strays
+from robodyn.engines.expansion import KINK, MotionProgram
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, projection_formula
 from robodyn.engines.machine_series import (
@@ -34,6 +34,7 @@ from robodyn.engines.machine_series import (
 from robodyn.engines.machine_sums import WIDE, Run, runs
 from robodyn.engines.order_loop import LoopExpansion, loop_expansion
 from robodyn.engines.segment import Segment
+from robodyn.engines.strays import strays
 from robodyn.loops.assembly import loop_size
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.closing import CLOSED

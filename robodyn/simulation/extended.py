@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import jacobian_at, scaled_jacobian
 from robodyn.dynamics.placed import joint_ways, placed_at, relative_matrix
-from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step, strays
+from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
 from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.engines.singular_values import svd
+from robodyn.engines.strays import strays
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.closing import exact_gap, loop_size, newton
 from robodyn.mechanics.actuation import Actuation

@@ -20,11 +20,11 @@ from robodyn.engines.expansion import (
     end_of_step,
     horner,
     longest_step,
-    strays,
 )
 from robodyn.engines.expression import Expression, Graph, Value, greatest, least
 from robodyn.engines.formulas import RECORDED
 from robodyn.engines.series import FLOATS, State
+from robodyn.engines.strays import strays
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.taylor.steps import Expanded, SteppingEngine, Steps
