@@ -196,6 +196,20 @@ def test_every_engine_moves_alike(text):
     assert np.abs(np.diff(ends, axis=0)).max() <= 1e-8
 
 
+def test_work_is_as_exact_as_the_motion():
+    """The damper's power has the series of exp(-2 a t): steps that suit exp(-a t) are too long."""
+    damped = mechanism(
+        "links: [{name: b, joint: prismatic, axis: [1, 0], m: 1.3, l: 1, r: 0, I: 1, damping: 10}]"
+    )
+    for (method, engine), tol in itertools.product(ENGINES, [1e-6, 1e-9, 1e-12]):
+        motion = robodyn.simulate(
+            damped, [0.0], [2.0], 1.0, method=method, engine=engine, rtol=tol, atol=tol
+        )
+        lost = 2.6 * (math.exp(-20.0 / 1.3) - 1.0)  # J
+        assert abs(motion.report.work - lost) <= 20.0 * tol, (method, engine, tol)
+        assert motion.report.energy_drift <= 20.0 * tol, (method, engine, tol)
+
+
 def test_a_slot_with_an_aligned_block_is_a_prismatic_joint():
     """The same mechanism written in two ways moves in the same way, with the same forces."""
     slot, slide = mechanism(BLOCK), mechanism(SLIDING)

@@ -163,6 +163,10 @@ def longest_step(
     Where what acts is not `steady` most coefficients may vanish, as of E = exp(i c t^m), and the
     last ones tell nothing.  What is left out begins with the order p + 2 there: after a last term x
     of an order k, with less than x^((p + 2)/k)/2, and its rate with p + 2 times that.
+
+    Work may need shorter steps than a displacement does: if the rate of a slide is exp(-a t), the
+    power of its damper has terms 2^k times as large.  So where something slides, the last terms of
+    the work are no larger than atol + rtol of h times the sizes of the power's terms at h/2.
     """
     rho, theta = series.rho, series.theta
     p = len(rho[0]) - 2
@@ -186,6 +190,13 @@ def longest_step(
     for k in range((p + 1) // 2 + 1, p) if turns else ():
         sizes = _largest([abs(each[j][k]) for each in (rho, theta) for j in turns])
         h = expression.least(h, radius * power(sizes + TINY, -1.0 / k))
+    if slides and series.power:
+        terms = [abs(x) for x in series.power]
+        allowed = (atol + rtol) * horner(terms, 0.5 * h)[0]
+        for k in (p, p - 1):
+            shorter = power((k + 1.0) * allowed / (terms[k] + TINY), 1.0 / k)
+            shorter = expression.choose(TINY, terms[k], shorter, math.inf)
+            h = expression.choose(shorter, h, shorter, h)  # not where terms are beyond the floats
     tails: Value = 0.0  # comparisons may pass over what is not finite
     for each in theta:
         tails = tails + each[p + 1]

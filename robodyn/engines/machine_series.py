@@ -125,11 +125,13 @@ def _longest(scene: Scene, k: Kernel, block: Word) -> None:
     theta = [zeros + coefficients(graph, i + 1, last) for i in turns]
     w = [graph.variable(f"{i + 1}_1") for i in turns]
     tolerances = graph.variable("rtol"), graph.variable("atol")
-    slides, series = scene.mechanism.slides, Coefficients(rho, theta, [], [])
-    h = longest_step(series, w, *tolerances, rough, slides, steady)
-    if scene.loop.power:  # it may be beyond the floats where the motion is not
-        power = graph.variable(f"{len(rho) * 2 + scene.loop.watched}_{scene.order}")
-        h = choose(abs(power), math.inf, h, math.nan)
+    power: list[Value] = []
+    if scene.loop.power:
+        power = coefficients(graph, 2 * len(rho) + scene.loop.watched, range(scene.order + 1))
+    series = Coefficients(rho, theta, power, [])
+    h = longest_step(series, w, *tolerances, rough, scene.mechanism.slides, steady)
+    if power:  # it may be beyond the floats where the motion is not
+        h = choose(abs(power[-1]), math.inf, h, math.nan)
     scene.put(k, block, "longest", read_segment(scene, k, block).write([h])[0])
 
 

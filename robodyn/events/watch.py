@@ -110,7 +110,7 @@ class EventWatch(EventRecord):
             if not places:
                 continue
             whole = step(j)
-            if exact:
+            if exact and unknown[j]:
                 whole = whole._replace(nodes=nodes[np.searchsorted(left, j)])
             stop = self.step(whole, places)
             if stop is not None:

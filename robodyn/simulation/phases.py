@@ -249,9 +249,8 @@ class Phases:
         self.doubts = self.doubts + 1 if begins or (inside and not meets) else 0
         if meets:
             hits = sorted({*hits, (guard.joint, guard.side)})
-        if (
-            inside and self.doubts == DOUBTS
-        ):  # the method cannot tell how far it is thrown back: it rests
+        # it rests where the method cannot tell how far it is thrown back
+        if inside and self.doubts == DOUBTS:
             touches.add((guard.joint, guard.side))
         q, qd = self._split(y := y.copy())
         for joint, side in hits:  # rounding must not grow from bounce to bounce
