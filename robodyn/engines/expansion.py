@@ -190,7 +190,7 @@ def longest_step(
     for k in range((p + 1) // 2 + 1, p) if turns else ():
         sizes = _largest([abs(each[j][k]) for each in (rho, theta) for j in turns])
         h = expression.least(h, radius * power(sizes + TINY, -1.0 / k))
-    if slides and series.power:
+    if slides and len(series.power):
         terms = [abs(x) for x in series.power]
         allowed = (atol + rtol) * horner(terms, 0.5 * h)[0]
         for k in (p, p - 1):

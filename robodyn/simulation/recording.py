@@ -254,10 +254,11 @@ class Recorder:
         early, late = (float(x.max()) for x in np.array_split(np.abs(np.diff(t)), 2))
         before = max(self.longest, early)
         self.longest = max(before, late)
-        most, left = NEVER * self.max_evaluations, abs(self.report.t_end - float(t[-1]))
+        left = abs(self.report.t_end - float(t[-1]))
+        most = max(MOST_STEPS, NEVER * self.max_evaluations)
+        most = min(most, 1.0 / np.finfo(float).eps)  # floats tell no more apart
         if abs(self.report.t_end) <= FAR_END:
             return Outcome.STEP_TOO_SMALL if left > most * late and late <= 2.0 * early else None
-        most = min(max(MOST_STEPS, most), 1.0 / np.finfo(float).eps)  # floats tell no more apart
         return Outcome.ENDLESS if left > most * self.longest <= 2.0 * most * before else None
 
     def settle(self) -> Report:
