@@ -53,11 +53,11 @@ def strays(
 ) -> Value:
     """Above zero where a step x may go where its series do not hold, and come back.
 
-    A function that is flat where a step begins, or a line of a table, tells nothing of what lies
-    beyond.  So a bound is: what is spanned stays about the hull of its first terms, those of a
-    parabola's polygon, as far as the sizes of the others say.  Of exp(-steep |x|) the term whose
-    order is steep |change of x| is the largest, and the last one tells of it where there are as
-    many.  A line may be left by what moves a torque by `small`, N m, or by the part `relative`.
+    What is spanned stays within the hull of the control points of its first three terms, widened by
+    the sizes of the other terms.  In the series of exp(-steep |x|) the term of the order steep
+    |change of x| is the largest: the steps' own control sees it where the series has so many
+    terms.  A line of a table may be left by what moves a torque by `small`, N m, or by the part
+    `relative`.
     """
     found: Value = -1.0
     for span, each in zip(spanned, series, strict=True):
