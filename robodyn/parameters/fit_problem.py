@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.dynamics.placed import matvec
 from robodyn.errors import InputError
 from robodyn.loops.closing import half_turn
 from robodyn.tables.arrays import Array
@@ -228,7 +229,7 @@ def lane_least_squares(
         step = there - u[lanes]
         r, J = evaluate(there, lanes)
         new = _cost(r)
-        slope = g[lanes] + 0.5 * (H[lanes] @ step[..., None])[..., 0]
+        slope = g[lanes] + 0.5 * matvec(H[lanes], step)
         promised = -np.einsum("ni,ni->n", slope, step)
         gained = cost[lanes] - new
         good = np.isfinite(new) & (gained > 0.0)

@@ -104,7 +104,7 @@ def step_text(
 
 
 def _strays(motion: MotionProgram, order: int) -> Callable[..., float]:
-    """`expansion.strays` of what is spanned, the step, and what may be missed."""
+    """`strays.strays` of what is spanned, the step, and what may be missed."""
     variable = Graph().variable
     names = [[f"s{i}_{k}" for k in range(order)] for i in range(len(motion.spans))]
     series = [list(map(variable, each)) for each in names]

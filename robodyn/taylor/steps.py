@@ -36,7 +36,7 @@ class Steps(NamedTuple):
     no steady torque, then those of what may bend, and of what is spanned.  Of a step that cannot be
     made there are none.  `watched(t, y, tau, slope)` has the values of what may bend; `arms` make
     torques of these; `gap(t, y, series, x)`, if any, is no less than what these miss at the end y
-    of a step x from t; `strays(series, x, small, relative)`, if any, is that of `expansion`.
+    of a step x from t; `strays(series, x, small, relative)`, if any, is that of `strays.py`.
     """
 
     expand: Callable[..., Expanded]
