@@ -16,6 +16,7 @@ from robodyn.errors import DescriptionError, Fault
 MAX_BYTES = 16 * 2**20
 MAX_DEPTH = 40
 MAX_NODES = 300_000  # with aliases counted as often as they are used
+_TOO_DEEP = f"nests deeper than {MAX_DEPTH} levels"
 
 
 class Scalar:
@@ -84,7 +85,9 @@ def parse(text: str, source: str) -> Node | None:
         mark = getattr(error, "problem_mark", None)
         reason = getattr(error, "problem", None) or str(error).splitlines()[0]
         line = None if mark is None else mark.line + 1
-        raise DescriptionError(source, [Fault("", f"is not YAML: {reason}", line=line)]) from None
+        # PyYAML 6.0.4 scans 1024 characters ahead and has a limit of its own on what it finds there
+        limit = _TOO_DEEP if "nesting depth" in reason else f"is not YAML: {reason}"
+        raise DescriptionError(source, [Fault("", limit, line=line)]) from None
 
 
 class _Composer:
@@ -126,7 +129,7 @@ class _Composer:
                     self.open.append(node)
                     self.keys.append(None)
                     if len(self.open) > MAX_DEPTH:
-                        raise self._fault(f"nests deeper than {MAX_DEPTH} levels", line)
+                        raise self._fault(_TOO_DEEP, line)
             elif isinstance(event, yaml.CollectionEndEvent):
                 self.keys.pop()
                 self._place(self.open.pop(), line)
