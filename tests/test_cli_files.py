@@ -24,7 +24,7 @@ OTHERS["fit"] = ["--vary", "gravity=1:2"]
 
 def declared(command: str) -> list[tuple[Any, str]]:
     """The options and arguments of a command, and what it does with the files that they name."""
-    roles = {"_reads": "reads", "writes": "writes"}
+    roles = {"reads": "reads", "writes": "writes"}
     group: Any = typer.main.get_command(cli._application([command]))
     params = group.commands[command].params
     called = [getattr(param.callback, "__wrapped__", None) for param in params]

@@ -13,10 +13,9 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from copy import copy
 from dataclasses import MISSING, Field, fields, is_dataclass
 from importlib import import_module
-from typing import Annotated, Any, NoReturn, get_type_hints
+from typing import Annotated, Any, NoReturn, cast, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -163,31 +162,27 @@ def _command(arguments: list[str], whole: bool) -> Any:
     group: Any = typer.main.get_command(_application(arguments, whole))
     for name, command in group.commands.items():
         group_options(name, command.params)
-    for parameter in (x for command in group.commands.values() for x in command.params):
-        if parameter.type.name in ("float", "int", "integer"):
-            parameter.type = kind = copy(parameter.type)
-            unit = OPTION_UNITS.get(getattr(parameter, "metavar", None) or "", "")
-            kind.convert = functools.partial(_number, kind.convert, kind.name, unit)
     return group
 
 
-def _number(convert: Callable[..., Any], kind: str, unit: str, value: Any, *place: Any) -> Any:
+def _number(kind: type, unit: str, value: Any) -> float:
+    """Parse the number of an option, which may be arithmetic with units; BadParameter if none."""
     if not isinstance(value, str):
-        return convert(value, *place)
+        return cast(float, kind(value))
     if plain_digits(value):
-        with suppress(USAGE_ERROR):
-            return convert(value, *place)
+        with suppress(ValueError):
+            return cast(float, kind(value))
     from robodyn.scene.quantities import parse_quantity
 
     try:
         number = parse_quantity(value.strip(), unit)
     except ValueError as error:
         raise typer.BadParameter(f"{value!r} {error}.") from None
-    if kind == "float":
+    if kind is float:
         return number
     if not (number.is_integer() and abs(number) < 2.0**53):
         raise typer.BadParameter(f"{value!r} is {number:.6g}, no whole number.")
-    return convert(str(int(number)), *place)
+    return int(number)
 
 
 def _guarded(function: Callable[..., None]) -> Callable[..., None]:
@@ -244,6 +239,12 @@ def _declared(name: str, kind: Any, default: Any) -> inspect.Parameter:
             told.param_decls = told.param_decls or ["--" + name.strip("_").replace("_", "-")]
             kind = Annotated[kind, told]
         default = inspect.Parameter.empty if default.default is MISSING else default.default
+    base, *marks = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+    for number in (float, int):
+        if number in (base, *get_args(base)):
+            for mark in marks:
+                mark.metavar = mark.metavar or number.__name__.upper()
+                mark.parser = functools.partial(_number, number, OPTION_UNITS.get(mark.metavar, ""))
     where = {"default": default, "annotation": kind}
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, **where)
 

@@ -28,7 +28,7 @@ _MODE = "In place of rows: natural mode K, as linearize counts them, about --q."
 
 def animate(
     model: Model,
-    states: Annotated[Text, rows_argument("[CSV]", "Rows with t and q1..; - is stdin.")] = None,
+    states: Annotated[Text, rows_argument("CSV", "Rows with t and q1..; - is stdin.")] = None,
     *,
     out: Annotated[str, output_file("--out", "-o", help=_OUT)],
     mode: int | None = option(_MODE, "K"),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Callable
 from contextvars import ContextVar
 from typing import Annotated, Any
 
@@ -25,7 +26,7 @@ delimiter: ContextVar[str] = ContextVar("delimiter", default=",")  # of rows tha
 
 def rows_argument(metavar: str, help: str) -> Any:
     """An argument that is a CSV file to read: its command takes --delimiter."""
-    return _of_rows(typer.Argument(metavar=metavar, help=help, callback=_reads))
+    return _of_rows(typer.Argument(metavar=metavar, help=help, callback=_reads(metavar.strip("."))))
 
 
 def rows_file(flag: str, help: str) -> Any:
@@ -35,7 +36,7 @@ def rows_file(flag: str, help: str) -> Any:
 
 def input_file(flag: str, help: str) -> Any:
     """An option that is a file to read."""
-    return typer.Option(flag, metavar="FILE", help=help, callback=_reads)
+    return typer.Option(flag, metavar="FILE", help=help, callback=_reads(flag))
 
 
 def _of_rows(declared: Any) -> Any:
@@ -50,12 +51,13 @@ def reads_rows(annotation: Any) -> bool:
 
 def model_argument(help: str) -> Any:
     """The argument that is a scene: a file, or where there is none the name of an example."""
-    return typer.Argument(metavar="MODEL", help=help, callback=_reads, parser=scene_file)
+    reads = _reads("MODEL")
+    return typer.Argument(metavar="MODEL", help=help, callback=reads, parser=scene_file)
 
 
 def model_file(flag: str, help: str) -> Any:
     """An option that is a scene, as `model_argument`."""
-    return typer.Option(flag, metavar="FILE", help=help, callback=_reads, parser=scene_file)
+    return typer.Option(flag, metavar="FILE", help=help, callback=_reads(flag), parser=scene_file)
 
 
 def scene_file(name: str) -> str:
@@ -82,7 +84,7 @@ def output_file(*flags: str, help: str, kept: bool = False) -> Any:
             places = _places(name, 1)
             if kept and name != "-" and places:
                 places = places.union(*(_places(os.path.realpath(name) + end, 1) for end in KEPT))
-            _declare(ctx, _File(_option(param), name, True, places))
+            _declare(ctx, _File(flags[0], name, True, places))
         return value
 
     return typer.Option(*flags, metavar="FILE", help=help, callback=writes)
@@ -114,16 +116,16 @@ class _File(Record):
     places: frozenset[object]
 
 
-def _reads(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
-    for name in value if isinstance(value, list | tuple) else [value]:
-        if named(name) is not None:
-            _declare(ctx, _File(_option(param), name, False, _places(name, 0)))
-    return value
+def _reads(option: str) -> Callable[..., Any]:
+    """Make the callback of an option or argument that names a file to read, or several."""
 
+    def reads(ctx: typer.Context, value: Any) -> Any:
+        for name in value if isinstance(value, list | tuple) else [value]:
+            if named(name) is not None:
+                _declare(ctx, _File(option, name, False, _places(name, 0)))
+        return value
 
-def _option(param: typer.CallbackParam) -> str:
-    flag = param.opts[0]
-    return flag if flag.startswith("-") else param.human_readable_name.strip("[].")
+    return reads
 
 
 def _places(name: str, standard: int) -> frozenset[object]:

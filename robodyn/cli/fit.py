@@ -119,7 +119,7 @@ class FitOptions:
 def fit(
     model: Model,
     vary: Annotated[list[str], Option("--vary", metavar="NAME=LOW:HIGH", help=_VARY)],
-    states: Annotated[Text, rows_argument("[STATES]", _STATES)] = None,
+    states: Annotated[Text, rows_argument("STATES", _STATES)] = None,
     given: FitOptions = FitOptions(),
     residuals: bool = switch(_RESIDUALS),
     quiet: Quiet = False,

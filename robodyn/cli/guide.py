@@ -70,7 +70,7 @@ def _names() -> list[str]:
 
 def guide(
     page: Annotated[
-        Text, Argument(metavar="[PAGE]", help="Its name, such as scene.", autocompletion=_names)
+        Text, Argument(metavar="PAGE", help="Its name, such as scene.", autocompletion=_names)
     ] = None,
     format: OutputFormat = None,
 ) -> None:

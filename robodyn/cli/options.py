@@ -133,7 +133,7 @@ class Model:
 
 
 _ROWS = "CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through."
-States = Annotated[Text, rows_argument("[STATES]", _ROWS)]
+States = Annotated[Text, rows_argument("STATES", _ROWS)]
 
 
 def vector(flag: str, help: str) -> object:
