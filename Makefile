@@ -28,6 +28,7 @@ demo: $(READY)
 	$(BIN)/robodyn torque robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --qdd 0,0
 	$(BIN)/robodyn torque robots/four-bar.yaml --q 60deg --qd 5 --qdd 0
 	$(BIN)/robodyn simulate robots/four-bar.yaml --q 60deg --tau "2*sin(3*t)" --time 2 --points 5
+	@echo "The command is $(BIN)/robodyn; it lists what it does: $(BIN)/robodyn --help"
 
 test: $(READY)
 	$(BIN)/ruff check .

@@ -255,7 +255,7 @@ def test_a_page_needs_no_extra(
     monkeypatch.setattr(chart_figure, "find_spec", lambda name: None)
     page_of(robodyn, tmp_path / "x.html")
     robodyn("animate", BAR, "-", "-o", tmp_path / "x.gif", stdin=TURN).fails(
-        1, "pip install 'robodyn[plot]'"
+        1, "pip install '.[plot]'"
     )
 
 

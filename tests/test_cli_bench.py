@@ -155,7 +155,7 @@ def test_evaluators_without_mpmath(robodyn, monkeypatch):
 @pytest.mark.usefixtures("idle")
 def test_without_matplotlib(robodyn, monkeypatch):
     monkeypatch.setattr(chart_figure, "find_spec", lambda name: None)
-    robodyn(*ARM, "--plot", "figure.svg").fails(1, "--plot", "robodyn[plot]")
+    robodyn(*ARM, "--plot", "figure.svg").fails(1, "--plot", ".[plot]")
 
 
 def test_a_motion_that_ends_writes_nothing(robodyn):

@@ -255,7 +255,7 @@ def test_a_pose_that_cannot_close(robodyn: Run, four_bar_text: str, scene: Run) 
 
 def test_without_the_extra(robodyn: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(chart_figure, "find_spec", lambda name: None)
-    robodyn(*ARM, "-o", tmp_path / "x.svg").fails(1, "pip install 'robodyn[plot]'")
+    robodyn(*ARM, "-o", tmp_path / "x.svg").fails(1, "pip install '.[plot]'")
     assert list(tmp_path.iterdir()) == []
     robodyn(*ARM, "--format", "text").succeeds()
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import inspect
 import io
+import os
+import pty
 import re
 import shlex
 import subprocess
@@ -114,13 +116,29 @@ def elsewhere(robodyn: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_bare_word_is_the_example_of_this_name(robodyn: Run, elsewhere: Path) -> None:
     by_file = robodyn("torque", ROOT / "robots/2r.yaml", "--q", "1,2").succeeds()
     named = robodyn("torque", "2r", "--q", "1,2")
-    assert (named.code, named.out) == (0, by_file.out)
-    assert named.err == "Note: 2r is no file: the example scene of this name is taken\n"
+    assert (named.code, named.out, named.err) == (0, by_file.out, "")
     changed = ["--set", "links.forearm.m=1.1"]
     assert robodyn("torque", "2r", "--q", "1,2", *changed).out != by_file.out
     believed = ["--hold", "0,0", "--control", "pd+g", "--kp", "9", "--kd", "1"]
     believed += ["--control-model", "3r"]
     robodyn("simulate", "2r", "--q", "1,2", *believed).fails(2, "3")
+
+
+def test_only_the_first_command_of_a_pipe_on_a_terminal_notes_that_an_example_is_taken() -> None:
+    """In a pipe at a prompt each command has the terminal's stderr, and one its stdin."""
+    leader, terminal = pty.openpty()
+    command = [sys.executable, "-m", "robodyn", "torque", "2r", "--q", "1,2"]
+    try:
+        for stdin in (terminal, subprocess.DEVNULL):
+            subprocess.run(command, stdin=stdin, stdout=subprocess.DEVNULL, stderr=terminal)
+        os.write(terminal, b"end")
+        shown = ""
+        while not shown.endswith("end"):
+            shown += os.read(leader, 1000).decode()
+    finally:
+        os.close(leader)
+        os.close(terminal)
+    assert shown == "Note: 2r is no file: the example scene of this name is taken\r\nend"
 
 
 def test_a_file_of_this_name_goes_first(robodyn: Run, elsewhere: Path) -> None:

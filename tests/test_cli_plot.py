@@ -246,7 +246,7 @@ def test_without_the_extra(
 ) -> None:
     monkeypatch.setattr(chart_figure, "find_spec", lambda name: None)
     path = tmp_path / "x.png"
-    robodyn("plot", motion, "-o", path).fails(1, "pip install 'robodyn[plot]'")
+    robodyn("plot", motion, "-o", path).fails(1, "pip install '.[plot]'")
     assert not path.exists()
     robodyn("plot", motion, "--format", "text").succeeds()
 

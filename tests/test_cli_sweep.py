@@ -333,7 +333,7 @@ def test_a_scheduler_that_dies(tmp_path: Path) -> None:
 def test_the_scheduler_needs_its_extra(robodyn: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     refused = robodyn(*ARM, "--vary", "q1=0,1", "--scheduler", "tcp://x:1")
-    refused.fails(2, "--scheduler", "robodyn[cluster]")
+    refused.fails(2, "--scheduler", ".[cluster]")
 
 
 def test_torques_of_a_loop_that_keeps_an_angle(robodyn: Run, scene: Callable[[str], Path]) -> None:

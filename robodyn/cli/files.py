@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 from collections.abc import Callable
 from contextvars import ContextVar
 from typing import Annotated, Any
@@ -61,7 +62,10 @@ def model_file(flag: str, help: str) -> Any:
 
 
 def scene_file(name: str) -> str:
-    """The scene's file: as it is named, else that of the example of this name, which is noted."""
+    """Return the scene's file: as it is named, else that of the example of this name.
+
+    The latter is noted for who types at a terminal, by the first command of a pipe alone.
+    """
     if os.path.lexists(name):
         return name
     from robodyn.scene.example_scenes import example_file
@@ -69,9 +73,10 @@ def scene_file(name: str) -> str:
     example = example_file(name)
     if example is None:
         return name
-    from robodyn.cli.output import note
+    if sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty():
+        from robodyn.cli.output import note
 
-    note(f"Note: {name} is no file: the example scene of this name is taken")
+        note(f"Note: {name} is no file: the example scene of this name is taken")
     return str(example)
 
 

@@ -48,7 +48,7 @@ MOST_SHAPES = 2_000  # points that an .svg or .pdf holds as shapes
 
 def check_matplotlib(what: str) -> None:
     if find_spec("matplotlib") is None:
-        raise RobodynError(what, limit="needs the extra `plot`: pip install 'robodyn[plot]'")
+        raise RobodynError(what, limit="needs the extra `plot`: pip install '.[plot]'")
 
 
 def work_precision(result: Benchmark, title: str, path: str, slides: bool = False) -> None:

@@ -147,7 +147,7 @@ def _methods(
     if compiled_engine(mechanism, actuation, 1e-9, 1e-9, None) is not None:
         names.append(("taylor compiled", Settings("taylor", engine="compiled")))
     else:
-        needs = "pip install 'robodyn[fast]', a torque that has a series, and a small mechanism"
+        needs = "pip install '.[fast]', a torque that has a series, and a small mechanism"
         left_out.append(f"taylor compiled: needs {needs}")
     return names, left_out
 

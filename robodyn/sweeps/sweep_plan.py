@@ -145,7 +145,7 @@ def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
     there = machine.available()
     if wanted == "compiled":
         if not there:
-            limit = "needs the extra `fast` (pip install 'robodyn[fast]'): take auto or python"
+            limit = "needs the extra `fast` (pip install '.[fast]'): take auto or python"
             raise InputError("engine", value=wanted, limit=limit)
         return wanted
     return "compiled" if there and serves(mechanism) else "python"

@@ -145,7 +145,7 @@ def _cluster(
     try:
         import distributed
     except ImportError:
-        limit = "needs the extra `cluster` (pip install 'robodyn[cluster]')"
+        limit = "needs the extra `cluster` (pip install '.[cluster]')"
         raise InputError("scheduler", value=address, limit=limit) from None
     for name in ("distributed", "distributed.client", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what fails is told by an error

@@ -26,7 +26,7 @@ LEAST_CLOSED = 10  # the order from which on steps are worth their closing
 WORTH = 1500  # steps of a scene in Python that cost what making machine code does
 ROW_BY_ROW = 5  # of those that the rows make one by one: a hundred times as long
 PATIENCE = 1.0  # s in Python after which a run is worth a hint
-HINT = "pip install 'robodyn[fast]' compiles the Taylor series: long runs take a tenth of the time"
+HINT = "pip install '.[fast]' compiles the Taylor series: long runs take a tenth of the time"
 SPARE = 32  # engines in machine code of runs that are over
 
 
@@ -127,7 +127,7 @@ class EngineChoice:
         if self.wanted == "compiled" or self.seen[0] >= self.worth:
             fast = self.fast()
             if fast is None and self.wanted == "compiled":
-                limit = "needs the extra `fast` (pip install 'robodyn[fast]'), a torque that has a "
+                limit = "needs the extra `fast` (pip install '.[fast]'), a torque that has a "
                 limit += "series, and a mechanism of some hundred loops at most whose closures do "
                 limit += "not depend on one another: take auto or python"
                 raise InputError("engine", value=self.wanted, limit=limit)
