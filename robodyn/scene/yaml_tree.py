@@ -87,6 +87,9 @@ def parse(text: str, source: str) -> Node | None:
         line = None if mark is None else mark.line + 1
         # PyYAML 6.0.4 scans 1024 characters ahead and has a limit of its own on what it finds there
         limit = _TOO_DEEP if "nesting depth" in reason else f"is not YAML: {reason}"
+        at_fault = "".join(text.splitlines()[line - 1 : line]) if line else ""
+        if "\t" in at_fault[: len(at_fault) - len(at_fault.lstrip())]:
+            limit = "is indented by a tab: YAML takes spaces"
         raise DescriptionError(source, [Fault("", limit, line=line)]) from None
 
 
