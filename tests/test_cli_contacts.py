@@ -28,10 +28,43 @@ def scene(folder: Path, first: str, second: str) -> Path:
 
 
 def test_a_limit_ends_a_run_by_name(robodyn: Run, tmp_path: Path) -> None:
-    given = robodyn("simulate", scene(tmp_path, ENDS, HIGH), "--q", "0,0", "--every", 0.3)
-    assert given.code == 1
-    assert "q1 (arm) passes its min, -2.61799388, at t = " in given.err
+    out = tmp_path / "rows.csv"
+    arm = scene(tmp_path, ENDS, HIGH)
+    given = robodyn("simulate", arm, "--q", "0,0", "--every", 0.3)
+    assert given.code == 0
+    assert given.err.startswith("limit: t = ")
+    assert "q1 (arm) passes its min, -2.61799388: the joint has no stop there" in given.err
     assert float(given.rows[-1]["q1"]) == pytest.approx(-2.6179938779914944, abs=1e-12)
+    robodyn("simulate", arm, "--q", "0,0", "--every", 0.3, "-o", out, "--quiet").succeeds()
+    assert (out.read_text(), [*tmp_path.glob("rows.csv?*")]) == (given.out, [])
+
+
+def test_a_run_that_starts_on_a_limit_and_is_pushed_beyond_has_one_row(
+    robodyn: Run, tmp_path: Path
+) -> None:
+    arm = scene(tmp_path, ENDS, "limits: {max: 0}")
+    given = robodyn("simulate", arm, "--q", "0,0", "--qd", "0,1")
+    assert given.code == 0
+    assert (len(given.rows), given.err[:11]) == (1, "limit: t = ")
+
+
+@pytest.mark.parametrize("method", ["DOP853", "taylor"])
+def test_the_error_of_a_run_that_a_limit_ends_is_estimated(
+    robodyn: Run, tmp_path: Path, method: str
+) -> None:
+    how = ["--q", "0,0", "--points", 5, "--method", method]
+    loose, tight = (
+        robodyn("simulate", scene(tmp_path, ENDS, HIGH), *how, *more)
+        for more in (["--estimate-error", "--rtol", "1e-7", "--atol", "1e-7"], ["--rtol", "1e-13"])
+    )
+    told = float(loose.err.partition("error of q and qd: about ")[2].split(",")[0])
+    columns = ("q1", "q2", "qd1", "qd2")
+    assert len(loose.rows) > 1
+    for one, other in zip(loose.rows[:-1], tight.rows[:-1], strict=True):
+        assert max(abs(float(one[x]) - float(other[x])) for x in columns) <= 2.0 * told
+    accurate = robodyn("simulate", scene(tmp_path, ENDS, HIGH), *how[:4], "--accuracy", "1e-8")
+    assert (accurate.code, loose.code, tight.code) == (0, 0, 0)
+    assert "by a tighter run" in accurate.err
 
 
 @pytest.mark.parametrize(

@@ -211,7 +211,7 @@ def test_limits_alone_end_a_run_by_name() -> None:
         motion = simulate(mechanism, [1.0], [0.0], 3.0, method=method, rtol=1e-10, atol=1e-10)
         assert motion.outcome is Outcome.LIMIT
         assert abs(motion.t[-1] - math.sqrt(2.0 * 1.5 / G)) < 1e-10
-        assert motion.report.ended_by == "q1 (block) passes its min, -0.5,"
+        assert motion.report.ended_by == "q1 (block) passes its min, -0.5"
 
 
 # -- impacts through M and the closures ------------------------------------------------------------

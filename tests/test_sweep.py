@@ -283,7 +283,7 @@ class TestWorkers:
     def test_a_missing_extra_is_told(self, monkeypatch) -> None:
         monkeypatch.setattr(machine, "available", lambda: False)
         assert best_engine("auto", 10**6, check(SWING)) == "python"
-        with pytest.raises(InputError, match=r"robodyn\[fast\]"):
+        with pytest.raises(InputError, match=r"\.\[fast\]"):
             best_engine("compiled", 10, check(SWING))
 
 
@@ -403,7 +403,7 @@ class TestCluster:
 
     def test_a_missing_extra_is_told(self, monkeypatch) -> None:
         monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-        with pytest.raises(InputError, match=r"robodyn\[cluster\]"):
+        with pytest.raises(InputError, match=r"\.\[cluster\]"):
             whole(TestWorkers.SMALL, scheduler="tcp://127.0.0.1:1")
 
     # these take the cluster's workers away, and come last

@@ -20,9 +20,7 @@ _OUT = "Write here, - for stdout. Default: NAME.yaml in this directory."
 
 
 def init(
-    name: Annotated[
-        Text, Argument(metavar="NAME", help=_NAME, autocompletion=scene_names)
-    ] = None,
+    name: Annotated[Text, Argument(metavar="NAME", help=_NAME, autocompletion=scene_names)] = None,
     names: bool = option("List the names, as without NAME.", default=False, flag="--list"),
     out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None,
     force: bool = switch("Replace a file that exists."),

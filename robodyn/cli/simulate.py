@@ -168,7 +168,7 @@ def simulate(
             _summary(mechanism, facts, events.until)
             if how.estimate_error and facts.error_estimate is None:
                 note("error of q and qd: not estimated, as no tighter run finishes")
-        if outcome not in (Outcome.FINISHED, Outcome.EVENT):
+        if outcome not in (Outcome.FINISHED, Outcome.EVENT, Outcome.LIMIT):
             stream.flush()
             where = f"{facts.ended_by or facts.outcome} at t = {facts.t_reached:.6g} s"
             raise UnfinishedError(f"{where} of {duration:g} s", limit=facts.advice)
@@ -317,6 +317,8 @@ def _summary(mechanism: Mechanism, facts: Report, until: str | None) -> None:
     if until is not None:
         way = "ended by" if facts.ended_by == UNTIL else "not met up to the end:"
         lines.append(f"{way} --until {until}")
+    if facts.outcome == Outcome.LIMIT.label:
+        lines.append(f"{facts.ended_by}: {facts.advice}")
     counts = {name: count for name, count in facts.events.items() if name != UNTIL}
     if counts:
         lines.append(f"events: {', '.join(f'{name} {count}' for name, count in counts.items())}")

@@ -146,14 +146,17 @@ class _Motion:
         self._of, (_, state, t_end, _) = of, of
         ends: list[Array] = []
         outcome, _ = run(*self._of, settings, lambda t, y, _: ends.append(t))
-        self.finishes = outcome is Outcome.FINISHED
+        self.outcome = outcome
         steps = np.concatenate(ends)
         self.longest = float(np.abs(np.diff(steps)).max(initial=0.0)) or np.inf
         apart = max(1.0 / CUTS, len(steps) * len(state) / MOST)
         cuts = np.interp(np.arange(0, len(steps) - 1, apart), np.arange(len(steps)), steps)
-        self.times = np.unique(np.concatenate([cuts, steps[-1:], np.linspace(0.0, t_end, SAMPLES)]))
+        even = np.linspace(0.0, steps[-1], SAMPLES)
+        self.times = np.unique(np.concatenate([cuts, steps[-1:], even]))
         if t_end < 0.0:
             self.times = self.times[::-1]
+        if outcome is Outcome.LIMIT:  # which each run meets at a time of its own
+            self.times = self.times[:-1]
 
     def tighter(self, settings: Settings) -> Settings | None:
         """Tighter settings, whose steps are shorter too where no tolerance had chosen them.
@@ -166,14 +169,16 @@ class _Motion:
         return replace(tight, max_step=0.5 * min(settings.max_step, self.longest))
 
     def sampled(self, settings: Settings) -> Sampled | None:
-        """A run's states at the times, or None where it does not finish, or the first did not."""
-        if not self.finishes:
+        """A run's states at the times, or None if it, or the first one, cannot go on before."""
+        if self.outcome not in (Outcome.FINISHED, Outcome.LIMIT):
             return None
         rows: list[Array] = []
         outcome, recorder = run(*self._of, settings, lambda t, y, _: rows.append(y), self.times)
-        if outcome is not Outcome.FINISHED:
+        if outcome is not self.outcome:
             return None
-        y = np.concatenate(rows)[:, : len(self._of[1])]
+        y = np.concatenate(rows)[: len(self.times), : len(self._of[1])]
+        if len(y) < len(self.times):
+            return None
         return Sampled(y, recorder.settle().work_missed, self._apart(recorder))
 
     def _apart(self, recorder: Recorder) -> Array:

@@ -222,7 +222,7 @@ class Phases:
         if kind != "inside" or self.limits[joint].restitution is not None:
             return ""
         name, end = self.mechanism.link_names[joint], dict(self.limits[joint].ends)[side]
-        return f"q{joint + 1} ({name}) passes its {end_word(side)}, {end:.9g},"
+        return f"q{joint + 1} ({name}) passes its {end_word(side)}, {end:.9g}"
 
     def next(self, t: float, y: Array, place: int) -> Array:
         """The phase that follows at the state y at t, where the guard at a place ended one."""

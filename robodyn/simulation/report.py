@@ -40,7 +40,7 @@ class Outcome(Enum):
     )
     LIMIT = (
         "limit",
-        "the joint has no stop there: give its limits a stiffness or a restitution, or less torque",
+        "the joint has no stop there; with a stiffness or a restitution in its limits it has one",
     )
     CHATTERING = (
         "chattering",
