@@ -75,7 +75,7 @@ class SweepOptions(SweepRequest):
 def plan_of(model: Model, given: SweepRequest, control: ControlOptions) -> Plan:
     """What the options say; InputError naming the option that is wrong."""
     scene, acts = model.values(), partial(_acting, given, control)
-    return sweep_request.plan_of(scene, model.text(), model.given, given, acts)
+    return sweep_request.plan_of(scene, model.given, given, acts)
 
 
 def _acting(

@@ -97,7 +97,9 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
     """The points, a group for each mechanism, less those that cannot be assembled."""
     axes = plan.variation.axes
     changed = list(plan.scene_axes)
-    scene = read_numbers(plan.scene, plan.source, plan.numbers) if changed else None
+    scene = None
+    if changed:
+        scene = read_numbers(plan.scene, plan.source, plan.numbers, plan.tables)
     members: dict[tuple[float, ...], list[int]] = {}
     for k, key in enumerate(map(tuple, points[:, changed].tolist())):
         members.setdefault(key, []).append(k)

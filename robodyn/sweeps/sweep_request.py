@@ -75,14 +75,13 @@ Acts = Callable[[Mechanism, tuple[Axis, ...]], Acting]
 
 def plan_of(
     scene: SceneValues,
-    text: str,
     numbers: tuple[tuple[str, str], ...],
     given: SweepRequest,
     acts: Acts | None = None,
 ) -> Plan:
-    """The plan of a request, of a scene's text with `numbers` in place of its own.
+    """The plan of a request, of a scene with `numbers` in place of those of its text.
 
-    `scene` holds all of them.  `acts` makes what acts of the mechanism and the axes.  Raises
+    `scene` holds these already.  `acts` makes what acts of the mechanism and the axes.  Raises
     InputError naming the option that is wrong.
     """
     mechanism = build(scene.base)
@@ -122,9 +121,10 @@ def plan_of(
         limit = f"names no link{nearest(given.flip, names)}"
         raise InputError("--flip", value=shown(given.flip), limit=limit)
     return Plan(
-        scene=text,
+        scene=scene.base.written.text,
         source=scene.source,
         numbers=numbers,
+        tables=scene.tables,
         variation=variation,
         **vectors,
         track=acting.track,
