@@ -203,8 +203,40 @@ def test_facts_of_brackets_are_no_defect(robodyn: Run, tmp_path: Path) -> None:
     assert "defect" not in refused.err
 
 
-def _cut_off(robodyn: Run, path: Path, chunks: int) -> None:
-    """The small sweep, cut off after so many chunks; after all nine before it takes its place."""
+SPRUNG = "links: [{name: a, m: 1, l: 1, r: 0, I: 1}]\nsprings: [{joint: a, table: F.csv, angle: 0}]"
+STIFF, REVERSED = "x,F\n-9,-90\n9,90\n", "x,F\n-9,90.\n9,-90\n"  # as many bytes
+
+
+def _replace_table(path: Path, text: str) -> None:
+    """Put another table in place of one, with the time of that, as `cp -p` may."""
+    times = path.stat().st_atime_ns, path.stat().st_mtime_ns
+    path.write_text(text)
+    os.utime(path, ns=times)
+
+
+@pytest.mark.usefixtures("_small_chunks")
+def test_a_table_replaced_after_a_cut(
+    robodyn: Run, tmp_path: Path, scene: Callable[[str], Path]
+) -> None:
+    """The torque that holds the arm at 0.3 is that of the spring, 10 * 0.3, at every point."""
+    table, out = tmp_path / "F.csv", tmp_path / "out.csv"
+    table.write_text(STIFF)
+    words = ("sweep", scene(SPRUNG), "--vary", "links.a.m=1:2:900", "--q", 0.3, "--kind", "torque")
+    _cut_off(robodyn, out, 3, words)
+    _replace_table(table, REVERSED)
+    refused = robodyn(*words, "-o", out).fails(2, "out.csv.partial", "another computation")
+    assert refused.err.count("table F.csv") == 2
+    assert robodyn(*words, "--quiet").succeeds().column("tau1") == [-3.0] * 900
+    _replace_table(table, STIFF)
+    resumed = robodyn(*words, "-o", out, "--workers", 1)
+    assert "300 of 900 points: going on" in resumed.err
+    assert out.read_text().count(",3.0,finished\n") == 900
+
+
+def _cut_off(
+    robodyn: Run, path: Path, chunks: int, words: tuple[object, ...] = (*ARM, *SMALL)
+) -> None:
+    """A sweep cut off after so many of nine chunks; after all of them before it takes its place."""
 
     def limited(plan: sweep_plan.Plan, number: int) -> Rows:
         if number >= chunks:
@@ -214,7 +246,7 @@ def _cut_off(robodyn: Run, path: Path, chunks: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("robodyn.sweeps.sweep_workers.run_chunk", limited)
         patch.setattr("robodyn.sweeps.resumable_file.ResumableFile.finish", lambda file: None)
-        cut = robodyn(*ARM, *SMALL, "-o", path, "--workers", 1)
+        cut = robodyn(*words, "-o", path, "--workers", 1)
     assert cut.code == (0 if chunks == 9 else 130)
     assert chunks == 9 or f"{100 * chunks} of 900 points are in" in cut.err
     assert not path.exists()
@@ -268,6 +300,28 @@ def test_ctrl_c_is_quiet_while_processes_begin_and_work(later: float, tmp_path: 
     _, told = process.communicate(timeout=60)
     assert process.returncode == 130
     assert [line for line in told.splitlines() if "the same command goes on" not in line] == []
+
+
+BIN = Path(sys.executable).parent
+PLANTED = ("socket", "pickle", "multiprocessing", "random", "json", "numpy")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [[BIN / "robodyn"], [sys.executable, "-m", "robodyn"], [sys.executable, "-E", BIN / "robodyn"]],
+)
+def test_no_code_of_the_working_directory_runs(line: list[str | Path], tmp_path: Path) -> None:
+    for name in PLANTED:
+        text = f"open({str(tmp_path / 'ran')!r}, 'a').write({name!r})\nraise ImportError\n"
+        (tmp_path / f"{name}.py").write_text(text)
+    words = ["sweep", ROOT / "robots/2r.yaml", "--vary", "q1=0:3:4001", "--kind", "torque"]
+    words += ["--workers", "2", "--quiet"]
+    done = subprocess.run(
+        [*line, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.count("finished") == 4001
+    assert not (tmp_path / "ran").exists()
 
 
 # Streams
