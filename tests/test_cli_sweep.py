@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import json
 import math
 import os
@@ -12,13 +13,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import FRESH, ROOT, Outcome
 from named_case import case
+from scipy.integrate import solve_ivp
 from sliding_scenes import BLOCK
 
 import robodyn as package
 from robodyn import inverse_dynamics, load, simulate
+from robodyn.engines import machine
 from robodyn.sweeps import sweep_plan
 from robodyn.sweeps.sweep_chunks import Rows, run_chunk
 
@@ -118,6 +122,92 @@ def test_flip_of_a_link(robodyn: Run) -> None:
     at = float(flips["flip"])
     motion = simulate(arm, [-math.pi / 2, 0], [9, 0], at, rtol=1e-11, atol=1e-11)
     assert motion.q[-1, 0] == pytest.approx(math.pi / 2, abs=1e-7)
+
+
+# Joints that neither an actuator nor a loop determines
+
+POLE = """gravity: 9.81
+links:
+  - {name: cart, joint: prismatic, axis: [1, 0], m: 1.3, l: 0, r: 0, I: 0}
+  - {name: pole, m: 0.4, l: 1, r: 0.6, I: 0.05}
+actuated: [cart]
+"""
+CARRIED = """gravity: 9.81
+links:
+  - {name: cart, joint: prismatic, axis: [1, 0], m: 2, l: 0, r: 0, I: 0}
+  - {name: crank, m: 0.6, l: 0.35, r: 0.15, I: 0.008}
+  - {name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102}
+  - {name: rocker, m: 1, l: 0.8, r: 0.36, I: 0.061, from: "cart@1.1,0"}
+closures: [[coupler, rocker]]
+actuated: [crank]
+"""
+
+
+def _pole(start: list[float], force: float, m: float) -> list[float]:
+    """The end after 0.8 s by Lagrange's equations: the pole's centre is at x + r cos q, r sin q."""
+
+    def rates(t: float, y: list[float]) -> list[float]:
+        _, q, xd, qd = y
+        M = [[1.3 + m, -m * 0.6 * math.sin(q)], [-m * 0.6 * math.sin(q), 0.05 + m * 0.36]]
+        right = [force + m * 0.6 * math.cos(q) * qd**2, -m * 9.81 * 0.6 * math.cos(q)]
+        return [xd, qd, *np.linalg.solve(M, right)]
+
+    end: list[float] = solve_ivp(rates, (0, 0.8), start, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    return end
+
+
+@pytest.mark.parametrize("engine", ["python", "compiled"] if machine.available() else ["python"])
+def test_a_pole_on_a_cart(robodyn: Run, scene: Callable[[str], Path], engine: str) -> None:
+    varied = ("q2=60deg,80deg", "qd1=0,0.5", "tau1=0,2", "links.pole.m=0.4,0.7")
+    words = [x for text in varied for x in ("--vary", text)]
+    given = robodyn(
+        "sweep", scene(POLE), *words, "--q", "0.1,0", "--qd", "0,-0.3", "--time", 0.8,
+        "--result", "final", "--engine", engine, "--quiet",
+    ).succeeds()  # fmt: skip
+    assert len(given.rows) == 16
+    for row in given.rows:
+        q, qd, force, m = (float(row[name.partition("=")[0]]) for name in varied)
+        end = [float(row[f"{name}_end"]) for name in ("q1", "q2", "qd1", "qd2")]
+        assert end == pytest.approx(_pole([0.1, q, qd, -0.3], force, m), abs=1e-7)
+
+
+def test_a_four_bar_on_a_cart(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    """Cart and crank determine the rest; nothing pushes along X, so the centre stays above it."""
+
+    def places(q: list[float]) -> tuple[float, complex]:
+        x, a, b, c = q
+        crank, coupler = cmath.rect(1, a), cmath.rect(1, a + b)
+        rocker, tip = cmath.rect(1, c), 0.35 * crank + 0.95 * coupler
+        parts = [(2, 0), (0.6, 0.15 * crank), (1.3, 0.35 * crank + 0.45 * coupler)]
+        parts += [(1, 1.1 + 0.36 * rocker)]
+        return x + sum(m * at.real for m, at in parts) / 4.9, tip - 1.1 - 0.8 * rocker
+
+    path = scene(CARRIED)
+    words = ("sweep", path, "--vary", "q1=0,0.5", "--time", 1, "--result", "final", "--quiet")
+    given = robodyn(*words, "--q", "0,60deg").succeeds()
+    # of the two circles about the pins, where the coupler's tip is to the left
+    mid = 0.35 * cmath.rect(1, math.pi / 3)
+    way, along = 1.1 - mid, (0.95**2 - 0.8**2 + abs(1.1 - mid) ** 2) / (2 * abs(1.1 - mid))
+    tip = mid + way / abs(way) * complex(along, math.sqrt(0.95**2 - along**2))
+    b, c = cmath.phase(tip - mid) - math.pi / 3, cmath.phase(tip - 1.1)
+    for row, x in zip(given.rows, (0.0, 0.5), strict=True):
+        end = [float(row[f"q{k}_end"]) for k in range(1, 5)]
+        (before, closed), (after, gap) = places([x, math.pi / 3, b, c]), places(end)
+        assert abs(closed) < 1e-12
+        assert abs(gap) < 1e-9
+        assert after == pytest.approx(before, abs=1e-8)
+        assert abs(end[1] - math.pi / 3) > 1.0
+    assert robodyn(*words, "--q", f"0,60deg,{b!r},{c!r}").succeeds().out == given.out
+    refused = robodyn(*words, "--q", 1).fails(2, "needs 4 values", "or 2 (cart, crank)")
+    assert refused.out == ""
+
+
+def test_a_loop_that_nothing_drives(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    text = (ROOT / "robots/four-bar.yaml").read_text()
+    words = ("--vary", "q1=0.5,1", "--vary", "qd1=0,2", "--time", 0.5, "--quiet")
+    driven = robodyn("sweep", scene(text), *words).succeeds()
+    free = robodyn("sweep", scene(text.replace("actuated: [crank]", "actuated: []")), *words)
+    assert free.succeeds().out == driven.out
 
 
 # Files

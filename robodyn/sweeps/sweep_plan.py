@@ -15,7 +15,7 @@ from robodyn.control.tracking import ReferenceTable
 from robodyn.dynamics.state_columns import torque_columns
 from robodyn.engines import machine
 from robodyn.errors import InputError
-from robodyn.loops import assembly
+from robodyn.loops.assembly_plan import assembly_plan, with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.scene import Tables
 from robodyn.scene.scene_values import SceneValues, read_numbers
@@ -35,8 +35,9 @@ _ENDS = ("min", "max")
 class Plan:
     """All that the rows of a sweep depend on: plain values, which go to other processes.
 
-    `q`, `qd`, `qdd` and `tau` are those of the actuated joints, which axes named q1, tau2, ...
-    replace; every other axis names a number of the scene.
+    `q`, `qd` and `qdd` are those of the independent joints (see `with_independent`), `tau` those
+    of the actuated ones.  Axes named q1, tau2, ... replace them; every other axis names a number of
+    the scene.
     """
 
     scene: str  # its text
@@ -176,5 +177,5 @@ def check(plan: Plan) -> Mechanism:
         axis = plan.variation.axes[k]
         for value in axis.ends:
             build(plan.values.replaced({axis.name: value}))
-    assembly.assembly_plan(mechanism)
+    assembly_plan(mechanism if plan.track else with_independent(mechanism))
     return mechanism
