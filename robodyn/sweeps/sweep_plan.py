@@ -118,7 +118,7 @@ class Plan:
         del facts["tables"]
         for file in dict.fromkeys(file for file, *_ in self.tables):
             own = [pair for pair in self.tables.items() if pair[0][0] == file]
-            facts[f"table {file}"] = hashlib.sha256(repr(own).encode()).hexdigest()
+            facts[f"table {file}"] = hashlib.sha256(repr(own).encode()).hexdigest()[:16]
         for name in ("events", "numbers", "told", "of", "rows", "track", "control"):
             if not facts[name]:
                 del facts[name]
