@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+import sys
 
 
 def main() -> None:
@@ -16,4 +17,8 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    # `python -m` puts the working directory first: no file there is to stand in for a module
+    here = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    if not sys.flags.safe_path and sys.path[0] != here:
+        del sys.path[0]
     main()

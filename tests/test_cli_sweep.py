@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import json
 import math
 import os
@@ -12,13 +13,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import FRESH, ROOT, Outcome
 from named_case import case
+from scipy.integrate import solve_ivp
 from sliding_scenes import BLOCK
 
 import robodyn as package
 from robodyn import inverse_dynamics, load, simulate
+from robodyn.engines import machine
 from robodyn.sweeps import sweep_plan
 from robodyn.sweeps.sweep_chunks import Rows, run_chunk
 
@@ -120,6 +124,92 @@ def test_flip_of_a_link(robodyn: Run) -> None:
     assert motion.q[-1, 0] == pytest.approx(math.pi / 2, abs=1e-7)
 
 
+# Joints that neither an actuator nor a loop determines
+
+POLE = """gravity: 9.81
+links:
+  - {name: cart, joint: prismatic, axis: [1, 0], m: 1.3, l: 0, r: 0, I: 0}
+  - {name: pole, m: 0.4, l: 1, r: 0.6, I: 0.05}
+actuated: [cart]
+"""
+CARRIED = """gravity: 9.81
+links:
+  - {name: cart, joint: prismatic, axis: [1, 0], m: 2, l: 0, r: 0, I: 0}
+  - {name: crank, m: 0.6, l: 0.35, r: 0.15, I: 0.008}
+  - {name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102}
+  - {name: rocker, m: 1, l: 0.8, r: 0.36, I: 0.061, from: "cart@1.1,0"}
+closures: [[coupler, rocker]]
+actuated: [crank]
+"""
+
+
+def _pole(start: list[float], force: float, m: float) -> list[float]:
+    """The end after 0.8 s by Lagrange's equations: the pole's centre is at x + r cos q, r sin q."""
+
+    def rates(t: float, y: list[float]) -> list[float]:
+        _, q, xd, qd = y
+        M = [[1.3 + m, -m * 0.6 * math.sin(q)], [-m * 0.6 * math.sin(q), 0.05 + m * 0.36]]
+        right = [force + m * 0.6 * math.cos(q) * qd**2, -m * 9.81 * 0.6 * math.cos(q)]
+        return [xd, qd, *np.linalg.solve(M, right)]
+
+    end: list[float] = solve_ivp(rates, (0, 0.8), start, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    return end
+
+
+@pytest.mark.parametrize("engine", ["python", "compiled"] if machine.available() else ["python"])
+def test_a_pole_on_a_cart(robodyn: Run, scene: Callable[[str], Path], engine: str) -> None:
+    varied = ("q2=60deg,80deg", "qd1=0,0.5", "tau1=0,2", "links.pole.m=0.4,0.7")
+    words = [x for text in varied for x in ("--vary", text)]
+    given = robodyn(
+        "sweep", scene(POLE), *words, "--q", "0.1,0", "--qd", "0,-0.3", "--time", 0.8,
+        "--result", "final", "--engine", engine, "--quiet",
+    ).succeeds()  # fmt: skip
+    assert len(given.rows) == 16
+    for row in given.rows:
+        q, qd, force, m = (float(row[name.partition("=")[0]]) for name in varied)
+        end = [float(row[f"{name}_end"]) for name in ("q1", "q2", "qd1", "qd2")]
+        assert end == pytest.approx(_pole([0.1, q, qd, -0.3], force, m), abs=1e-7)
+
+
+def test_a_four_bar_on_a_cart(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    """Cart and crank determine the rest; nothing pushes along X, so the centre stays above it."""
+
+    def places(q: list[float]) -> tuple[float, complex]:
+        x, a, b, c = q
+        crank, coupler = cmath.rect(1, a), cmath.rect(1, a + b)
+        rocker, tip = cmath.rect(1, c), 0.35 * crank + 0.95 * coupler
+        parts = [(2, 0), (0.6, 0.15 * crank), (1.3, 0.35 * crank + 0.45 * coupler)]
+        parts += [(1, 1.1 + 0.36 * rocker)]
+        return x + sum(m * at.real for m, at in parts) / 4.9, tip - 1.1 - 0.8 * rocker
+
+    path = scene(CARRIED)
+    words = ("sweep", path, "--vary", "q1=0,0.5", "--time", 1, "--result", "final", "--quiet")
+    given = robodyn(*words, "--q", "0,60deg").succeeds()
+    # of the two circles about the pins, where the coupler's tip is to the left
+    mid = 0.35 * cmath.rect(1, math.pi / 3)
+    way, along = 1.1 - mid, (0.95**2 - 0.8**2 + abs(1.1 - mid) ** 2) / (2 * abs(1.1 - mid))
+    tip = mid + way / abs(way) * complex(along, math.sqrt(0.95**2 - along**2))
+    b, c = cmath.phase(tip - mid) - math.pi / 3, cmath.phase(tip - 1.1)
+    for row, x in zip(given.rows, (0.0, 0.5), strict=True):
+        end = [float(row[f"q{k}_end"]) for k in range(1, 5)]
+        (before, closed), (after, gap) = places([x, math.pi / 3, b, c]), places(end)
+        assert abs(closed) < 1e-12
+        assert abs(gap) < 1e-9
+        assert after == pytest.approx(before, abs=1e-8)
+        assert abs(end[1] - math.pi / 3) > 1.0
+    assert robodyn(*words, "--q", f"0,60deg,{b!r},{c!r}").succeeds().out == given.out
+    refused = robodyn(*words, "--q", 1).fails(2, "needs 4 values", "or 2 (cart, crank)")
+    assert refused.out == ""
+
+
+def test_a_loop_that_nothing_drives(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    text = (ROOT / "robots/four-bar.yaml").read_text()
+    words = ("--vary", "q1=0.5,1", "--vary", "qd1=0,2", "--time", 0.5, "--quiet")
+    driven = robodyn("sweep", scene(text), *words).succeeds()
+    free = robodyn("sweep", scene(text.replace("actuated: [crank]", "actuated: []")), *words)
+    assert free.succeeds().out == driven.out
+
+
 # Files
 
 
@@ -203,8 +293,40 @@ def test_facts_of_brackets_are_no_defect(robodyn: Run, tmp_path: Path) -> None:
     assert "defect" not in refused.err
 
 
-def _cut_off(robodyn: Run, path: Path, chunks: int) -> None:
-    """The small sweep, cut off after so many chunks; after all nine before it takes its place."""
+SPRUNG = "links: [{name: a, m: 1, l: 1, r: 0, I: 1}]\nsprings: [{joint: a, table: F.csv, angle: 0}]"
+STIFF, REVERSED = "x,F\n-9,-90\n9,90\n", "x,F\n-9,90.\n9,-90\n"  # as many bytes
+
+
+def _replace_table(path: Path, text: str) -> None:
+    """Put another table in place of one, with the time of that, as `cp -p` may."""
+    times = path.stat().st_atime_ns, path.stat().st_mtime_ns
+    path.write_text(text)
+    os.utime(path, ns=times)
+
+
+@pytest.mark.usefixtures("_small_chunks")
+def test_a_table_replaced_after_a_cut(
+    robodyn: Run, tmp_path: Path, scene: Callable[[str], Path]
+) -> None:
+    """The torque that holds the arm at 0.3 is that of the spring, 10 * 0.3, at every point."""
+    table, out = tmp_path / "F.csv", tmp_path / "out.csv"
+    table.write_text(STIFF)
+    words = ("sweep", scene(SPRUNG), "--vary", "links.a.m=1:2:900", "--q", 0.3, "--kind", "torque")
+    _cut_off(robodyn, out, 3, words)
+    _replace_table(table, REVERSED)
+    refused = robodyn(*words, "-o", out).fails(2, "out.csv.partial", "another computation")
+    assert refused.err.count("table F.csv") == 2
+    assert robodyn(*words, "--quiet").succeeds().column("tau1") == [-3.0] * 900
+    _replace_table(table, STIFF)
+    resumed = robodyn(*words, "-o", out, "--workers", 1)
+    assert "300 of 900 points: going on" in resumed.err
+    assert out.read_text().count(",3.0,finished\n") == 900
+
+
+def _cut_off(
+    robodyn: Run, path: Path, chunks: int, words: tuple[object, ...] = (*ARM, *SMALL)
+) -> None:
+    """A sweep cut off after so many of nine chunks; after all of them before it takes its place."""
 
     def limited(plan: sweep_plan.Plan, number: int) -> Rows:
         if number >= chunks:
@@ -214,7 +336,7 @@ def _cut_off(robodyn: Run, path: Path, chunks: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("robodyn.sweeps.sweep_workers.run_chunk", limited)
         patch.setattr("robodyn.sweeps.resumable_file.ResumableFile.finish", lambda file: None)
-        cut = robodyn(*ARM, *SMALL, "-o", path, "--workers", 1)
+        cut = robodyn(*words, "-o", path, "--workers", 1)
     assert cut.code == (0 if chunks == 9 else 130)
     assert chunks == 9 or f"{100 * chunks} of 900 points are in" in cut.err
     assert not path.exists()
@@ -268,6 +390,28 @@ def test_ctrl_c_is_quiet_while_processes_begin_and_work(later: float, tmp_path: 
     _, told = process.communicate(timeout=60)
     assert process.returncode == 130
     assert [line for line in told.splitlines() if "the same command goes on" not in line] == []
+
+
+BIN = Path(sys.executable).parent
+PLANTED = ("socket", "pickle", "multiprocessing", "random", "json", "numpy")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [[BIN / "robodyn"], [sys.executable, "-m", "robodyn"], [sys.executable, "-E", BIN / "robodyn"]],
+)
+def test_no_code_of_the_working_directory_runs(line: list[str | Path], tmp_path: Path) -> None:
+    for name in PLANTED:
+        text = f"open({str(tmp_path / 'ran')!r}, 'a').write({name!r})\nraise ImportError\n"
+        (tmp_path / f"{name}.py").write_text(text)
+    words = ["sweep", ROOT / "robots/2r.yaml", "--vary", "q1=0:3:4001", "--kind", "torque"]
+    words += ["--workers", "2", "--quiet"]
+    done = subprocess.run(
+        [*line, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.count("finished") == 4001
+    assert not (tmp_path / "ran").exists()
 
 
 # Streams

@@ -24,7 +24,7 @@ from robodyn.engines.straightline import compile_floats
 from robodyn.engines.tangents import substituted, tangents
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import build
-from robodyn.scene.scene_values import numbers_of
+from robodyn.scene.scene_values import read_numbers
 
 
 def check(at: Case, seed: int) -> None:
@@ -138,7 +138,7 @@ def test_what_sticks_has_no_part_in_it(scene) -> None:
     ahead, behind = (rd.forward_dynamics(mech, [0.3 + x, -1.2], [0.5, 0], [9, 3]) for x in (h, -h))
     assert found.by_q[0, 0] == pytest.approx((ahead - behind)[0] / (2 * h), rel=1e-7)
     state, number = ([0.3, -1.2], [0.5, 0.0], [9.0, 3.0]), "links.upper arm.l"
-    expected = by_differences(numbers_of(dry, mech.source), number, state)
+    expected = by_differences(read_numbers(dry, mech.source), number, state)
     found = rd.forward_dynamics_derivatives(mech, *state, numbers=[number])
     assert relative_error(found.by_numbers[:, 0], expected) < 1e-8
 
@@ -168,7 +168,7 @@ def by_differences(values, name: str, state: tuple, solve=rd.forward_dynamics) -
 @pytest.mark.parametrize("name", ["2r", "four-bar", "rp-arm", "spring-slider-crank", "whitworth"])
 def test_every_number_of_a_scene(name: str) -> None:
     mech = rd.load(ROOT / f"robots/{name}.yaml")
-    values = numbers_of((ROOT / f"robots/{name}.yaml").read_text(), mech.source)
+    values = read_numbers((ROOT / f"robots/{name}.yaml").read_text(), mech.source)
     sample = identities.sample_states(mech, 1)
     state = sample.q[0], sample.qd[0], np.eye(mech.n)[mech.actuated[0]]
     known = 0
@@ -263,7 +263,7 @@ def test_a_stop_that_is_pressed(scene: Callable[[str], Path]) -> None:
         "links:\n  - {name: arm, m: 1.5, l: 0.3, r: 0.2, I: 0.05,"
         " limits: {min: -0.5, max: 2, stiffness: 300, damping: 2}}\n"
     )
-    mech, values = rd.load(path), numbers_of(path.read_text(), str(path))
+    mech, values = rd.load(path), read_numbers(path.read_text(), str(path))
     state = np.array([-0.6]), np.array([0.2]), np.array([0.0])
     for name in ("min", "stiffness", "damping"):
         number = f"links.arm.limits.{name}"

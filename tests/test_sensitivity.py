@@ -23,7 +23,7 @@ from robodyn.engines.expression import Graph
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import table as torque_table
 from robodyn.mechanics.mechanism import build
-from robodyn.scene.scene_values import numbers_of
+from robodyn.scene.scene_values import read_numbers
 
 Scene = Callable[[str], Path]
 TIGHT = {"rtol": 1e-12, "atol": 1e-12}
@@ -54,7 +54,7 @@ def differences(
 
     `bends`: its second derivative jumps there.
     """
-    values = numbers_of(path.read_text(), str(path))
+    values = read_numbers(path.read_text(), str(path))
 
     own = rd.load(path)
 
@@ -582,7 +582,7 @@ def test_random_scenes(kind: str, scene: Scene) -> None:
     """Springs, couplings, slots, motors, loads: the series against a tight run by DOP853."""
     drawn = plain_scene(kind, 2)
     path = scene(drawn.text)
-    mech, values = rd.load(path), numbers_of(drawn.text, str(path))
+    mech, values = rd.load(path), read_numbers(drawn.text, str(path))
     rates = drawn.qd[list(mech.actuated)]
     start = drawn.q, rd.loop_velocities(mech, drawn.q, rates) if mech.rows else drawn.qd
     names = [f"q{mech.actuated[0] + 1}"]

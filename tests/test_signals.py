@@ -4,6 +4,8 @@ All engines are held against 30 digits of such scenes in test_engines.py.
 """
 
 import math
+import os
+import pickle
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +22,7 @@ from random_mechanisms import mechanism
 from robodyn import (
     forward_dynamics,
     inverse_dynamics,
+    inverse_dynamics_derivatives,
     potential_energy,
     simulate,
 )
@@ -27,9 +30,10 @@ from robodyn.engines import machine
 from robodyn.engines.row_values import TableLeftError
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.mechanism import load
+from robodyn.mechanics.mechanism import build, load
 from robodyn.scene.description import from_text
 from robodyn.scene.scene_schema import scene_schema
+from robodyn.scene.scene_values import SceneValues
 from robodyn.simulation.extended import reference
 from robodyn.sweeps.lanes import Aims, Motions, integrate
 from robodyn.taylor import Status
@@ -445,6 +449,24 @@ def test_a_hundred_slips_are_refused(tmp_path):
         assert all(fault.line is not None for fault in error.value.faults), (word, slip)
         refused += 1
     assert refused >= 100
+
+
+def test_a_table_is_read_once(tmp_path):
+    """A loaded scene keeps its tables, whatever becomes of their files; the next has the new."""
+    path = tmp_path / "a.yaml"
+    table(tmp_path, "F.csv", "x,F", [(-9.0, -90.0), (9.0, 90.0)])
+    path.write_text(ARM + "springs: [{joint: arm, table: F.csv, angle: 0}]\n")
+    old = pickle.loads(pickle.dumps(load(path)))
+    times = (tmp_path / "F.csv").stat()
+    table(tmp_path, "F.csv", "x,F", [(-9.0, 90.0), (9.0, -90.0)])
+    os.utime(tmp_path / "F.csv", ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert inverse_dynamics(load(path), [0.3], [0], [0])[0] == pytest.approx(-3.0)
+    heavy = SceneValues(old.description.written, old.source).replaced({"links.arm.m": 2.0})
+    again = SceneValues(heavy.written, old.source).replaced({"links.arm.I": 1.0})
+    for mech in (old, build(heavy), build(again)):
+        assert inverse_dynamics(mech, [0.3], [0], [0])[0] == pytest.approx(3.0)
+    found = inverse_dynamics_derivatives(old, [0.3], [0], [0], numbers=["links.arm.m"])
+    assert found.by_numbers[0, 0] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_expressions_with_units(tmp_path):

@@ -31,6 +31,7 @@ from robodyn.scene.scene_values import SceneValues
 from robodyn.sweeps import sweep_chunks, sweep_workers
 from robodyn.sweeps.sweep_chunks import Rows, run_chunk
 from robodyn.sweeps.sweep_plan import Plan, best_engine, check
+from robodyn.sweeps.sweep_request import SweepRequest, plan_of
 from robodyn.sweeps.sweep_workers import results
 from robodyn.sweeps.variation import Axis, Variation, spaced
 
@@ -272,6 +273,21 @@ class TestWorkers:
     def test_an_error_of_a_worker_comes_through(self) -> None:
         with pytest.raises(RobodynError, match="version"):
             whole(replace(self.SMALL, version="0.0"), workers=2)
+
+    def test_tables_are_read_once(self, tmp_path) -> None:
+        """Workers do not look for the file; what holds the arm at 0.3 is the spring, 10 * 0.3."""
+        table, path = tmp_path / "F.csv", tmp_path / "sprung.yaml"
+        table.write_text("x,F\n-9,-90\n9,90\n")
+        path.write_text(
+            "links: [{name: a, m: 1, l: 1, r: 0, I: 1}]\n"
+            "springs: [{joint: a, table: F.csv, angle: 0}]\n"
+        )
+        request = SweepRequest(["links.a.m=1:2:40"], kind="torque", q="0.3")
+        sprung = replace(plan_of(SceneValues(path.read_text(), str(path)), (), request), chunk=10)
+        table.unlink()
+        for workers in (1, 2):
+            rows = whole(sprung, workers=workers)
+            assert column(sprung, rows, "tau1").tolist() == [3.0] * 40
 
     def test_the_engine_is_chosen(self) -> None:
         arm, sprung = (build(from_text(text(x), x)) for x in ("2r", "spring-slider-crank"))

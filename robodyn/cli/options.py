@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Option
@@ -17,6 +17,7 @@ from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import Mechanism
+    from robodyn.scene.scene import Description
     from robodyn.scene.scene_values import SceneValues
 
 Text = str | None  # of an option that may be left out
@@ -60,9 +61,9 @@ class Model:
 
     def load(self) -> Mechanism:
         """The mechanism; InputError for a faulty scene, naming --set where that made it so."""
-        from robodyn.mechanics.mechanism import build, load
+        from robodyn.mechanics.mechanism import build
 
-        mechanism = build(self.values().base) if self.numbers else load(self.model)
+        mechanism = build(self.values().base if self.numbers else self._read)
         self._tell_large_angles(mechanism)
         return mechanism
 
@@ -82,9 +83,14 @@ class Model:
 
     def values(self) -> SceneValues:
         """The numbers of the scene, those of --set in place of its own."""
-        from robodyn.scene.scene_values import numbers_of
+        return self._values
 
-        values = numbers_of(self.text(), self.model)
+    @cached_property
+    def _values(self) -> SceneValues:
+        from robodyn.scene.scene_values import SceneValues, read_numbers
+
+        written = self._read.written
+        values = SceneValues(written, self.model)
         if not (names := [name for name, _ in self.given]):
             return values
         try:
@@ -95,17 +101,18 @@ class Model:
         if clash := values.clash(names):
             raise InputError("--set", value=" and ".join(clash), limit="are one number")
         try:
-            return numbers_of(self.text(), self.model, self.given)
+            return read_numbers(written.text, self.model, self.given, written.tables)
         except DescriptionError as error:
             given = " ".join(f"--set {text}" for text in self.numbers or ())
             faults = [fault._replace(line=None) for fault in error.faults]
             raise DescriptionError(f"{self.model} with {given}", faults) from None
 
-    def text(self) -> str:
-        """The scene file as it is."""
-        from robodyn.scene.yaml_tree import read_text
+    @cached_property
+    def _read(self) -> Description:
+        """The scene file as it is, with the tables that it names: read once a command."""
+        from robodyn.scene.description import read
 
-        return read_text(Path(self.model))
+        return read(self.model)
 
     def put(self) -> dict[str, float | tuple[float, ...]]:
         """What --set gives, by the names of numbers, as a scene is rewritten with it."""

@@ -28,8 +28,8 @@ from robodyn.sweeps.sweep_plan import EVENTS, RESULTS, Plan
 from robodyn.sweeps.sweep_request import Acting, Kind, SweepRequest
 from robodyn.sweeps.variation import Axis
 
-_Q = "Angles of the actuated joints, rad, or 30deg (the rest is assembled). Default: zero."
-_QDD = "Accelerations of the actuated joints, rad/s^2, for torques. Default: zero."
+_Q = "Angles, rad, or 30deg, of the joints that determine all others. Default: zero."
+_QDD = "Accelerations of these joints, rad/s^2, for torques. Default: zero."
 _TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
 _OF = "The points of such columns, as `points` has them; repeatable."
 _ROWS = f"Even rows of a motion that columns are taken of. Default: {DEFAULT_POINTS}."
@@ -52,7 +52,7 @@ class SweepOptions(SweepRequest):
     seed: int = option("Of the random sample.", "S", default=SweepRequest.seed)
     kind: Kind = option("Motions, or torques at states.", default=SweepRequest.kind)
     q: Text = option(_Q, "VECTOR")
-    qd: Text = option("Rates of the actuated joints, rad/s or 30deg. Default: zero.", "VECTOR")
+    qd: Text = option("Rates of these joints, rad/s or 30deg. Default: zero.", "VECTOR")
     qdd: Text = option(_QDD, "VECTOR")
     tau: Text = option("Constant torques of the actuated joints, N m. Default: zero.", "VECTOR")
     time: Number = option(_TIME, "S")
@@ -75,7 +75,7 @@ class SweepOptions(SweepRequest):
 def plan_of(model: Model, given: SweepRequest, control: ControlOptions) -> Plan:
     """What the options say; InputError naming the option that is wrong."""
     scene, acts = model.values(), partial(_acting, given, control)
-    return sweep_request.plan_of(scene, model.text(), model.given, given, acts)
+    return sweep_request.plan_of(scene, model.given, given, acts)
 
 
 def _acting(

@@ -6,7 +6,7 @@ What is left is closed by Newton's method.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from robodyn.errors import InputError
@@ -39,8 +39,47 @@ class Plan:
 
 
 @lru_cache(maxsize=64)
+def with_independent(mechanism: Mechanism) -> Mechanism:
+    """The mechanism as if the joints that determine all others were its actuated ones.
+
+    If the actuated joints determine all others, it is the mechanism itself.  Else the joints that
+    no loop or coupling determines are added, such as the pole of a cart-pole.
+    """
+    plan, free = _order(mechanism)
+    few = len(mechanism.actuated) < mechanism.n - len(mechanism.rows)
+    if not (free or (few and plan.rest)):
+        return mechanism
+    followers = {coupling.joint for coupling in mechanism.description.couplings}
+    more = free or sorted(plan.rest, key=lambda k: k in followers)[:1]
+    return with_independent(
+        replace(mechanism, actuated=tuple(sorted((*mechanism.actuated, *more))))
+    )
+
+
+@lru_cache(maxsize=64)
 def assembly_plan(mechanism: Mechanism) -> Plan:
     """The order in which the closures can be solved; InputError where joints are left free."""
+    plan, free = _order(mechanism)
+    freedoms = mechanism.n - len(mechanism.rows)
+    if len(mechanism.actuated) < freedoms and not free:
+        limit = f"{freedoms} freedoms need as many actuated joints, {len(mechanism.actuated)} are "
+        limit += f"named: name more in `actuated`, or give all {mechanism.n} joint angles"
+        passive = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.passive)
+        raise InputError(f"cannot assemble {passive}", where=mechanism.source, limit=limit)
+    if free or (plan.rest and mechanism.description.start is None):
+        names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in free or plan.rest)
+        limit = (
+            f"neither actuated nor held by a loop: give all {mechanism.n} joint angles"
+            if free
+            else "in loops that are no chain of two-link closures: add a `start` configuration to "
+            f"the scene, or give all {mechanism.n} joint angles"
+        )
+        raise InputError(f"cannot assemble {names}", where=mechanism.source, limit=limit)
+    return plan
+
+
+def _order(mechanism: Mechanism) -> tuple[Plan, list[int]]:
+    """The plan as far as dyads lead, and the joints that no loop or coupling holds."""
     turns_with: list[int | None] = [None] * mechanism.n
     coupled, open_couplings = _resolve_couplings(mechanism)
     given = {*mechanism.actuated, *(joint for joint, _ in coupled)}
@@ -69,22 +108,7 @@ def assembly_plan(mechanism: Mechanism) -> Plan:
     rest = tuple(k for k in mechanism.passive if k not in known and k not in given)
     held = set(open_couplings).union(*(loops[i] for i in waiting))
     free = [k for k in rest if k not in held]
-    freedoms = mechanism.n - len(mechanism.rows)
-    if len(mechanism.actuated) < freedoms and not free:
-        limit = f"{freedoms} freedoms need as many actuated joints, {len(mechanism.actuated)} are "
-        limit += f"named: name more in `actuated`, or give all {mechanism.n} joint angles"
-        passive = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.passive)
-        raise InputError(f"cannot assemble {passive}", where=mechanism.source, limit=limit)
-    if free or (rest and mechanism.description.start is None):
-        names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in free or rest)
-        limit = (
-            f"neither actuated nor held by a loop: give all {mechanism.n} joint angles"
-            if free
-            else "in loops that are no chain of two-link closures: add a `start` configuration to "
-            f"the scene, or give all {mechanism.n} joint angles"
-        )
-        raise InputError(f"cannot assemble {names}", where=mechanism.source, limit=limit)
-    return Plan(coupled, tuple(turns_with), tuple(steps), rest, tuple(two_way))
+    return Plan(coupled, tuple(turns_with), tuple(steps), rest, tuple(two_way)), free
 
 
 def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...], set[int]]:

@@ -59,7 +59,7 @@ def sweep(
         numbers.update({scene.own_name(name): _written(x) for name, x in put.items()})
     with named_as_arguments():
         request = SweepRequest(vary=axes, sample=sample, **given)
-        plan = plan_of(scene, written.text, tuple(numbers.items()), request)
+        plan = plan_of(scene, tuple(numbers.items()), request)
         check(plan)
     with closing(results(plan, 0, workers)) as chunks:
         rows = list(chunks)

@@ -136,7 +136,7 @@ def vector_of_joints(mechanism: Mechanism, text: str, kind: str, flag: str) -> l
         wanted = f"{n} values, one a joint ({', '.join(mechanism.link_names)})"
         if 0 < actuated < n:
             names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
-            wanted += f", or {actuated}, one an actuated joint ({names})"
+            wanted += f", or {actuated} ({names})"
         count = "1 value" if len(values) == 1 else f"{len(values)} values"
         raise InputError(flag, value=f"{shown(text)} ({count})", limit=f"needs {wanted}")
     return values

@@ -33,6 +33,7 @@ from robodyn.scene.scene import (
     Motor,
     Point,
     Spring,
+    Tables,
     Written,
 )
 from robodyn.scene.varying import SignalReader
@@ -50,21 +51,23 @@ def from_text(text: str, source: str) -> Description:
     return from_tree(yaml_tree.parse(text, source), source, text)
 
 
-def from_tree(root: Node | None, source: str, text: str = "") -> Description:
+def from_tree(
+    root: Node | None, source: str, text: str = "", tables: Tables | None = None
+) -> Description:
     """The description that a parsed scene holds, and its text, if it has one.
 
-    Raises DescriptionError with all of its faults.
+    Files of tables are read unless `tables` has them.  Raises DescriptionError with all faults.
     """
     if root is None:
         raise DescriptionError(source, [Fault("", "is empty: a scene needs at least `links`")])
     if not isinstance(root, Mapping):
         fault = Fault("", "must be a mapping of keys (links, gravity, ...)", line=root.line)
         raise DescriptionError(source, [fault])
-    reader = _Reader()
+    reader = _Reader(tables)
     with suppress(TooManyFaults):
         description = reader.scene(root, source)
         if not reader.faults:
-            return description._replace(written=Written(root, text=text))
+            return description._replace(written=Written(root, (), text, reader.tables))
     raise DescriptionError(source, sorted(reader.faults, key=lambda fault: fault.line or 0))
 
 
@@ -77,8 +80,9 @@ class _Reader(PointReader, SignalReader):
         "varying_vector": (0.0, 0.0),
     }
 
-    def __init__(self) -> None:
+    def __init__(self, tables: Tables | None) -> None:
         super().__init__()
+        self.tables = dict(tables or {})
         self.closures = 0  # how many were read
 
     # -- the scene ---------------------------------------------------------------------------

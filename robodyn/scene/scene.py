@@ -131,6 +131,10 @@ class Table(Record):
 
 Signal = Law | Table
 
+# of files that a scene names: x and value of each row, by file, both columns' names, and whether
+# x is an angle that turns
+Tables = dict[tuple[str, str, str, bool], tuple[tuple[float, ...], tuple[float, ...]]]
+
 
 class Spring(Record):
     """A spring (N/m, free length m) and damper (N s/m) between two points.
@@ -215,11 +219,16 @@ class Written:
     """
 
     def __init__(
-        self, tree: Any = None, put: tuple[Mapping[str, Any], ...] = (), text: str = ""
+        self,
+        tree: Any = None,
+        put: tuple[Mapping[str, Any], ...] = (),
+        text: str = "",
+        tables: Tables | None = None,
     ) -> None:
         self.tree = tree  # a node of `yaml_tree.py`
         self.put = put  # in turn
         self.text = text  # that the tree was parsed from
+        self.tables = tables or {}  # as they were when the scene was first read
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Written)

@@ -12,14 +12,13 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
 from robodyn.scene.grammar import BY_JOINT, NUMBERS, OR_VECTOR, Key, form_of
 from robodyn.scene.quantities import parse_quantity
-from robodyn.scene.scene import Description, Written
+from robodyn.scene.scene import Description, Tables, Written
 from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 from robodyn.scene.yaml_values import nearest
@@ -77,14 +76,17 @@ class _Place:
 class SceneValues:
     """The numbers of a scene by name, of its text or of what it was read from.
 
+    Files of tables are read once, here, unless `tables` or the scene has their rows already.
     Raises DescriptionError for a faulty scene, InputError for an unknown name of what was put.
     """
 
-    def __init__(self, scene: str | Written, source: str) -> None:
+    def __init__(self, scene: str | Written, source: str, tables: Tables | None = None) -> None:
         self.source = source
         root = yaml_tree.parse(scene, source) if isinstance(scene, str) else scene.tree
         text = scene if isinstance(scene, str) else scene.text
-        self.base = description.from_tree(root, source, text)
+        known = tables if isinstance(scene, str) else scene.tables
+        self.base = description.from_tree(root, source, text, known)
+        self.tables = self.base.written.tables
         assert root is not None
         self.root = _unshared(root)
         self._places = self._found()
@@ -92,7 +94,8 @@ class SceneValues:
             for values in scene.put:
                 self._put(values)
                 self._places = self._found()
-            self.base = description.from_tree(self.root, source)._replace(written=scene)
+            again = description.from_tree(self.root, source, "", self.tables)
+            self.base = again._replace(written=scene)
 
     def _found(self) -> dict[str, _Place]:
         """Where the numbers stand, by all of their names."""
@@ -167,12 +170,13 @@ class SceneValues:
         undo = [(held, list(held)) for held in (self._places[name].held for name in values)]
         try:
             self._put(values)
-            found = description.from_tree(self.root, self.source)
+            found = description.from_tree(self.root, self.source, "", self.tables)
         finally:
             for held, own in undo:
                 held[:] = own
-        now = self.base.written
-        return found._replace(written=Written(now.tree, (*now.put, dict(values)), now.text))
+        now, tables = self.base.written, found.written.tables
+        written = Written(now.tree, (*now.put, dict(values)), now.text, tables)
+        return found._replace(written=written)
 
     def _put(self, values: Mapping[str, float | Node]) -> None:
         self.check(values)
@@ -180,20 +184,23 @@ class SceneValues:
             self._places[name].put(_unshared(value) if isinstance(value, Node) else value)
 
 
-def read_numbers(text: str, source: str, given: tuple[tuple[str, str], ...] = ()) -> SceneValues:
+def read_numbers(
+    text: str,
+    source: str,
+    given: tuple[tuple[str, str], ...] = (),
+    tables: Tables | None = None,
+) -> SceneValues:
     """The numbers of a scene's text, with those `given`, NAME and VALUE as a scene has it.
 
+    Files of tables are read unless `tables` has their rows.
     Raises InputError for names that are none, and DescriptionError for what no scene may have.
     """
-    values = SceneValues(text, source)
+    values = SceneValues(text, source, tables)
     if not given:
         return values
     nothing = Scalar("", False, 1)
     put = {name: yaml_tree.parse(value, source) or nothing for name, value in given}
     return SceneValues(values.replaced(put).written, source)
-
-
-numbers_of = lru_cache(maxsize=8)(read_numbers)  # read once for all who ask
 
 
 def _unshared(node: Node) -> Node:

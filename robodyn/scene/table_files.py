@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import io
 import math
-from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from robodyn.errors import InputError
-from robodyn.scene.scene import Table
+from robodyn.scene.scene import Table, Tables
 from robodyn.tables.csv_fields import DELIMITERS, unquoted
 from robodyn.tables.delimited import Delimited
 from robodyn.tables.table import Reader
@@ -25,20 +24,20 @@ PERIOD_OFF = 1e-6  # rad that the digits of a file may miss them by
 ENDS_AGREE = 1e-9  # of the largest value
 
 
-def read_table(source: str, file: str, over: str, x: str, column: str, turns: bool) -> Table:
+def read_table(
+    source: str, file: str, over: str, x: str, column: str, turns: bool, known: Tables
+) -> Table:
     """The table over the variable `over`, whose column is `x`, in a file beside the scene's.
+
+    A file that is not yet in `known` is read, and added to it.
 
     Where x is an angle that `turns`, the column may be that in degrees, x_deg; and a span of one or
     two turns whose ends agree repeats.  Raises ValueError with the reason for what is no table.
     """
-    path = Path(source).parent / file
-    try:
-        stat = path.stat()
-        if stat.st_size > MOST_BYTES:
-            raise ValueError(f"is larger than {MOST_BYTES} bytes")
-        places, values = _columns(str(path), (stat.st_mtime_ns, stat.st_size), x, column, turns)
-    except OSError as error:
-        raise ValueError(f"cannot be read: {(error.strerror or str(error)).lower()}") from None
+    key = file, x, column, turns
+    if key not in known:
+        known[key] = _columns(Path(source).parent / file, x, column, turns)
+    places, values = known[key]
     repeats = False
     if turns:
         period = min(PERIODS, key=lambda p: abs(places[-1] - places[0] - p))
@@ -61,19 +60,22 @@ def _commas(data: bytes, column: str) -> BinaryIO:
     return cast(BinaryIO, stream)
 
 
-@lru_cache(maxsize=32)
 def _columns(
-    path: str, version: tuple[int, int], x: str, column: str, turns: bool
+    path: Path, x: str, column: str, turns: bool
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Both columns; `version` tells the file from what it was."""
+    """Both columns of a file; ValueError with the reason if it has no such columns."""
     if x == column:
         raise ValueError(f"has {x} on both axes")
     try:
-        stream = _commas(Path(path).read_bytes(), column)
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError(f"is larger than {MOST_BYTES} bytes")
+        stream = _commas(path.read_bytes(), column)
         reader = Reader(stream, "", (column,) if turns else (x, column))
         rows = [row for chunk in reader.chunks([x, column]) for row in chunk.values.tolist()]
     except InputError as error:
         raise ValueError(str(error).lstrip(": ")) from None
+    except OSError as error:
+        raise ValueError(f"cannot be read: {(error.strerror or str(error)).lower()}") from None
     if not 2 <= len(rows) <= MOST_ROWS:
         raise ValueError(f"has {len(rows)} rows below its header; it needs 2 to {MOST_ROWS}")
     for (before, low), (after, high) in pairwise(rows):

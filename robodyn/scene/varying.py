@@ -7,7 +7,7 @@ from contextlib import suppress
 
 from robodyn.scene.grammar import Key
 from robodyn.scene.quantities import dimension_of
-from robodyn.scene.scene import Law, Signal, Table
+from robodyn.scene.scene import Law, Signal, Table, Tables
 from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import ValueReader
@@ -23,6 +23,7 @@ class SignalReader(ValueReader):
         self.source = ""
         self.count = 0  # of links
         self.slides: set[int] = set()
+        self.tables: Tables = {}
 
     def law(self, node: Node, place: str, unit: str) -> Law | None:
         """The pull of a spring as an expression in x and v."""
@@ -88,7 +89,7 @@ class SignalReader(ValueReader):
         from robodyn.scene.table_files import read_table
 
         try:
-            return read_table(self.source, file, over, x, column, turns)
+            return read_table(self.source, file, over, x, column, turns, self.tables)
         except ValueError as error:
             self.fault(place, node, str(error), file)
         return None

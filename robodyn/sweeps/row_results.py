@@ -18,6 +18,7 @@ from robodyn.dynamics.state_columns import Solved, column_names, columns_of
 from robodyn.errors import InputError
 from robodyn.kinematics.named_points import named_points
 from robodyn.loops import loop_rates
+from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.simulation import Motion
@@ -82,8 +83,8 @@ def check_results(
 
 
 def at_states(mechanism: Mechanism, t: Array, q: Array, qd: Array, qdd_driven: Array) -> Solved:
-    """What acts where the actuated joints are to accelerate so, at closed states (T, n)."""
-    qdd = loop_rates.loop_accelerations(mechanism, q, qd, qdd_driven)
+    """What acts if the independent joints accelerate so, at closed states (T, n)."""
+    qdd = loop_rates.loop_accelerations(with_independent(mechanism), q, qd, qdd_driven)
     found = inverse_dynamics_and_forces(mechanism, q, qd, qdd, t)
     return Solved(t, q, qd, qdd, found.tau, found.multipliers)
 

@@ -23,6 +23,7 @@ from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.state_columns import torque_columns
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
 from robodyn.loops import assembly, loop_rates
+from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.change_points import MISSES, suspect_quality
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -97,7 +98,9 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
     """The points, a group for each mechanism, less those that cannot be assembled."""
     axes = plan.variation.axes
     changed = list(plan.scene_axes)
-    scene = read_numbers(plan.scene, plan.source, plan.numbers) if changed else None
+    scene = None
+    if changed:
+        scene = read_numbers(plan.scene, plan.source, plan.numbers, plan.tables)
     members: dict[tuple[float, ...], list[int]] = {}
     for k, key in enumerate(map(tuple, points[:, changed].tolist())):
         members.setdefault(key, []).append(k)
@@ -113,12 +116,16 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
                         outcomes[k] = NO_SCENE
                     continue
                 raise InputError("the scene with these values", limit=str(error)) from None
-        chosen = np.array(indices)
+        chosen, driver = np.array(indices), with_independent(mechanism)
         q, qd, tau = (
-            _given(mechanism, name, base, axes, points[chosen])
-            for name, base in (("q", plan.q), ("qd", plan.qd), ("tau", plan.tau))
+            _given(given_by, name, base, axes, points[chosen])
+            for given_by, name, base in (
+                (driver, "q", plan.q),
+                (driver, "qd", plan.qd),
+                (mechanism, "tau", plan.tau),
+            )
         )
-        full_q, missing = assembly.attempt(mechanism, q)
+        full_q, missing = assembly.attempt(driver, q)
         closes = np.isfinite(full_q).all(axis=1) & (missing <= 0.0)
         chosen, full_q, qd, tau = chosen[closes], full_q[closes], qd[closes], tau[closes]
         full_qd, kept = _velocities(mechanism, full_q, qd)
@@ -160,15 +167,17 @@ def _regular(compute: Callable[[slice], Array], shape: tuple[int, int]) -> tuple
 
 
 def _velocities(mechanism: Mechanism, q: Array, qd: Array) -> tuple[Array, Kept]:
-    """All rates (k, n) from the actuated joints', and which states have them."""
-    return _regular(lambda k: loop_rates.loop_velocities(mechanism, q[k], qd[k]), q.shape)
+    """All rates (k, n) from the independent joints', and which states have them."""
+    driver = with_independent(mechanism)
+    return _regular(lambda k: loop_rates.loop_velocities(driver, q[k], qd[k]), q.shape)
 
 
 def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: list[str]) -> str:
     """The columns of a group, or of each of its points where one has none; the remark."""
     mechanism, first = group.mechanism, points.shape[1]
     texts = plan.told or torque_columns(mechanism)
-    given = _given(mechanism, "qdd", plan.qdd, plan.variation.axes, points[group.points])
+    driver = with_independent(mechanism)
+    given = _given(driver, "qdd", plan.qdd, plan.variation.axes, points[group.points])
 
     def compute(chosen: slice) -> Array:
         q, qd = group.q[chosen], group.qd[chosen]

@@ -6,7 +6,7 @@ Plain values, which go to other processes and machines, and which tell one sweep
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from typing import Any
 
@@ -15,9 +15,10 @@ from robodyn.control.tracking import ReferenceTable
 from robodyn.dynamics.state_columns import torque_columns
 from robodyn.engines import machine
 from robodyn.errors import InputError
-from robodyn.loops import assembly
+from robodyn.loops.assembly_plan import assembly_plan, with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.scene.scene_values import SceneValues, numbers_of
+from robodyn.scene.scene import Tables
+from robodyn.scene.scene_values import SceneValues, read_numbers
 from robodyn.sweeps.variation import Variation
 from robodyn.taylor.compiled import serves
 
@@ -34,8 +35,9 @@ _ENDS = ("min", "max")
 class Plan:
     """All that the rows of a sweep depend on: plain values, which go to other processes.
 
-    `q`, `qd`, `qdd` and `tau` are those of the actuated joints, which axes named q1, tau2, ...
-    replace; every other axis names a number of the scene.
+    `q`, `qd` and `qdd` are those of the independent joints (see `with_independent`), `tau` those
+    of the actuated ones.  Axes named q1, tau2, ... replace them; every other axis names a number of
+    the scene.
     """
 
     scene: str  # its text
@@ -57,6 +59,7 @@ class Plan:
     chunk: int = CHUNKS["python"]
     events: tuple[tuple[str, str], ...] = ()  # names and expressions
     numbers: tuple[tuple[str, str], ...] = ()  # of the scene, in place of its own
+    tables: Tables = field(default_factory=dict)  # that the scene names, so that nobody reads them
     told: tuple[str, ...] = ()  # results of columns, see `row_results.py`
     of: tuple[str, ...] = ()  # the points of these columns
     rows: int = 0  # of a motion whose columns are told
@@ -70,12 +73,16 @@ class Plan:
     @property
     def values(self) -> SceneValues:
         """The numbers of the scene, read once."""
-        return numbers_of(self.scene, self.source, self.numbers)
+        return _values(*self._scene)
 
     @property
     def mechanism(self) -> Mechanism:
         """That of the scene as it is."""
-        return _mechanism(self.scene, self.source, self.numbers)
+        return _mechanism(*self._scene)
+
+    @property
+    def _scene(self) -> tuple[Any, ...]:
+        return self.scene, self.source, self.numbers, tuple(self.tables.items())
 
     @property
     def scene_axes(self) -> tuple[int, ...]:
@@ -106,8 +113,12 @@ class Plan:
 
     def facts(self) -> dict[str, object]:
         """Everything that the rows depend on, as JSON has it."""
-        facts = {field.name: getattr(self, field.name) for field in fields(self)}
+        facts = {x.name: getattr(self, x.name) for x in fields(self)}
         del facts["source"]  # which may be named from elsewhere
+        del facts["tables"]
+        for file in dict.fromkeys(file for file, *_ in self.tables):
+            own = [pair for pair in self.tables.items() if pair[0][0] == file]
+            facts[f"table {file}"] = hashlib.sha256(repr(own).encode()).hexdigest()[:16]
         for name in ("events", "numbers", "told", "of", "rows", "track", "control"):
             if not facts[name]:
                 del facts[name]
@@ -120,8 +131,13 @@ class Plan:
 
 
 @lru_cache(maxsize=8)
+def _values(scene: str, source: str, numbers: Any, tables: Any) -> SceneValues:
+    return read_numbers(scene, source, numbers, dict(tables))
+
+
+@lru_cache(maxsize=8)
 def _mechanism(*scene: Any) -> Mechanism:
-    return build(numbers_of(*scene).base)
+    return build(_values(*scene).base)
 
 
 def _plain(value: Any) -> object:
@@ -161,5 +177,5 @@ def check(plan: Plan) -> Mechanism:
         axis = plan.variation.axes[k]
         for value in axis.ends:
             build(plan.values.replaced({axis.name: value}))
-    assembly.assembly_plan(mechanism)
+    assembly_plan(mechanism if plan.track else with_independent(mechanism))
     return mechanism

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError, named_options, nearest_first
 from robodyn.events.functions import named_events
+from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.pictures.column_units import scene_units, unit_of, vector_of_joints
 from robodyn.scene.quantities import value_from
@@ -75,14 +76,13 @@ Acts = Callable[[Mechanism, tuple[Axis, ...]], Acting]
 
 def plan_of(
     scene: SceneValues,
-    text: str,
     numbers: tuple[tuple[str, str], ...],
     given: SweepRequest,
     acts: Acts | None = None,
 ) -> Plan:
-    """The plan of a request, of a scene's text with `numbers` in place of its own.
+    """The plan of a request, of a scene with `numbers` in place of those of its text.
 
-    `scene` holds all of them.  `acts` makes what acts of the mechanism and the axes.  Raises
+    `scene` holds these already.  `acts` makes what acts of the mechanism and the axes.  Raises
     InputError naming the option that is wrong.
     """
     mechanism = build(scene.base)
@@ -107,7 +107,9 @@ def plan_of(
         begin = reference.at(0.0 if acting.control else reference.times[0])
         for name, values in zip(("q", "qd"), begin, strict=True):
             if getattr(given, name) is None:
-                vectors[name] = tuple(values.tolist())
+                led = dict(zip(mechanism.actuated, values.tolist(), strict=True))
+                joints = with_independent(mechanism).actuated
+                vectors[name] = tuple(led.get(k, 0.0) for k in joints)
     chosen, told = _results(mechanism, given, acting)
     events = _events(mechanism, given, EVENTS in chosen)
     alone, engine = given.kind == "motion" and bool(events or told or acting.control), "python"
@@ -122,9 +124,10 @@ def plan_of(
         limit = f"names no link{nearest(given.flip, names)}"
         raise InputError("--flip", value=shown(given.flip), limit=limit)
     return Plan(
-        scene=text,
+        scene=scene.base.written.text,
         source=scene.source,
         numbers=numbers,
+        tables=scene.tables,
         variation=variation,
         **vectors,
         track=acting.track,
@@ -185,11 +188,16 @@ def _events(mechanism: Mechanism, given: SweepRequest, wanted: bool) -> tuple[tu
 
 
 def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, ...]:
-    """The values of the actuated joints; zero where they are not given."""
+    """The values of the independent joints, of torques of the actuated; zero if not given."""
+    mechanism = mechanism if name == "tau" else with_independent(mechanism)
     if text is None:
         return (0.0,) * len(mechanism.actuated)
     values = vector_of_joints(mechanism, text, name, f"--{name}")
     if len(values) == mechanism.n:
+        for k in mechanism.passive if name == "tau" else ():
+            if values[k]:
+                limit = f"joint {mechanism.link_names[k]} is passive; name it in `actuated`"
+                raise InputError(f"--tau: tau{k + 1}", value=values[k], limit=limit)
         values = [values[k] for k in mechanism.actuated]
     return tuple(values)
 
@@ -201,7 +209,9 @@ def _axes(scene: SceneValues, given: SweepRequest) -> tuple[Axis, ...]:
         raise InputError("--sample", value=sample, limit=f"must be in [1, {MOST_POINTS}]")
     mechanism = build(scene.base)
     last = "tau" if given.kind == "motion" else "qdd"
-    joints = [f"{x}{k + 1}" for x in ("q", "qd", last) for k in mechanism.actuated]
+    driver = with_independent(mechanism)
+    varied = {"q": driver, "qd": driver, last: mechanism if last == "tau" else driver}
+    joints = [f"{x}{k + 1}" for x, given_by in varied.items() for k in given_by.actuated]
     axes: list[Axis] = []
     units = scene_units(mechanism)
     for text in given.vary:
@@ -226,10 +236,12 @@ def _axes(scene: SceneValues, given: SweepRequest) -> tuple[Axis, ...]:
 
 
 def _unknown(mechanism: Mechanism, joints: list[str], scene: SceneValues, name: str) -> str:
-    passive = re.fullmatch(r"(?:q|qd|qdd|tau)([1-9][0-9]*)", name)
-    if passive and int(passive[1]) - 1 in mechanism.passive:
-        link = mechanism.link_names[int(passive[1]) - 1]
-        return f"joint {link} is passive: it follows from the actuated ones"
+    match = re.fullmatch(r"(q|qd|qdd|tau)([1-9][0-9]*)", name)
+    others = [x for x in joints if match and re.fullmatch(f"{match[1]}[0-9]+", x)]
+    if match and others and int(match[2]) <= mechanism.n:
+        why = "is passive" if match[1] == "tau" else "follows from the others"
+        link = mechanism.link_names[int(match[2]) - 1]
+        return f"joint {link} {why}: vary {', '.join(others)}"
     known = [*joints, *scene.names]
     listed = ", ".join(nearest_first(name, known)[:MOST_NAMED]) + (
         ", ..." if len(known) > MOST_NAMED else ""

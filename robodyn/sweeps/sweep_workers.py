@@ -12,6 +12,7 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections import deque
@@ -30,6 +31,7 @@ AHEAD = 2  # chunks under way for each worker
 PATIENCE = 60.0  # s without a worker of the cluster
 POLL = 1.0  # s between looks whether there is one
 ANSWER = 5.0  # s in which a scheduler must answer
+_ENVIRONMENT = threading.Lock()  # held by the thread that changes it
 
 
 def results(
@@ -56,11 +58,13 @@ def results(
         for number in range(begin, plan.chunks):
             yield run_chunk(plan, number)
         return
-    executor, before = _executor(plan, count), set(multiprocessing.active_children())
+    before = set(multiprocessing.active_children())
+    with _starting_processes():
+        executor = _executor(plan, count)
     try:
 
         def submit(*work: Any) -> Any:
-            with _deaf_children():
+            with _starting_processes():
                 return executor.submit(*work)
 
         yield from _ordered(submit, plan, begin, AHEAD * count)
@@ -98,14 +102,35 @@ def _executor(plan: Plan, count: int) -> Executor:
         values = plan.variation.axes[k].values
         scenes *= len(values) if values else plan.variation.size
     compiled = plan.engine == "compiled" and plan.kind == "motion"
-    if compiled and scenes < MANY_SCENES:
+    safe = sys.flags.safe_path or not sys.flags.ignore_environment  # see `_starting_processes`
+    if (compiled and scenes < MANY_SCENES) or not safe:
         return ThreadPoolExecutor(count)
     return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_worker)
 
 
 @contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Ctrl-C is the parent's to see, after a process is begun, and never by that process."""
+def _starting_processes() -> Iterator[None]:
+    """Start processes that import nothing from the working directory and do not hear Ctrl-C.
+
+    `python -c`, by which workers and the resource tracker begin, searches that directory first
+    unless PYTHONSAFEPATH is set.  Ctrl-C is handled by the parent after a process has begun.
+    """
+    with _ENVIRONMENT:
+        before = os.environ.get("PYTHONSAFEPATH")
+        os.environ["PYTHONSAFEPATH"] = "1"
+        try:
+            with _interrupts_held():
+                yield
+        finally:
+            if before is None:
+                del os.environ["PYTHONSAFEPATH"]
+            else:
+                os.environ["PYTHONSAFEPATH"] = before
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold SIGINT and SIGTERM back until the block ends; processes begun in it ignore SIGINT."""
     here = threading.current_thread() is threading.main_thread()
     if not (here and hasattr(signal, "pthread_sigmask")):
         yield
