@@ -27,7 +27,9 @@ COMMANDS = typer.main.get_command(cli._application([])).commands
 def usage(name: str) -> str:
     """The command with its arguments, as its help has them."""
     arguments = [x for x in COMMANDS[name].params if x.param_type_name == "argument"]
-    return " ".join(["robodyn", name, *(x.metavar if x.required else f"[{x.metavar}]" for x in arguments)])
+    return " ".join(
+        ["robodyn", name, *(x.metavar if x.required else f"[{x.metavar}]" for x in arguments)]
+    )
 
 
 def test_the_commands_are_those_of_the_readme() -> None:
