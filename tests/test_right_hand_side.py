@@ -17,7 +17,7 @@ from random_mechanisms import (
     seeded_scene,
     seeded_tree,
 )
-from robodyn import closure_gap, closure_jacobian, load, loop_velocities, simulate
+from robodyn import assemble, closure_gap, closure_jacobian, load, loop_velocities, simulate
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import closure_bias, mass_matrix
 from robodyn.dynamics.dynamics import forward_dynamics
@@ -480,3 +480,22 @@ def test_a_torque_that_bends_at_the_change_point(torque, method):
     )
     assert motion.q[0, 0] == pytest.approx(exact[0], abs=1e-6)
     assert motion.qd[0, 0] == pytest.approx(exact[1], abs=1e-5)
+
+
+@EACH_KIND
+def test_the_nearest_rates_are_so_in_the_sizes_of_angles_and_displacements(kind):
+    """They are nearest where displacements count in parts of the mechanism's size.
+
+    With W^-1 = diag(u^2), u that size for displacements and 1 for angles, they are
+    qd - W^-1 Psi^T (Psi W^-1 Psi^T)^-1 Psi qd.
+    """
+    mech = load(ROOT / "robots/hydraulic-boom.yaml")
+    q = assemble(mech, [0.5])
+    qd = np.linspace(1.0, -2.0, mech.n)
+    nearest = projection(mech, kind)
+    rates = nearest(np.concatenate([q, qd]))[mech.n :]
+    Psi, scale = closure_jacobian(mech, q), np.diag(mech.arrays.units**2)
+    pull = scale @ Psi.T
+    expected = qd - pull @ np.linalg.solve(Psi @ pull, Psi @ qd)
+    assert rates == pytest.approx(expected, rel=1e-9)
+    assert mech.arrays.units.max() != mech.arrays.units.min()

@@ -135,6 +135,20 @@ class TestMotions:
             energy = energy + potential_energy(mech, motion.q)
             assert ends == pytest.approx([energy.min(), energy.max()], abs=1e-4)
 
+    def test_rotors_have_energy(self, engine) -> None:
+        """1/2 (I + m r^2 + ratio^2 J) w^2 of a free wheel, and no more or less."""
+        scene = "links: [{name: wheel, m: 2, l: 1, r: 0.1, I: 0.3, "
+        scene += "motor: {ratio: 20, inertia: 1e-3}}]"
+        options = {"results": ("extremes",), "engine": engine, "t_end": 1.0}
+        wheel = Plan(
+            scene, "x", Variation((Axis("qd1", (1.0, 3.0)),), None, 0),
+            q=(0.0,), qd=(0.0,), tau=(0.0,), qdd=(0.0,), **options,
+        )  # fmt: skip
+        expected = 0.5 * (0.3 + 2 * 0.1**2 + 20**2 * 1e-3) * np.array([1.0, 9.0])
+        rows = whole(wheel)
+        for name in ("energy_min", "energy_max"):
+            assert column(wheel, rows, name) == pytest.approx(expected, rel=1e-9)
+
     def test_springs_go_together(self, engine, monkeypatch) -> None:
         monkeypatch.setattr("robodyn.sweeps.sweep_chunks.single", None)
         axes = Axis("springs[0].stiffness", (100.0, 350.0)), Axis("q1", (1.0, 2.0))

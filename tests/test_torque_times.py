@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import FRESH, ROOT
 from each_case import each
+from scipy.integrate import quad
 from scipy.special import expi, sici
 
 from random_mechanisms import mechanism
@@ -20,6 +21,7 @@ from robodyn.mechanics.torque_times import over_a_run
 from robodyn.simulation.accuracy import AUTO, settings_for
 from robodyn.simulation.extended import reference
 from robodyn.simulation.report import Outcome
+from robodyn.simulation.run_statistics import UnseenWork
 from robodyn.simulation.settings import METHODS, Settings
 
 PENDULUM = load(ROOT / "robots/pendulum.yaml")
@@ -437,6 +439,29 @@ def test_missed_work_shows_in_the_drift():
     missed = simulate(PENDULUM, q, qd, 2.0, narrow, "RK45").report
     assert missed.energy_drift > 1e-2  # at 1e-9 as well
     assert simulate(PENDULUM, q, qd, 2.0, narrow, "RK45", max_step=5e-4).report.energy_drift < 1e-6
+
+
+def test_the_work_that_steps_miss_is_taken_along_their_cubics():
+    """By one rule of eight points less the whole, of a motion that is a cubic in each step."""
+    q = np.polynomial.Polynomial([0.2, 1.0, -0.7, 0.4])
+    qd = q.deriv()
+    t = np.array([0.0, 0.5, 1.2])
+
+    def law(t, y):
+        return [math.sin(60.0 * t) * math.cos(3.0 * y[0]) + y[1]]
+
+    def power(t):
+        return (np.sin(60.0 * t) * np.cos(3.0 * q(t)) + qd(t)) * qd(t)
+
+    unseen = UnseenWork(law, 1.2)
+    found = unseen(t, q(t)[:, None], qd(t)[:, None])
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    missed = [0.0]
+    for a, b in pairwise(t):
+        one_rule = 0.5 * (b - a) * weights @ power(a + 0.5 * (b - a) * (nodes + 1.0))
+        missed.append(missed[-1] + quad(power, a, b, epsabs=1e-13, limit=500)[0] - one_rule)
+    assert found == pytest.approx(missed, abs=1e-10)
+    assert abs(found[1]) > 1e-3
 
 
 @pytest.mark.parametrize("tau", ["2*sin(3*t)", "0.5*sin(7*q1)*cos(t)", "-0.3*qd1", BOX])
