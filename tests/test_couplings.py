@@ -1,6 +1,8 @@
 """Gears and belts between joints: reduced by hand, and in every evaluator."""
 
+import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -348,3 +350,21 @@ class TestContradictions:
 def test_the_power_of_a_stiff_spring(robodyn, scene):
     text = ARM + "springs: [{between: [b, [0.5, 0.9]], stiffness: 1.0e+9, length: 0.3}]\n"
     assert robodyn("check", scene(text)).code == 0
+
+
+@pytest.mark.parametrize(
+    ("couplings", "told"),
+    [
+        (["q3 = q2", "q2 = q3"], "couplings[0] and couplings[1] repeat one another"),
+        (["q3 = q2", "q2 = q3 + 1"], "couplings[0] and couplings[1] repeat one another, or contra"),
+        (["q4 = q1 + q2", "q2 = q4"], "couplings[0] and couplings[1] fix q1 (a), which is actuat"),
+        (["q3 = -q2", "q4 = q2 + 2*q3", "q2 = -q4"], "couplings[1] and couplings[2] repeat"),
+    ],
+)
+def test_couplings_that_determine_nothing_are_named(couplings: list[str], told: str) -> None:
+    """The last of them: q4 = q2 - 2 q2 = -q2 is what the third says of q2 and q4."""
+    links = [f"{{name: {name}, m: 1, l: 1, r: 0.5, I: 0.1}}" for name in "abcd"]
+    text = f"links: [{', '.join(links)}]\ncouplings: {json.dumps(couplings)}\n"
+    scene = mechanism(text)
+    with pytest.raises(InputError, match=re.escape(told)):
+        assemble(scene, [0.1] * len(scene.actuated))

@@ -57,6 +57,17 @@ class Part:
     )
 
 
+_EQUAL = "for the time when a and b are equal write a - b"
+_INSTEAD = re.compile(r"\b(?:and|or|not)\b|[=!]=")
+_WRITE = {
+    "and": "for `a and b` write min(x, y) > 0, x and y positive where a and b are true",
+    "or": "for `a or b` write max(x, y) > 0, x and y positive where a and b are true",
+    "not": "for `not a < b` write a >= b",
+    "==": _EQUAL,
+    "!=": _EQUAL,
+}
+
+
 @dataclass(frozen=True)
 class EventFunction(Part):
     """A function whose changes of sign are events.
@@ -86,9 +97,14 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
     try:
         written = Written(text, names, known, dimensions=state_dimension(mechanism.slides))
     except NotAllowedError as error:
-        raise InputError(f"an event does not allow {error}", where=where) from None
+        what = _INSTEAD.search(text)
+        instead = f"; {_WRITE[what[0]]}" if what else ""
+        raise InputError(f"an event does not allow {error}{instead}", where=where) from None
     except ValueError as error:
-        raise InputError(repr(text), where=where, limit=f"is no expression: {error}") from None
+        equal = f"; {_WRITE['==']}" if re.search(r"[^=<>!]=[^=]", text) else ""
+        raise InputError(
+            repr(text), where=where, limit=f"is no expression: {error}{equal}"
+        ) from None
     if len(written.codes) != 1:
         raise InputError(repr(text), where=where, limit="must be one expression, without a comma")
     if not written.names:

@@ -71,7 +71,8 @@ def assembly_plan(mechanism: Mechanism) -> Plan:
         limit = (
             f"neither actuated nor held by a loop: give all {mechanism.n} joint angles"
             if free
-            else "in loops that are no chain of two-link closures: add a `start` configuration to "
+            else _dependent_couplings(mechanism)
+            or "in loops that are no chain of two-link closures: add a `start` configuration to "
             f"the scene, or give all {mechanism.n} joint angles"
         )
         raise InputError(f"cannot assemble {names}", where=mechanism.source, limit=limit)
@@ -127,6 +128,33 @@ def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...
         del waiting[follows]
         found += [(joint, follows) for joint in unknown[follows]]
         known |= unknown[follows]
+
+
+def _dependent_couplings(mechanism: Mechanism) -> str:
+    """Return why couplings alone leave their passive joints open; empty if they do not."""
+    import numpy as np  # only an error pays for the import
+
+    couplings = mechanism.description.couplings
+    rows = np.zeros((len(couplings), mechanism.n))
+    for row, coupling in zip(rows, couplings, strict=True):
+        row[coupling.joint] = 1.0
+        for k, ratio in coupling.terms:
+            row[k] -= ratio
+    for last in range(1, len(rows) + 1):
+        some = rows[:last]
+        U, s, _ = np.linalg.svd(some[:, list(mechanism.passive)])
+        rank = int((s > 1e-9 * max(1.0, *s)).sum())
+        if rank == last:
+            continue
+        weights = U[:, -1]
+        used = np.flatnonzero(np.abs(weights) > 1e-9)
+        told = " and ".join(f"couplings[{k}]" for k in used)
+        fixed = np.flatnonzero(np.abs(weights @ some) > 1e-9)
+        if not len(fixed):
+            return f"{told} repeat one another, or contradict: leave out one of them"
+        joints = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in fixed)
+        return f"{told} fix {joints}, which is actuated: leave out one of them"
+    return ""
 
 
 def joints_of(coupling: Coupling) -> set[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, ClassVar
 
 from robodyn.errors import MOST_FAULTS, Fault, nearest_first
@@ -10,6 +11,7 @@ from robodyn.scene.quantities import is_plain, parse_quantity
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 
 COMPARISONS = 2000  # of names that a file's suggestions may cost
+_VARIABLE = re.compile(r": (t|x|v|qd?\d+) is no unit or function")  # of what varies elsewhere
 LONGEST_GUESS = 60  # characters of a name that is compared
 
 
@@ -149,6 +151,8 @@ class ValueReader:
         except ValueError as error:
             truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false")
             reason = "is a truth value, not a number" if truth else str(error)
+            if name := _VARIABLE.search(reason):
+                reason = f"must be a number: this key cannot vary, and has no {name[1]}"
             self.fault(place, node, reason.replace("is not", "must be"), self.shown(node))
             return 0.0
         limit = NUMBERS[key.kind]
