@@ -143,6 +143,25 @@ def test_a_page_holds_everything_in_itself(robodyn: Run, tmp_path: Path) -> None
     assert len(text) < 60_000
 
 
+def test_angles_that_jump_are_refused_or_unwrapped(robodyn: Run, tmp_path: Path) -> None:
+    """A wrapped angle would be drawn to run back by a whole turn from row to row."""
+    rows = [(k / 5, 3.0 + 0.1 * k) for k in range(6)]
+    plain, jumping = (
+        "t,q1\n" + "".join(f"{t},{q - (turn if q > 3.15 else 0.0)!r}\n" for t, q in rows)
+        for turn in (0.0, 2.0 * math.pi)
+    )
+    path = tmp_path / "x.html"
+    command = ("animate", "robots/pendulum.yaml", "-", "-o", path, "--trace", "rod", "--fps", 20)
+    told = "stdin: line 4: jump of q1 (rod) = 3.1 to -3.08319 rad: more than half a turn: --unwrap"
+    robodyn(*command, stdin=jumping).fails(2, told)
+    traces = []
+    for more, table in (((), plain), (("--unwrap",), jumping)):
+        robodyn(*command, *more, stdin=table).succeeds()
+        (trace,) = constant(path.read_text(), "traces")
+        traces.append(trace)
+    assert traces[0] == traces[1]
+
+
 def test_what_slides_goes_to_and_fro_on_a_page(
     robodyn: Run, scene: Callable[[str], Path], tmp_path: Path
 ) -> None:

@@ -9,7 +9,8 @@ import numpy as np
 
 from robodyn.cli.figures import check_directory, parse_size
 from robodyn.cli.files import output_file, rows_argument
-from robodyn.cli.options import HoldingTau, Model, Q, Size, Text, option, refuse
+from robodyn.cli.motion_files import whole_table, without_jumps
+from robodyn.cli.options import HoldingTau, Model, Q, Size, Text, Unwrap, option, refuse
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import open_input
@@ -32,6 +33,7 @@ def animate(
     *,
     out: Annotated[str, output_file("--out", "-o", help=_OUT)],
     mode: int | None = option(_MODE, "K"),
+    unwrap: Unwrap = False,
     q: Q = None,
     tau: HoldingTau = None,
     of: list[str] | None = option(OF, POINTS),
@@ -64,13 +66,15 @@ def animate(
     if (states is None) == (mode is None):
         limit = "give rows, or --mode K and --q" + (", not both" if states else "")
         raise InputError("CSV", value=states, limit=limit)
+    if unwrap and states is None:
+        raise InputError("--unwrap", limit="goes with rows: CSV")
     mechanism = model.load()
     traced = points_given(mechanism, of, trace)
     check_directory(out)
     check_programs(out)
     with remarks():
         if states is not None:
-            shown_frames = _read(mechanism, states, fps, speed)
+            shown_frames = _read(mechanism, states, fps, speed, unwrap)
         else:
             shown_frames = _of_mode(mechanism, mode or 0, q, tau, fps, speed)
     watched = partial(progress, "drawing", silent=0.0)
@@ -91,18 +95,19 @@ def _of_mode(
     return frames(mechanism, t, poses, None, fps, speed)
 
 
-def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames:
+def _read(mechanism: Mechanism, states: str, fps: float, speed: float, unwrap: bool) -> Frames:
     with open_input(states) as (stream, name):
         reader = Reader(stream, name, scene_units(mechanism))
         quantities = [Quantity("q", None, True), Quantity("qd", None)]
         sources = [table_source(mechanism, x, reader.names, name) for x in quantities]
         sources = [source for source in sources if source.columns]
         columns = [column for source in sources for column in source.columns]
-        blocks = [chunk.values for chunk in reader.chunks(["t", *columns])]
-    t, *rest = np.concatenate([np.zeros((0, 1 + len(columns))), *blocks]).T
+        column, chunks = whole_table(reader, ["t", *columns])
+    lines = [line for chunk in chunks for line in chunk.line_numbers]
+    column = without_jumps(mechanism, column, lines, name, unwrap, columns)
+    t = column["t"]
     with at_place(name):
-        cut = len(sources[0].columns)
-        given = [np.transpose(rest[:cut]), np.transpose(rest[cut:])][: len(sources)]
+        given = [np.array([column[x] for x in source.columns]).T for source in sources]
         q, *qd = complete(mechanism, sources, given)
         if not sources[0].whole:  # assembled angles lie in one turn
             turning = [k for k in range(mechanism.n) if k not in mechanism.slides]

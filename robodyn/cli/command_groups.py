@@ -30,10 +30,10 @@ _TELLING += "equilibrium linearize regressor identify fit check"
 TELL_ANGLES = frozenset(_TELLING.split())
 
 _OUTPUT = (
-    "--every --points --sensitivity --event --events --differentiate --extremes --degrees --quiet "
-    "--report --size --dpi --ascii --format --out"
+    "--every --points --sensitivity --event --events --differentiate --unwrap --extremes --degrees "
+    "--quiet --report --size --dpi --ascii --format --out"
 )
-_CONTROL = "--control --track --hold --kp --kd --ki --gain --at --tau-max --control-rate "
+_CONTROL = "--control --track --unwrap --hold --kp --kd --ki --gain --at --tau-max --control-rate "
 _CONTROL += "--control-model"
 _OPTIONS = {
     "simulate": {
@@ -54,7 +54,7 @@ _OPTIONS = {
         "Output": "--degrees --quiet --out",
     },
     "trajectory": {
-        "Joints": "--from --to --via --ends --speed --turns",
+        "Joints": "--from --to --via --unwrap --ends --speed --turns",
         "A point in the plane": "--of --to-xy --arc --path --posture",
         "Time": "--time --profile --acceleration",
         "Sine sweep": "--amplitude --frequencies",

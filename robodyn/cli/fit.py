@@ -21,6 +21,7 @@ from robodyn.cli.options import (
     Qdd,
     Quiet,
     Text,
+    Unwrap,
     option,
     refuse,
     switch,
@@ -67,6 +68,7 @@ class FitOptions:
     qd: Qd = None
     qdd: Qdd = None
     simulate: bool = switch(_SIMULATE)
+    unwrap: Unwrap = False
     tau: Text = option(_TAU, "TORQUES")
     starts: int | None = option(_STARTS, "N")
     seed: int = option("Of the random starts.", "S", default=0)
@@ -85,6 +87,8 @@ class FitOptions:
             raise InputError("--simulate", limit="needs --match or STATES, for its times")
         if not self.simulate:
             refuse("is for --simulate", tau=self.tau)
+            if self.unwrap:
+                raise InputError("--unwrap", limit="goes with --simulate")
 
     def rows(self, mechanism: Mechanism, states: str | None) -> FitRows:
         """The rows at which columns are met, or become least."""

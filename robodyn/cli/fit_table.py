@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from robodyn.cli.motion_files import tell_at_rest
+from robodyn.cli.motion_files import tell_at_rest, without_jumps
 from robodyn.cli.output import note
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source
@@ -53,6 +53,7 @@ class FitTable:
         from robodyn.parameters.column_formulas import ColumnFormulas
 
         self.mechanism, self.moving = mechanism, options.simulate
+        self.unwrap = options.unwrap
         self.match, named = options.match is not None, options.columns
         self.columns = [x for text in options.minimize or () for x in _names(text, "--minimize")]
         self.chosen = None if named is None else _names(named, "--columns")
@@ -66,12 +67,17 @@ class FitTable:
     def rows(self, table: str | None) -> FitRows:
         """The rows of a table, or the one state that options give."""
         names: Sequence[str] = []
-        values, name = np.zeros((1, 0)), ""
+        values, name, lines = np.zeros((1, 0)), "", [0]
         if table is not None:
-            values, names, name = read_columns(table, self._choose, scene_units(self.mechanism))
+            values, names, name, lines = read_columns(
+                table, self._choose, scene_units(self.mechanism)
+            )
         elif self.options["q"] is None:
             raise InputError("--minimize", limit="needs STATES, or --q: where columns are taken")
         column = dict(zip(names, values.T, strict=True))
+        if self.moving:
+            to_meet = self.columns if self.match else ()
+            column = without_jumps(self.mechanism, column, lines, name, self.unwrap, to_meet)
 
         def taken(names: Sequence[str]) -> Array:
             return np.array([column[x] for x in names]).reshape(len(names), len(values)).T

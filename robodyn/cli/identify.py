@@ -10,7 +10,7 @@ import numpy as np
 
 from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.motion_files import MotionFile, read_motion
-from robodyn.cli.options import Model, Number, OutputStructured, Text, option, switch
+from robodyn.cli.options import Model, Number, OutputStructured, Text, Unwrap, option, switch
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.states import remarks
 from robodyn.errors import InputError, RobodynError, at_place, named_options
@@ -44,6 +44,7 @@ def identify(
     of: Text = option(_OF, "NAMES"),
     physical: bool = switch(_PHYSICAL),
     cutoff: Number = option(_CUTOFF, "HZ"),
+    unwrap: Unwrap = False,
     fitted: Annotated[Text, output_file("--out", "-o", help=_SCENE)] = None,
     residuals: Annotated[Text, output_file("--residuals", help=_RESIDUALS)] = None,
     format: OutputStructured = None,
@@ -79,7 +80,7 @@ def identify(
             limit += f"; find it by {way} --columns {torques} (the file needs qd and qdd)"
             raise InputError("--of", value=name, limit=limit)
     with remarks(), named_options(["cutoff"]):
-        motion = read_motion(mechanism, data, torques=True, cutoff=cutoff)
+        motion = read_motion(mechanism, data, torques=True, cutoff=cutoff, unwrap=unwrap)
         q, qd, qdd = motion.states
         with at_place(motion.source, "rows", "tau"), at_place("--of", *names or "-"):
             found = identified(mechanism, q, qd, qdd, motion.tau, motion.t, names, physical)

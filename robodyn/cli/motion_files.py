@@ -6,7 +6,7 @@ Of a whole motion what lacks is found, and what is wrong is named.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from robodyn.pictures.column_units import scene_units
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import finite, shown, split_fields, unquoted
 from robodyn.tables.table import Chunk, Reader
-from robodyn.trajectories.splines import FEWEST_ROWS, derivative
+from robodyn.trajectories.splines import FEWEST_ROWS, derivative, turns_between
 
 GAP = 5.0  # times the usual step: where t leaps by more, rows are missing
 
@@ -102,8 +102,69 @@ def whole_table(reader: Reader, names: Sequence[str]) -> tuple[dict[str, Array],
     return dict(zip(names, values.T, strict=True)), chunks
 
 
+def unwrapped(
+    what: str,
+    angle: Array,
+    lines: Sequence[int],
+    source: str,
+    t: Array | None = None,
+    qd: Array | None = None,
+) -> tuple[Array, InputError | None]:
+    """Return an angle (T,), rad, without jumps by whole turns, and an InputError for the first.
+
+    `lines` (T,) are those of the rows in the file `source`. The error is None if nothing jumps; see
+    `turns_between` for t and qd (T,).
+    """
+    turns = turns_between(angle, t, qd)
+    if not turns.any():
+        return angle, None
+    k = int(np.flatnonzero(turns)[0])
+    beyond = "" if t is None or qd is None else " beyond what its rates tell"
+    limit = f"more than half a turn{beyond}: --unwrap takes whole turns off"
+    value = f"{angle[k]:.6g} to {angle[k + 1]:.6g} rad"
+    where = f"{source}: line {lines[k + 1]}"
+    fault = InputError(f"jump of {what}", where=where, value=value, limit=limit)
+    return angle - 2.0 * np.pi * np.append(0.0, np.cumsum(turns)), fault
+
+
+def without_jumps(
+    mechanism: Mechanism,
+    column: Mapping[str, Array],
+    lines: Sequence[int],
+    source: str,
+    unwrap: bool,
+    names: Container[str],
+    refuse: bool = True,
+) -> dict[str, Array]:
+    """Return columns (T,) by name, such as t, q1, qd1; joint angles `unwrapped` if `unwrap`.
+
+    Else a jump in one of the columns `names` is an InputError, or a note unless `refuse`.
+    """
+    found = dict(column)
+    for k, link in enumerate(mechanism.link_names):
+        name = f"q{k + 1}"
+        if name not in column or k in mechanism.slides:
+            continue
+        rates = column.get("t"), column.get(f"qd{k + 1}")
+        smooth, fault = unwrapped(f"{name} ({link})", column[name], lines, source, *rates)
+        if fault and unwrap:
+            found[name] = smooth
+        elif fault and name in names:
+            if not refuse:
+                note(f"Note: {fault}")
+                continue
+            more = "" if rates[1] is not None else f"qd{k + 1} or "
+            fault.limit += f"; if it is meant, give {more}closer rows"
+            raise fault
+    return found
+
+
 def found_rates(
-    mechanism: Mechanism, reader: Reader, sources: Sequence[Source], timed: bool
+    mechanism: Mechanism,
+    reader: Reader,
+    sources: Sequence[Source],
+    timed: bool,
+    unwrap: bool,
 ) -> tuple[list[Source], Iterator[Chunk]]:
     """The sources as if the table had columns qd and qdd, and its chunks, of their columns.
 
@@ -129,6 +190,7 @@ def found_rates(
         raise refused(f"needs {FEWEST_ROWS} rows or more; there are {len(t)}")
     numbers = list(chain(*(x.line_numbers for x in chunks)))
     check_rising(t, numbers, reader.source, ", to differentiate")
+    column = without_jumps(mechanism, column, numbers, reader.source, unwrap, lack.names)
     found, parts = lack.filled(sources, column, derivative)
     table = np.column_stack([*parts, *([t] if timed else [])])
     pieces = np.split(table, np.cumsum([len(chunk.lines) for chunk in chunks])[:-1])
@@ -156,12 +218,16 @@ class MotionFile(NamedTuple):
 
 
 def read_motion(
-    mechanism: Mechanism, file: str, torques: bool, cutoff: float | None = None
+    mechanism: Mechanism,
+    file: str,
+    torques: bool,
+    cutoff: float | None = None,
+    unwrap: bool = False,
 ) -> MotionFile:
     """The motion in a file; rates that it lacks are found, which is told.
 
-    Raises InputError for gaps, for columns of another mechanism, for times that do not rise, and
-    for a cutoff where no rates are to be found.
+    Raises InputError for gaps, for columns of another mechanism, for times that do not rise, for
+    angles that jump unless `unwrap`, and for a cutoff where no rates are to be found.
     """
     from robodyn.parameters.regression_matrix import balanced_mechanism
 
@@ -190,6 +256,9 @@ def read_motion(
         check_rising(t, numbers, name)
     if lack.absent:
         _check_gap(t, numbers, name)
+    differentiated = lack.names if lack.absent else ()
+    column = without_jumps(mechanism, column, numbers, name, unwrap, differentiated)
+    if lack.absent:
         told = f"{' and '.join(lack.absent)} of {', '.join(lack.names)}"
         note(f"Note: {told}: by {how(cutoff)}")
     with at_place(name, "t", "rows"):

@@ -164,9 +164,15 @@ _TABLE = "Default: table on a terminal, csv in a pipe."
 OutputFormat = Annotated[Format | None, Option("--format", help=_TABLE)]
 _DIFFERENTIATE = (
     "Finds the rates and accelerations that a table lacks by splines (quintic, ends not-a-knot) "
-    "through t; takes 6 rows or more, all of them into memory; angles must run on past a turn."
+    "through t; takes 6 rows or more, all of them into memory; angles must run on past a turn, "
+    "see --unwrap."
 )
 Differentiate = Annotated[bool, Option("--differentiate", help=_DIFFERENTIATE)]
+_UNWRAP = (
+    "Take whole turns off angles that jump by more than half a turn between rows, as logs within "
+    "180 degrees do."
+)
+Unwrap = Annotated[bool, Option("--unwrap", help=_UNWRAP)]
 _EXTREMES = (
     "In place of the rows, of each column but t: min, max and the t and q1 there, mean, rms; "
     "rows count equally."

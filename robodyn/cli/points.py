@@ -56,7 +56,7 @@ def points(
     named = named_points(mechanism, of or (), "--of")
     columns = point_columns(named)
     quantities = given.quantities(qdd=qdd)
-    more = jacobian or links or transmission or ratio or given.differentiate
+    more = jacobian or links or transmission or ratio or given.differentiate or given.unwrap
     if given.states is None and not (more or mechanism.rows or mechanism.passive):
         motion = [option_source(mechanism, quantity).values for quantity in quantities]
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 from robodyn.cli.files import delimiter
@@ -20,10 +21,11 @@ def read_columns(
     file: str,
     choose: Callable[[Sequence[str], str], Sequence[str]],
     lengths: Container[str] = (),
-) -> tuple[Array, Sequence[str], str]:
-    """Columns (rows, columns) of a CSV file, chosen by its header and name; their names; its.
+) -> tuple[Array, Sequence[str], str, list[int]]:
+    """Return columns (T, k) of a CSV file, their names, the file's name, and its lines (T,).
 
-    `lengths` are columns that are no angles in degrees.  A file without rows is an InputError.
+    `choose` tells the columns by the header and the file's name.  `lengths` are columns that are no
+    angles in degrees.  A file without rows is an InputError.
     """
     import numpy as np
 
@@ -32,10 +34,11 @@ def read_columns(
     with open_input(file) as (stream, name):
         reader = Reader(stream, name, lengths)
         names = choose(reader.names, name)
-        blocks = [chunk.values for chunk in reader.chunks(names)]
-    if not blocks:
+        chunks = list(reader.chunks(names))
+    if not chunks:
         raise InputError("no rows", where=name, limit="the header is followed by no row")
-    return np.concatenate(blocks), names, name
+    lines = list(chain(*(chunk.line_numbers for chunk in chunks)))
+    return np.concatenate([chunk.values for chunk in chunks]), names, name, lines
 
 
 @contextmanager

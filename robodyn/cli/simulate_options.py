@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 import numpy as np
 
 from robodyn.cli.files import input_file, model_file, output_file, rows_file
-from robodyn.cli.options import EACH, Number, Text, option, refuse, switch
+from robodyn.cli.options import EACH, Number, Text, Unwrap, option, refuse, switch
 from robodyn.cli.output import note
 from robodyn.cli.states import Quantity, Source, complete, option_source, remarks
 from robodyn.errors import InputError, at_place, named_options
@@ -57,6 +57,7 @@ class ControlOptions:
 
     control: Law | None = option("Makes the torques track a reference, or keep to a pose.")
     track: Annotated[Text, rows_file("--track", _TRACK)] = None
+    unwrap: Unwrap = False
     hold: Text = option(_HOLD, "VECTOR")
     kp: Text = option(f"Gain of the error, N m/rad (computed torque 1/s^2): {EACH}.", "VECTOR")
     kd: Text = option(f"Gain of its rate, N m s/rad (computed torque 1/s): {EACH}.", "VECTOR")
@@ -76,8 +77,15 @@ def given_of(options: object, *names: str) -> list[str]:
 
 def check_no_control(options: ControlOptions, *but: str) -> None:
     """Raise InputError for an option of a controller where there is none."""
-    given = {x.name: getattr(options, x.name) for x in fields(options) if x.name not in but}
+    _check_unwrap(options)
+    names = {x.name for x in fields(options)} - {"unwrap", *but}
+    given = {x.name: getattr(options, x.name) for x in fields(options) if x.name in names}
     refuse(f"needs --control: one of {', '.join(get_args(Law))}", **given)
+
+
+def _check_unwrap(options: ControlOptions) -> None:
+    if options.unwrap and options.track is None:
+        raise InputError("--unwrap", limit="goes with --track")
 
 
 _STEP = "No step is longer, s. Default: none."
@@ -191,7 +199,7 @@ def torque_source(
     from robodyn.cli.row_files import read_columns
 
     names = ["t", *(f"tau{k + 1}" for k in mechanism.actuated)]
-    values, _, name = read_columns(options.tau_from, lambda *_: names)
+    values, _, name, _ = read_columns(options.tau_from, lambda *_: names)
     times, torques = values[:, 0].tolist(), values[:, 1:].tolist()
     return actuation.table(mechanism, times, torques, where=name, until=end), end
 
@@ -204,6 +212,7 @@ def controlled(
 
     law, rate = options.control, None
     assert law is not None
+    _check_unwrap(options)
     tracks, feeds = ["track", "hold"], ["gain", "at"]
     aims, others = (feeds[:1], tracks) if law == "state-feedback" else (tracks, feeds)
     refuse(f"is not for --control {law}", **{name: getattr(options, name) for name in others})
@@ -229,7 +238,7 @@ def controlled(
         rate = value_from(options.control_rate, "Hz", "--control-rate")
     end = DEFAULT_DURATION if duration is None else duration
     if options.track is not None:
-        reference = reference_from(mechanism, options.track)
+        reference = reference_from(mechanism, options.track, options.unwrap)
         end = reference.times[-1] if duration is None else duration
         reference = reference.until(end)
     else:
@@ -282,8 +291,12 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
     return replace(found, q=pose.tolist(), tau=tau)
 
 
-def reference_from(mechanism: Mechanism, file: str) -> ReferenceTable:
-    """The reference of the actuated joints in a file."""
+def reference_from(mechanism: Mechanism, file: str, unwrap: bool) -> ReferenceTable:
+    """Return the reference of the actuated joints in a file; InputError for jumps of angles.
+
+    With `unwrap` whole turns are taken off these.
+    """
+    from robodyn.cli.motion_files import without_jumps
     from robodyn.cli.row_files import read_columns
     from robodyn.control.tracking import ReferenceTable
 
@@ -300,7 +313,10 @@ def reference_from(mechanism: Mechanism, file: str) -> ReferenceTable:
                 raise InputError(f"column {wanted[0]} is missing", where=where, limit=limit)
         return found
 
-    values, names, name = read_columns(file, columns, scene_units(mechanism))
-    parts = [values[:, k : k + joints] for k in range(1, len(names), joints)]
+    values, names, name, lines = read_columns(file, columns, scene_units(mechanism))
+    column = dict(zip(names, values.T, strict=True))
+    column = without_jumps(mechanism, column, lines, name, unwrap, names)
+    t, *rest = column.values()
+    parts = [np.array(rest[k : k + joints]).T for k in range(0, len(rest), joints)]
     given = dict(zip(("q", "qd", "qdd"), parts, strict=False))  # the last may not be there
-    return ReferenceTable(values[:, 0], **given, where=name)
+    return ReferenceTable(t, **given, where=name)

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robodyn.cli.options import Differentiate, Q, Qd, States
+from robodyn.cli.options import Differentiate, Q, Qd, States, Unwrap
 from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_silence
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.loop_rows import loop_columns as loop_columns
@@ -58,6 +58,7 @@ class TableOptions(StateOptions, RowOptions):
 
     states: States = None
     differentiate: Differentiate = False
+    unwrap: Unwrap = False
 
     def write_one(self, mechanism: Mechanism, columns: Sequence[str], row: Sequence[float]) -> None:
         """Write the one row of a state by options, if all of it is finite."""
@@ -199,6 +200,8 @@ def evaluate(
         given = [x for x in either if x.option is not None or there & set(x.columns(joints))]
         return [*quantities, *(given or either[:1])]
 
+    if options.unwrap and not options.differentiate:
+        raise InputError("--unwrap", limit="goes with --differentiate")
     if options.states is None:
         if options.differentiate:
             raise InputError("--differentiate", limit="needs STATES with t: rows to go through")
@@ -223,7 +226,7 @@ def evaluate(
         sources = [table_source(mechanism, x, reader.names, name) for x in wanted(reader.names)]
         timed = mechanism.timed and "t" in reader.names
         if options.differentiate:
-            sources, chunks = found_rates(mechanism, reader, sources, timed)
+            sources, chunks = found_rates(mechanism, reader, sources, timed, options.unwrap)
         else:
             taken = [x for source in sources for x in source.columns] + ["t"] * timed
             chunks = taken_at_rest(reader, sources, reader.chunks(taken))

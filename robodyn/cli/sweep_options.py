@@ -93,7 +93,7 @@ def _acting(
         joints = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
         for axis in (axis for axis in axes if axis.name in joints):
             raise InputError("--vary", value=axis.name, limit="is told by --track")
-        return Acting(given.duration, reference_from(mechanism, options.track))
+        return Acting(given.duration, reference_from(mechanism, options.track, options.unwrap))
     if given.kind == "torque":
         raise InputError("--control", limit="is for --kind motion")
     if given.tau is not None:

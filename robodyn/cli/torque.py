@@ -69,7 +69,7 @@ def torque(
     loops = mechanism.rows or mechanism.passive or mechanism.switches
     motors = motor_columns(mechanism)
     powers = [f"power{k + 1}" for k in mechanism.actuated if power]
-    plain = given.states is None and not (loops or given.differentiate)
+    plain = given.states is None and not (loops or given.differentiate or given.unwrap)
     if plain and mechanism.n <= MAX_GENERATED:
         tau, rates = _single_state(mechanism, quantities)
         row = [*tau, *motor_values(mechanism, tau, rates)]

@@ -76,6 +76,8 @@ def trajectory(
         limits = given.limits(mechanism)
     if given.profile != "trapezoidal":
         refuse("is for --profile trapezoidal", acceleration=given.acceleration)
+    if given.unwrap and given.via is None and given.path is None:
+        raise InputError("--unwrap", limit="goes with --via or --path")
     if given.profile == "sweep":
         others = {"to": given.to, "via": given.via, "speed": given.speed, "turns": given.turns}
         refuse("does not go with a sweep", **others, ends=given.ends, **given.task)

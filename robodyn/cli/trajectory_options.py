@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 import numpy as np
 
 from robodyn.cli.files import rows_file
-from robodyn.cli.options import EACH, Number, Text, option, refuse
+from robodyn.cli.motion_files import without_jumps
+from robodyn.cli.options import EACH, Number, Text, Unwrap, option, refuse
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source, table_source
 from robodyn.errors import InputError, named_options
@@ -50,6 +51,7 @@ class TrajectoryOptions:
     from_: Text = option(f"Angles at the start, rad, or 30deg, pi/2: {_WHICH}.", "VECTOR")
     to: Text = option(f"Angles at the end: {_WHICH}.", "VECTOR")
     via: Annotated[Text, rows_file("--via", _VIA)] = None
+    unwrap: Unwrap = False
     time: Text = option("Duration, s, 2s or 500ms; min: the shortest within the limits.", "S|min")
     profile: ProfileName | None = option("Default: quintic.")
     acceleration: Number = option(
@@ -119,11 +121,15 @@ def points_from(mechanism: Mechanism, given: TrajectoryOptions) -> Points:
                 limit = "missing: give --from and --to, or --via, --speed, --of, --profile sweep"
                 raise InputError(f"--{name}", limit=limit)
     else:
-        values, names, source = read_columns(given.via, columns, scene_units(mechanism))
+        values, names, source, lines = read_columns(given.via, columns, scene_units(mechanism))
         timed = names[-1] == "t"
+        column = dict(zip(names, values.T, strict=True))
+        driven = [f"q{k + 1}" for k in mechanism.actuated]
+        known = mechanism, column, lines, source, given.unwrap, driven
+        column = without_jumps(*known, refuse=False)
         rows = np.full((len(values), mechanism.n), np.nan)
-        joints = _joints(mechanism, len(names) - timed == mechanism.n)
-        rows[:, joints] = values[:, : len(joints)]
+        for joint in _joints(mechanism, len(names) - timed == mechanism.n):
+            rows[:, joint] = column[f"q{joint + 1}"]
         if timed:
             refuse(f"does not go with the times (t) in {source}", **ends)
             times = values[:, -1]

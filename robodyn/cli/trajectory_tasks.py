@@ -8,7 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robodyn.cli.motion_files import unwrapped
 from robodyn.cli.options import refuse
+from robodyn.cli.output import note
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, when
 from robodyn.errors import InputError, RobodynError, at_place
@@ -60,7 +62,7 @@ def task_motion(
             which = "the point that is led" if name == "of" else "the pose that it begins from"
             raise InputError(f"--{name.strip('_')}", limit=f"missing: give {which}")
     point = named_point(mechanism, given.of or "", "--of")
-    file = None if given.path is None else _read(given.path)
+    file = None if given.path is None else _read(given.path, given.unwrap)
     if file is None or file.times is None:
         refuse("does not go with paths without times", ends=given.ends)
     task = task_of(mechanism, point, file is not None and file.points.shape[1] == 3)
@@ -149,11 +151,16 @@ def _speed(text: str | None) -> float | None:
     return most
 
 
-def _read(file: str) -> _File:
+def _read(file: str, unwrap: bool) -> _File:
     def columns(header: Sequence[str], _: str) -> list[str]:
         return ["x", "y", *(x for x in ("angle", "t") if x in header)]
 
-    values, names, source = read_columns(file, columns)
+    values, names, source, lines = read_columns(file, columns)
+    if "angle" in names:
+        smooth, fault = unwrapped("angle", values[:, 2], lines, source)
+        if fault and not unwrap:
+            note(f"Note: {fault}")
+        values[:, 2] = smooth if unwrap else values[:, 2]
     if len(values) < 2:
         limit = "a path needs two points or more"
         raise InputError("points", where=source, value=len(values), limit=limit)

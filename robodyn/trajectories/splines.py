@@ -54,6 +54,19 @@ def _basis(p: int) -> Array:
     return np.round(2.0 * np.linalg.inv(np.concatenate(ends))) / 2.0  # whole numbers or halves
 
 
+def turns_between(q: Array, t: Array | None = None, qd: Array | None = None) -> Array:
+    """Return by how many whole turns (T - 1,) an angle q (T,), rad, jumps from row to row.
+
+    A jump is a step of more than half a turn. If rates qd (T,), rad/s, at times t (T,) are given,
+    it is a step that differs by more than half a turn from the integral of qd (trapezoidal).
+    """
+    steps = np.diff(q)
+    if t is not None and qd is not None:
+        steps -= 0.5 * np.diff(t) * (qd[1:] + qd[:-1])
+    found: Array = np.rint(steps / (2.0 * np.pi))
+    return found
+
+
 def derivative(t: Array, x: Array, order: int) -> Array:
     """The derivative of this order, at times t (T,) that rise, of x (T, m), T >= FEWEST_ROWS.
 
