@@ -166,6 +166,87 @@ def test_rates_are_not_shifted() -> None:
         assert np.abs(found - expected)[inner].max() < (0.02, 0.5)[order - 1]
 
 
+STICKY = """\
+gravity: 9.81
+links: [{name: a, m: 1, l: 1, r: 0.4, I: 0.1, friction: {torque: 0.5, static: 0.9}}]
+"""
+
+
+def stops(mech: Mechanism, points: list[list[float]]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """t (T,) and q, qd, qdd (T, n) through points at 0, 1, 2, .. s, with a stop at each."""
+    times = np.arange(len(points), dtype=float)
+    motion = rd.reference_motion(mech, points, times=times, profile="cycloidal")
+    t = np.linspace(0.0, times[-1], 100 * len(points) - 99)
+    return t, list(motion.states(t))
+
+
+PAUSES = [0.0, 0.0, 1.0, 1.0, -0.5, -0.5]
+
+
+@pytest.mark.parametrize("rated", [True, False])
+def test_pauses_say_nothing_of_sliding_friction(robodyn: Run, tmp_path: Path, rated: bool) -> None:
+    """The torque that holds it lies 0.35 N m off, anywhere within the static friction."""
+    scene = tmp_path / "sticky.yaml"
+    scene.write_text(STICKY)
+    t, (q, qd, qdd) = stops(rd.load(scene), [[x] for x in PAUSES])
+    rests = np.abs(qd) <= 1e-3 * np.abs(qd).max()
+    slips = np.where(np.abs(qd) > 1e-9, 0.5 * np.sign(qd), 0.35)
+    tau = (0.4**2 + 0.1) * qdd + 0.4 * 9.81 * np.cos(q) + slips
+    names, columns = (
+        ("t,q1,qd1,qdd1,tau1", (t, q, qd, qdd, tau)) if rated else ("t,q1,tau1", (t, q, tau))
+    )
+    rows = np.column_stack(columns).tolist()
+    text = "\n".join([names, *(",".join(map(repr, row)) for row in rows)])
+    call = ("identify", scene, "-", "--of", "links.a.m,links.a.friction.torque")
+    done = robodyn(*call, stdin=text)
+    told = json.loads(done.out)
+    mass, friction = told["parameters"]
+    close = 1e-9 if rated else 1e-5
+    assert [mass["value"], friction["value"]] == pytest.approx([1.0, 0.5], rel=close)
+    count = told["at_rest"]["tau1"]
+    assert abs(count - rests.sum()) <= (0 if rated else 10)
+    assert f"at rest are left out: {count} of 501 for tau1" in done.err
+    told = json.loads(robodyn(*call, "--rest", 0.5, stdin=text).out)
+    assert abs(told["at_rest"]["tau1"] - (np.abs(qd) <= 0.5).sum()) <= (0 if rated else 10)
+    assert told["parameters"][1]["value"] == pytest.approx(0.5, rel=close)
+
+
+@pytest.mark.filterwarnings("ignore:a joint with dry friction is at rest")
+def test_a_joint_at_rest_leaves_the_equations_of_others() -> None:
+    text = (
+        (ROOT / ARM).read_text().replace("I: 0.082", "I: 0.082, friction: {torque: 1, static: 2}")
+    )
+    mech = build(from_text(text, "test"))
+    t, states = stops(mech, [[x, y] for x, y in zip(PAUSES, [0, 1, 0.5, -1, 0, 0.7], strict=True)])
+    tau = torques(mech, states)
+    pause = np.abs(states[1][:, 0]) <= 1e-9
+    tau[pause, 0] += 1.5
+    found = identify(mech, *states, tau, t, ["links.forearm.m", "links.upper arm.friction.torque"])
+    assert [x.value for x in found.estimates] == pytest.approx([0.9, 1.0], rel=1e-9)
+    assert found.at_rest[:, 0][pause].all()
+    assert not found.at_rest[:, 1].any()
+    with pytest.raises(InputError, match="rest = -1"):
+        identify(mech, *states, tau, t, rest=-1.0)
+    alone = build(from_text(STICKY, "test"))
+    t, states = stops(alone, [[x] for x in PAUSES])
+    with pytest.raises(InputError, match="static friction rest, rows are left out"):
+        identify(alone, *states, torques(alone, states), t, rest=1e3)
+
+
+@pytest.mark.filterwarnings("ignore:a joint with dry friction is at rest")
+def test_friction_of_a_joint_that_follows_is_felt_by_the_driven_one() -> None:
+    """Where the crank of a four-bar stands still the rocker's static friction holds it, too."""
+    text = (ROOT / "robots/four-bar.yaml").read_text()
+    text = text.replace("name: rocker,", "name: rocker, friction: {torque: 0.4, static: 0.7},")
+    mech = build(from_text(text, "test"))
+    t, states = stops(mech, [[x] for x in PAUSES])
+    tau = torques(mech, states)
+    tau[np.abs(states[1][:, 0]) <= 1e-9] += 0.2
+    found = identify(mech, *states, tau, t, ["links.coupler.m", "links.rocker.friction.torque"])
+    masses = {x.name: x.m for x in mech.description.links}
+    assert [x.value for x in found.estimates] == pytest.approx([masses["coupler"], 0.4], rel=1e-7)
+
+
 # -- the command ----------------------------------------------------------------------------------
 
 

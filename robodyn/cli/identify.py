@@ -25,6 +25,10 @@ from robodyn.scene.rewrite import write_scene
 _DATA = "CSV file (t, q1.., tau1.., and qd, qdd where they are known), or - for stdin."
 _PHYSICAL = "Masses and moments of inertia above 0, damping and friction not below it."
 _CUTOFF = "Low-pass for joint values whose rates are to be found, Hz, of zero phase."
+_REST = (
+    "Rate, rad/s or m/s, up to which a joint with static friction is at rest. Default: 0.001 of "
+    "its largest rate."
+)
 _OF = (
     "Numbers of the scene to find, links.forearm.m,links.forearm.I: masses, r, I, payloads, "
     "damping, friction, rotors, springs; else base parameters. Lengths: see `fit`."
@@ -45,6 +49,7 @@ def identify(
     physical: bool = switch(_PHYSICAL),
     cutoff: Number = option(_CUTOFF, "HZ"),
     unwrap: Unwrap = False,
+    rest: Number = option(_REST, "RATE"),
     fitted: Annotated[Text, output_file("--out", "-o", help=_SCENE)] = None,
     residuals: Annotated[Text, output_file("--residuals", help=_RESIDUALS)] = None,
     format: OutputStructured = None,
@@ -53,10 +58,13 @@ def identify(
 
     Without --of the base parameters are found: what the torques depend on (see regressor --base).
     Columns qd, qdd are used as they are; missing ones are found by quintic splines through t, after
-    a low-pass with --cutoff. JSON keys: rows, condition (of the columns that were fitted, each
-    scaled to 1), parameters (name, value, error: the standard error, scene: the scene's value,
-    unit), kept (what the data do not tell: it keeps the scene's number), rms and rms_torque (N m,
-    of what is left of the torques, and of the torques).
+    a low-pass with --cutoff. A joint with static friction is held by any torque within it while it
+    rests (--rest), so its equation is left out there.
+
+    JSON keys: rows, at_rest (rows left out of each torque), condition (of the columns that were
+    fitted, each scaled to 1), parameters (name, value, error: the standard error, scene: the
+    scene's value, unit), kept (what the data do not tell: it keeps the scene's number), rms and
+    rms_torque (N m, of what is left of the torques, and of the torques).
 
     Joints are weighted by what a first fit leaves of their torques. The standard errors are those
     of noise in the torques that is independent from row to row; noise in q is not in them.
@@ -79,12 +87,21 @@ def identify(
             limit = "torques are not linear in it, as in masses, moments, friction and stiffness"
             limit += f"; find it by {way} --columns {torques} (the file needs qd and qdd)"
             raise InputError("--of", value=name, limit=limit)
-    with remarks(), named_options(["cutoff"]):
+    with remarks(), named_options(["cutoff", "rest"]):
         motion = read_motion(mechanism, data, torques=True, cutoff=cutoff, unwrap=unwrap)
         q, qd, qdd = motion.states
         with at_place(motion.source, "rows", "tau"), at_place("--of", *names or "-"):
-            found = identified(mechanism, q, qd, qdd, motion.tau, motion.t, names, physical)
+            measured = motion.tau, motion.t
+            found = identified(mechanism, q, qd, qdd, *measured, names, physical, rest)
     joints = [k + 1 for k in balanced_joints(mechanism)]
+    at_rest = {
+        f"tau{k}": int(left_out)
+        for k, left_out in zip(joints, found.at_rest.sum(axis=0), strict=True)
+        if left_out
+    }
+    if at_rest:
+        counts = ", ".join(f"{count} of {found.rows} for {tau}" for tau, count in at_rest.items())
+        note(f"Note: rows in which static friction holds a joint at rest are left out: {counts}")
     if not names and not physical:
         _check_told(mechanism, found, motion)
     untold = [
@@ -106,6 +123,7 @@ def identify(
         _write_residuals(mechanism, found, motion, residuals)
     content: dict[str, object] = {
         "rows": found.rows,
+        "at_rest": at_rest,
         "condition": found.condition,
         "parameters": [x._asdict() for x in found.estimates],
         "kept": list(found.kept),
@@ -128,6 +146,7 @@ def _check_told(mechanism: Mechanism, found: Identification, motion: MotionFile)
     if not np.any(motion.t) or not (found.rms[places] > MOST * usual).any():
         return
     left = motion.tau - predicted(mechanism, found, motion.states, motion.t)[:, places]
+    left[found.at_rest[:, places]] = 0.0
     slip = np.sign(motion.states[1][:, list(driven)])
     slip /= np.maximum(np.linalg.norm(slip, axis=0), 1.0)
     left -= slip * (slip * left).sum(axis=0)

@@ -8,6 +8,9 @@ leaves of their torques.  With r = R pi - s, what changes from the scene's pi0 i
                        scene's numbers
     named numbers      masses, centres of gravity, .. x, by scipy's least_squares: r(pi(x))
 
+A joint with static friction that rests is held by any force within its band, so its equation tells
+nothing: rows in which it rests are left out of it.
+
 With `physical`, where what was found is no body (m > 0, I > 0, no damping below 0), the numbers are
 sought between these bounds.  The standard errors are those of independent
 noise of each joint's torque.
@@ -21,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robodyn.dynamics.dynamics import together
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters import scene_numbers
@@ -41,6 +45,7 @@ BLOCK = 1 << 14  # states whose Y is held at once
 LARGEST = 1e100  # N m: squares of torques are summed
 QUIET = 1e-10  # part of a joint's torques below which what is left of them weighs no more
 TIGHT = 1e-14  # of scipy's tolerances
+RESTS = 1e-3  # of a joint's largest rate: below it the joint is at rest
 HOLD = 1e-7  # weight of the scene's own numbers, beside the data's, where these tell nothing
 
 
@@ -61,7 +66,8 @@ class Identification(NamedTuple):
 
     `kept` are combinations or numbers that the data do not tell, and which keep the scene's; the
     `condition` is that of the columns that were fitted, each scaled to 1.  `rms` (a,) is what is
-    left of the torques of the actuated joints, and free ones, `rms_torque` what they are.
+    left of the torques of the actuated joints, and free ones, `rms_torque` what they are, both
+    without the rows that `at_rest` (T, a) leaves out of a torque's equations.
     """
 
     estimates: tuple[Estimate, ...]
@@ -73,6 +79,7 @@ class Identification(NamedTuple):
     description: Description  # the scene with the numbers that were found
     pi: Array  # its parameters, in the order of `linear_parameters`
     faults: tuple[str, ...]  # why that is no scene, if it is none
+    at_rest: Array  # (T, a) bool
 
 
 # estimates, what is kept, the condition, the change of pi, and the scene with it
@@ -88,12 +95,15 @@ def identify(
     t: ArrayLike = 0.0,
     of: Sequence[str] = (),
     physical: bool = False,
+    rest: float | None = None,
 ) -> Identification:
     """Parameters from the torques tau (T, a) of the actuated joints along q, qd, qdd (T, n).
 
     Free joints of an open chain have none, which tells something too.  Base parameters are found,
-    or the numbers `of` these names, such as `links.forearm.m`.  Raises InputError for arrays that
-    do not fit, too few rows, and a motion that tells nothing.
+    or the numbers `of` these names, such as `links.forearm.m`.  A joint with static friction whose
+    rate is `rest` (rad/s, m/s) at most is at rest, and its equation left out of that row; None:
+    0.001 of the joint's largest rate.  Raises InputError for arrays that do not fit, too few rows,
+    and a motion that tells nothing.
     """
     states = [np.asarray(x, float) for x in (q, qd, qdd)]
     given = np.asarray(tau, float)
@@ -104,16 +114,20 @@ def identify(
     if len(given) and not np.abs(given).max(initial=0.0) <= LARGEST:
         limit = f"must be finite, and {LARGEST:g} N m at most"
         raise InputError("tau", value=float(np.abs(given).max()), limit=limit)
+    if rest is not None and not 0.0 <= rest <= LARGEST:
+        raise InputError("rest", value=rest, limit="must be a rate >= 0, rad/s or m/s")
     joints = balanced_joints(mechanism)
     torques = np.zeros((len(given), len(joints)))
     torques[:, [joints.index(k) for k in mechanism.actuated]] = given
-    data = _Data(mechanism, states, torques, np.broadcast_to(np.asarray(t, float), len(torques)))
+    times = np.broadcast_to(np.asarray(t, float), len(torques))
+    data = _Data(mechanism, states, torques, times, rest)
     found = _named(mechanism, data, of, physical) if of else _base(mechanism, data, physical)
     estimates, kept, condition, change, made = found
     made, faults = scene_numbers.checked(made)
     left, pi = data.left(change), data.now + change
     rows, usual = data.rows, data.rms_torque
-    return Identification(estimates, kept, condition, rows, left, usual, made, pi, faults)
+    known = made, pi, faults, data.at_rest
+    return Identification(estimates, kept, condition, rows, left, usual, *known)
 
 
 def predicted(
@@ -129,26 +143,56 @@ def _regressors(mechanism: Mechanism, states: Sequence[Array], t: Array) -> Iter
         yield regressor(mechanism, *(x[begin : begin + BLOCK] for x in (*states, t)))
 
 
-class _Data:
-    """The triangles of the rows Y (pi - pi0) = tau - tau0, joints weighted."""
+def _at_rest(mechanism: Mechanism, states: Sequence[Array], rest: float | None) -> Array:
+    """Return in which rows (T, a) static friction of a joint at rest is in a torque's equation.
 
-    def __init__(self, mechanism: Mechanism, states: Sequence[Array], tau: Array, t: Array) -> None:
+    That of a joint that others follow is in the equations of these.
+    """
+    joints = balanced_joints(mechanism)
+    named = dict(zip(("q", "qd", "qdd"), states, strict=True))
+    rates = np.abs(together(mechanism, named)["qd"])
+    slow = rates <= (RESTS * rates.max(axis=0, initial=0.0) if rest is None else rest)
+    found = np.zeros((len(rates), len(joints)), bool)
+    for k, _ in mechanism.dry:
+        for i, joint in enumerate(joints):
+            if joint == k or k not in joints:
+                found[:, i] |= slow[:, k] & slow[:, joint]
+    return found
+
+
+class _Data:
+    """The triangles of the rows Y (pi - pi0) = tau - tau0, joints weighted.
+
+    Rows `at_rest` (T, a) are left out; `counts` (a,) are those that stay.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        states: Sequence[Array],
+        tau: Array,
+        t: Array,
+        rest: float | None,
+    ) -> None:
         self.mechanism, self.rows = mechanism, len(tau)
         self.joints = tau.shape[1]
+        self.at_rest = _at_rest(mechanism, states, rest)
+        tau = np.where(self.at_rest, 0.0, tau)
+        self.counts = (~self.at_rest).sum(axis=0)
         parameters = linear_parameters(mechanism.description)
         self.names = [x.name for x in parameters]
         self.now = np.array([x.value for x in parameters])
         p = len(parameters)
         triangles: list[Array] = [np.zeros((0, p + 1))] * self.joints
         for block, found in enumerate(_regressors(mechanism, states, t)):
-            measured = tau[block * BLOCK : (block + 1) * BLOCK]
-            left = measured - found.Y @ self.now - found.known
+            these = slice(block * BLOCK, (block + 1) * BLOCK)
+            left = tau[these] - found.Y @ self.now - found.known
             for i, triangle in enumerate(triangles):
-                rows = np.column_stack([found.Y[:, i], left[:, i]])
+                rows = np.column_stack([found.Y[:, i], left[:, i]])[~self.at_rest[these, i]]
                 triangle = np.linalg.qr(np.concatenate([triangle, rows]), mode="r")  # type: ignore
                 triangles[i] = triangle
         self.triangles = triangles
-        self.rms_torque = np.sqrt((tau**2).mean(axis=0)) if len(tau) else np.zeros(self.joints)
+        self.rms_torque = np.sqrt((tau**2).sum(axis=0) / np.maximum(self.counts, 1))
         self.weights = np.ones(self.joints)
         self._weigh()
 
@@ -158,14 +202,16 @@ class _Data:
 
     def enough(self, unknowns: int) -> None:
         """Raise InputError where there are not more rows than unknowns."""
-        if (rows := self.rows * self.joints) <= unknowns:
+        if int(self.counts.sum()) <= unknowns:
             limit = f"must be more: {unknowns} numbers are unknown, of {self.joints} torques a row"
-            raise InputError("rows", value=rows // max(self.joints, 1), limit=limit)
+            if self.at_rest.any():
+                limit += "; where joints with static friction rest, rows are left out"
+            raise InputError("rows", value=self.rows, limit=limit)
 
     def left(self, change: Array) -> Array:
         """The rms of each joint's torque that pi0 + change leaves."""
         squares = [((x[:, :-1] @ change - x[:, -1]) ** 2).sum() for x in self.triangles]
-        return np.sqrt(np.array(squares) / max(self.rows, 1))
+        return np.sqrt(np.array(squares) / np.maximum(self.counts, 1))
 
     def weigh(self, change: Array) -> None:
         """Weight the joints by what pi0 + change leaves of their torques."""
@@ -179,7 +225,7 @@ class _Data:
         size = np.linalg.norm(J, axis=0)
         scaled = J / size
         singular = np.linalg.svd(scaled, compute_uv=False)
-        free = self.rows * self.joints - J.shape[1]
+        free = int(self.counts.sum()) - J.shape[1]
         square = ((self.R @ change - self.s) ** 2).sum() / max(free, 1)
         inverse = np.linalg.inv(np.linalg.qr(scaled, mode="r"))
         spread = np.sqrt((inverse**2).sum(axis=1) * square) / size
