@@ -401,3 +401,19 @@ def test_a_signal_leaves_no_file(tmp_path: Path, number: signal.Signals) -> None
         assert child.stderr is not None
         assert child.stderr.read() == b""
     assert not list(tmp_path.iterdir())
+
+
+def test_static_friction_holds_what_the_torque_cannot_start(robodyn: Run, scene: Run) -> None:
+    """The force that would follow the motion leaves the cart where it is."""
+    slide = "joint: prismatic, axis: [1, 0], m: 2, l: 0, r: 0, I: 0"
+    cart = scene(f"links: [{{name: c, {slide}, friction: {{force: 3, static: 4}}}}]")
+    way = ("trajectory", cart, "--from", 0, "--to", 1, "--time")
+    told = "--max-tau: tau1 (c) at t = 0 s = 4 N: starts it against its static friction, more than"
+    for time in ("min", "9"):
+        robodyn(*way, time, "--max-tau", 3.5).fails(1, f"{told} the limit of 3.5 N")
+        assert robodyn(*way, time, "--max-tau", 4.01).code == 0
+    motion = robodyn(*way, "9").out
+    law = ("--track", "-", "--control", "pd", "--kp", 900, "--kd", 90, "--points", 2, "--quiet")
+    for force, end in ((3.5, 0.0), (4.01, 1.0)):
+        run = robodyn("simulate", cart, "--q", 0, *law, "--tau-max", force, stdin=motion)
+        assert run.column("q1")[-1] == pytest.approx(end, abs=0.01)

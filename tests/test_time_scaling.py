@@ -247,6 +247,62 @@ def test_a_torque_that_does_not_hold_the_arm_is_named_with_its_pose() -> None:
     assert float(told.split(" = ")[2].split()[0]) == pytest.approx(14.56785, rel=1e-8)
 
 
+# Static friction
+
+CART = "joint: prismatic, axis: {}, m: 2, l: 0, r: 0, I: 0, friction: {{force: 3, static: 4}}"
+
+
+def cart(axis: str = "[1, 0]", more: str = "") -> Mechanism:
+    scene = f"gravity: 9.81\nlinks: [{{name: c, {CART.format(axis)}}}]\n{more}"
+    return mechanism(scene)
+
+
+def assert_needs(mech: Mechanism, points: list[list[float]], force: float, at: float) -> None:
+    """More than this force, at this part of the motion, is what it takes, in any time."""
+    slow = reference_motion(mech, points, 100.0)
+    for motion in (
+        lambda f: shortest_motion(mech, points, max_tau=f),
+        lambda f: check_limits(slow, limits_of(mech, tau=f)),
+    ):
+        motion(force * (1 + 1e-9))
+        with pytest.raises(LimitError, match="against its static friction, more than") as error:
+            motion(force * (1 - 1e-9))
+        told = str(error.value)
+        assert abs(float(told.split(" = ")[2].split()[0])) == pytest.approx(force, rel=1e-8)
+        assert error.value.quantity == "tau"
+    assert float(told.split("t = ")[1].split(" s")[0]) == pytest.approx(100.0 * at, rel=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore:a joint with dry friction is at rest")
+def test_static_friction_must_be_overcome() -> None:
+    """At the start, after a turn back, and by the crank that a rocker holds."""
+    assert_needs(cart(), [[0.0], [1.0]], 4.0, 0.0)
+    up = math.sqrt(0.5)
+    assert_needs(cart(f"[{up}, {up}]"), [[0.0], [1.0]], 4.0 + 2.0 * 9.81 * up, 0.0)
+    # down it starts by its weight; up again, at the lowest point, it must be lifted
+    path = path_through(np.array([[1.0], [0.0], [0.6]]), None, "quintic", 0.3, False)
+    u = np.linspace(0.2, 0.9, 100_001)
+    lowest = float(u[np.argmin(path.evaluate(u)[0][:, 0])])
+    assert_needs(cart("[0, 1]"), [[1.0], [0.0], [0.6]], 4.0 + 2.0 * 9.81, lowest)
+    text = (ROOT / "robots/four-bar.yaml").read_text()
+    bar = mechanism(
+        text.replace("name: rocker,", "name: rocker, friction: {torque: 8, static: 12},")
+    )
+    k3 = oracles.four_bar_coefficients(FOUR_BAR, oracles.four_bar_position(FOUR_BAR, 1.0))[0][2]
+    slope = oracles.four_bar_reduction(FOUR_BAR, 1.0)[2]
+    assert_needs(bar, [[1.0], [1.2]], slope + 12.0 * abs(k3), 0.0)
+
+
+@pytest.mark.filterwarnings("ignore:a joint with dry friction is at rest")
+def test_static_friction_that_is_felt_in_no_other_joint() -> None:
+    """The arm's other joint needs its load alone; one that stays at rest may be held."""
+    text = SCENE.replace("I: 0.082", "I: 0.082, friction: {torque: 1.0, static: 20.0}")
+    mech = mechanism(text.replace("gravity: 9.81", "gravity: 0"))
+    shortest_motion(mech, [[0.0, 0.0], [0.0, 1.0]], max_tau=5.0)
+    with pytest.raises(LimitError, match=r"tau1 .* t = 0 s = -20 N m: starts it"):
+        shortest_motion(mech, [[0.0, 0.0], [-0.1, 1.0]], max_tau=5.0)
+
+
 # Checks of a given duration
 
 

@@ -22,7 +22,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.dynamics import together
 from robodyn.errors import InputError
@@ -79,7 +79,7 @@ class Identification(NamedTuple):
     description: Description  # the scene with the numbers that were found
     pi: Array  # its parameters, in the order of `linear_parameters`
     faults: tuple[str, ...]  # why that is no scene, if it is none
-    at_rest: Array  # (T, a) bool
+    at_rest: NDArray[np.bool_]  # (T, a)
 
 
 # estimates, what is kept, the condition, the change of pi, and the scene with it
@@ -143,7 +143,9 @@ def _regressors(mechanism: Mechanism, states: Sequence[Array], t: Array) -> Iter
         yield regressor(mechanism, *(x[begin : begin + BLOCK] for x in (*states, t)))
 
 
-def _at_rest(mechanism: Mechanism, states: Sequence[Array], rest: float | None) -> Array:
+def _at_rest(
+    mechanism: Mechanism, states: Sequence[Array], rest: float | None
+) -> NDArray[np.bool_]:
     """Return in which rows (T, a) static friction of a joint at rest is in a torque's equation.
 
     That of a joint that others follow is in the equations of these.
@@ -211,7 +213,8 @@ class _Data:
     def left(self, change: Array) -> Array:
         """The rms of each joint's torque that pi0 + change leaves."""
         squares = [((x[:, :-1] @ change - x[:, -1]) ** 2).sum() for x in self.triangles]
-        return np.sqrt(np.array(squares) / np.maximum(self.counts, 1))
+        found: Array = np.sqrt(np.array(squares) / np.maximum(self.counts, 1))
+        return found
 
     def weigh(self, change: Array) -> None:
         """Weight the joints by what pi0 + change leaves of their torques."""

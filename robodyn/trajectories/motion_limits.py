@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robodyn.dynamics.dynamics import inverse_dynamics
 from robodyn.errors import InputError, RobodynError
+from robodyn.loops.loop_rates import loop_accelerations
 from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, end_word
@@ -17,6 +19,11 @@ from robodyn.trajectories.joint_paths import Pieces
 from robodyn.trajectories.loop_path import least_along
 from robodyn.trajectories.reference import ReferenceMotion
 
+STILL = 1e-9  # part of a joint's largest rate that is none
+BISECTIONS = 50  # of the interval in which a rate changes its sign
+FIRST = 1e-300  # a rate that tells a direction, and no more
+FALLS = 1e-100  # a rate beyond which friction has fallen from static, as it does at once
+ROUNDING = 1e-12  # part of a limit by which it may be exceeded
 UNITS = {"qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "m/s^2"), "tau": ("N m", "N")}
 
 
@@ -91,6 +98,52 @@ def with_motors(mechanism: Mechanism, limits: Limits = Limits()) -> Limits:
 def limited_joint(mechanism: Mechanism, name: str, place: int) -> str:
     k = mechanism.actuated[place]
     return f"{name}{k + 1} ({mechanism.link_names[k]})"
+
+
+def check_starts(motion: ReferenceMotion, limits: Limits) -> None:
+    """Raise LimitError for a joint that static friction holds against the largest torque.
+
+    A joint starts from rest where the motion begins, after a stop, and where it turns back. Its
+    torque must reach there what static friction holds and what acts on the joint without an
+    acceleration of its own.
+    """
+    mechanism, most, x = motion.mechanism, limits.tau, 1.0 / motion.duration
+    dry, driven = mechanism.dry, list(mechanism.actuated)
+    rubbing = {k for k, _ in dry}
+    if most is None or not dry:
+        return
+    u, piece = motion.path.grid()
+    rates = motion.path.evaluate(u, piece)[1]
+    fastest = np.abs(rates).max(axis=0)
+    ways = np.where(np.abs(rates) > STILL * fastest, np.sign(rates), 0.0)
+    for place, joint in enumerate(driven):
+        starts = np.flatnonzero((ways[1:, joint] != 0.0) & (ways[1:, joint] != ways[:-1, joint]))
+        felt = joint in rubbing or not rubbing <= set(driven)  # friction that loops bring here
+        if not (felt and len(starts) and np.isfinite(most[place])):
+            continue
+        after, way = piece[starts + 1], ways[starts + 1]
+        low, high = u[starts], u[starts + 1]
+        high = np.where(ways[starts, joint] == 0.0, low, high)
+        for _ in range(BISECTIONS if (high > low).any() else 0):
+            middle = 0.5 * (low + high)
+            past = motion.path.evaluate(middle, after)[1][:, joint] * way[:, joint] > 0.0
+            low, high = np.where(past, low, middle), np.where(past, middle, high)
+        q, q1, q2 = motion.path.evaluate(high, after)
+        still = np.abs(q1) <= STILL * fastest
+        still[:, joint] = True
+        qd, qdd = np.where(still, FIRST * way, x * q1), x * x * q2
+        qdd[:, joint] = 0.0
+        if mechanism.rows:
+            qdd = loop_accelerations(mechanism, q, qd, qdd[:, driven])
+        falls = ((k, friction._replace(stribeck=friction.stribeck or FALLS)) for k, friction in dry)
+        held = replace(mechanism, dry=tuple(falls))
+        t = motion.begin + high * motion.duration
+        tau = inverse_dynamics(held, q, qd, qdd, t)[:, joint]
+        worst = int(np.argmax(way[:, joint] * tau))
+        if way[worst, joint] * tau[worst] > (1.0 + ROUNDING) * most[place]:
+            told = "starts it against its static friction, more than the limit of {}"
+            at, limit = f"t = {t[worst]:.6g} s", float(most[place])
+            raise LimitError(mechanism, "tau", place, at, float(tau[worst]), limit, told)
 
 
 def check_ends(motion: ReferenceMotion) -> None:

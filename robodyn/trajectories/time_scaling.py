@@ -11,6 +11,8 @@ reaches its limit; the least of all these bounds T.  A slower motion keeps the l
 friction is no such polynomial: with it the three values of x are taken about the bound that the
 ones before gave, from a slow motion on, until it stays.
 
+A joint that starts from rest needs what its static friction holds, however slow the motion.
+
 Limits hold between the rows too: extremes are found between the samples that follow a path.
 """
 
@@ -31,8 +33,10 @@ from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
 from robodyn.trajectories.loop_path import Columns, WholePath, least_along
 from robodyn.trajectories.motion_limits import (
+    ROUNDING,
     LimitError,
     Limits,
+    check_starts,
     limited_joint,
     limits_of,
     with_motors,
@@ -41,7 +45,6 @@ from robodyn.trajectories.profiles import ACCELERATION
 from robodyn.trajectories.profiles import profile as profile_of
 from robodyn.trajectories.reference import ReferenceMotion, all_joints, motion_along, whole_path
 
-ROUNDING = 1e-12  # part of a limit by which it may be exceeded
 MARGIN = 1e-9  # part by which a duration that torques bound is longer than what was found
 MOST_FITS = 200  # of a, b and g, each about the x that the one before gave
 SETTLED = 1e-11  # part of x by which the last two differ
@@ -77,6 +80,7 @@ def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
         lambda u, of: -np.abs(values(u, of)) / bounds, motion.path.grid()
     )
     if -least <= 1.0 + ROUNDING:
+        check_starts(motion, limits)
         return
     place, joint = divmod(column, len(driven))
     name, bound = limits.given[place]
@@ -176,7 +180,9 @@ def shortest_of(
     if not (math.isfinite(duration) and duration > 0.0 and rates.any()):
         limit = "is not bounded: nothing moves, or no limit is reached however fast"
         raise InputError("duration", value="min", limit=limit)
-    return Shortest(ReferenceMotion(mechanism, whole, duration, begin), bound)
+    motion = ReferenceMotion(mechanism, whole, duration, begin)
+    check_starts(motion, limits)
+    return Shortest(motion, bound)
 
 
 def _shortest_by_torque(
