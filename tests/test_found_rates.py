@@ -13,7 +13,8 @@ from conftest import FOUR_BAR as CRANK_ROCKER
 from conftest import TWO_LINK, Outcome, relative_error
 
 import oracles
-from robodyn.trajectories.splines import derivative
+from robodyn.errors import RobodynError
+from robodyn.trajectories.splines import derivative, resampled
 
 Run = Callable[..., Outcome]
 ARM, FOUR_BAR, PENDULUM = "robots/2r.yaml", "robots/four-bar.yaml", "robots/pendulum.yaml"
@@ -150,6 +151,9 @@ def test_times_too_unequal_for_floats(robodyn: Run) -> None:
     t = [0.0, 5e-324, 1e-323, 1.5e-323, 2e-323, 1.0, 2.0]
     table = text("t,q1,q2", np.array(t), np.array([[k, k * k] for k in range(7)]) / 20)
     robodyn("torque", ARM, "-", "--differentiate", stdin=table).fails(1)
+    even = np.arange(7.0)
+    with pytest.raises(RobodynError, match="no spline goes through the times"):
+        resampled(np.array(t), even[:, None], even)
 
 
 def wrapped(q: np.ndarray) -> np.ndarray:

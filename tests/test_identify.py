@@ -247,6 +247,18 @@ def test_friction_of_a_joint_that_follows_is_felt_by_the_driven_one() -> None:
     assert [x.value for x in found.estimates] == pytest.approx([masses["coupler"], 0.4], rel=1e-7)
 
 
+def test_rates_at_uneven_times() -> None:
+    """As at even ones, also where two rows are close together."""
+    rng = np.random.default_rng(1)
+    t = np.cumsum(rng.uniform(0.002, 0.008, 1500))
+    t[200:1300:100] = t[199:1299:100] + 1e-6
+    noisy = (np.sin(3.0 * t) + 1e-3 * rng.normal(size=1500))[:, None]
+    inner = slice(200, -200)
+    for order, expected in ((1, 3.0 * np.cos(3.0 * t)), (2, -9.0 * np.sin(3.0 * t))):
+        found = rates(t, noisy, order, cutoff=5.0)[:, 0]
+        assert np.abs(found - expected)[inner].max() < (0.03, 0.7)[order - 1]
+
+
 # -- the command ----------------------------------------------------------------------------------
 
 
@@ -473,5 +485,33 @@ def test_a_cutoff_for_nothing_and_a_leap_of_time_are_told(robodyn: Run, tmp_path
     assert "5 steps of 0.0" in done.err
     data = edited(written(tmp_path / "c.csv", mech, rates=False), lambda x: [*x[:9], *x[11:]])
     done = robodyn("identify", ROOT / ARM, data, "--cutoff", "20")
-    assert done.code == 2
-    assert f"{data}: t = steps from 0.0" in done.err
+    assert (done.code, "by even steps of 0.0101523 s, a Butterworth" in done.err) == (0, True)
+
+
+def test_noise_in_angles_is_named_before_another_mechanism(robodyn: Run, tmp_path: Path) -> None:
+    """Encoder data at uneven times: 1 mrad of noise."""
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.002, 0.008, 1500))[:, None]
+    a, w = np.array([[0.8, 0.7], [0.3, 0.2]]), np.array([[2.0, 3.0], [5.0, 7.0]])
+    p = np.array([[0.0, np.pi / 2], [1.0, 0.0]])
+    angles = [w[k] * t + p[k] for k in range(2)]
+    q = sum(a[k] * np.sin(angles[k]) for k in range(2))
+    qd = sum(a[k] * w[k] * np.cos(angles[k]) for k in range(2))
+    qdd = sum(-a[k] * w[k] ** 2 * np.sin(angles[k]) for k in range(2))
+    tau = rd.inverse_dynamics(rd.load(ROOT / ARM), q, qd, qdd)
+    rows = np.hstack([t, q + 1e-3 * rng.normal(size=q.shape), tau]).tolist()
+    data = tmp_path / "noisy.csv"
+    lines = ["t,q1,q2,tau1,tau2", *(",".join(map(repr, row)) for row in rows)]
+    data.write_text("\n".join(lines) + "\n")
+    first = "rates found from q follow its noise: give --cutoff, such as 10 (Hz); "
+    done = robodyn("identify", ROOT / ARM, data)
+    assert (done.code, first + "if it leaves more than 50 %" in done.err) == (2, True)
+    done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.m")
+    assert (done.code, first + "or noise, friction" in done.err) == (0, True)
+    done = robodyn("identify", ROOT / ARM, data, "--cutoff", 5)
+    told = json.loads(done.out)
+    assert "by even steps of 0.005" in done.err
+    assert told["rms"]["tau2"] < 0.1 * told["rms_torque"]["tau2"]
+    found = {x["name"]: x["value"] for x in told["parameters"]}
+    assert found["mx2"] == pytest.approx(0.225, rel=0.02)
+    assert found["J2"] == pytest.approx(0.08725, rel=0.02)

@@ -25,6 +25,7 @@ from robodyn.scene.rewrite import write_scene
 _DATA = "CSV file (t, q1.., tau1.., and qd, qdd where they are known), or - for stdin."
 _PHYSICAL = "Masses and moments of inertia above 0, damping and friction not below it."
 _CUTOFF = "Low-pass for joint values whose rates are to be found, Hz, of zero phase."
+_NOISY = "rates found from q follow its noise: give --cutoff, such as 10 (Hz)"
 _REST = (
     "Rate, rad/s or m/s, up to which a joint with static friction is at rest. Default: 0.001 of "
     "its largest rate."
@@ -111,7 +112,9 @@ def identify(
     ]
     if untold:
         text = f"{', '.join(untold)} are not told by {mechanism.source} with the numbers found"
-        note(f"Warning: {motion.source}: {text}: noise, friction, or data of another mechanism?")
+        why = f"{_NOISY}; or " if motion.noisy else ""
+        why += "noise, friction, or data of another mechanism?"
+        note(f"Warning: {motion.source}: {text}: {why}")
     rough = (found.rms > ROUNDED * found.rms_torque).any()
     for x in found.estimates if rough else ():
         if not re.search("m[xy]|[-.]", x.name) and x.value < -BELOW * x.error:
@@ -157,6 +160,9 @@ def _check_told(mechanism: Mechanism, found: Identification, motion: MotionFile)
             value = f"{100 * part:.3g} % of its rms is left by any masses, dampers and friction"
             limit = f"{100 * MOST:g} % at most, but for noise, which this is not: it is even from "
             limit += "row to row. These are data of another mechanism"
+            if motion.noisy:
+                limit = f"{_NOISY}; if it leaves more than {100 * MOST:g} % these are data of "
+                limit += "another mechanism"
             raise InputError(f"tau{k + 1}", where=motion.source, value=value, limit=limit)
 
 

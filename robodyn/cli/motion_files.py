@@ -215,6 +215,7 @@ class MotionFile(NamedTuple):
     lines: list[str]
     header: Sequence[str]
     source: str
+    noisy: bool  # whether rates were found without a low-pass, which magnifies noise
 
 
 def read_motion(
@@ -260,7 +261,7 @@ def read_motion(
     column = without_jumps(mechanism, column, numbers, name, unwrap, differentiated)
     if lack.absent:
         told = f"{' and '.join(lack.absent)} of {', '.join(lack.names)}"
-        note(f"Note: {told}: by {how(cutoff)}")
+        note(f"Note: {told}: by {how(cutoff, t)}")
     with at_place(name, "t", "rows"):
         found, arrays = lack.filled(sources, column, partial(rates, cutoff=cutoff))
     if torques:
@@ -275,7 +276,8 @@ def read_motion(
             with at_place(f"{name}: line {number}"):
                 complete(moving, found, [x[k : k + 1] for x in arrays])
         raise
-    return MotionFile(states, tau, t, list(chain(*(x.lines for x in chunks))), reader.header, name)
+    lines, noisy = list(chain(*(x.lines for x in chunks))), bool(lack.absent) and cutoff is None
+    return MotionFile(states, tau, t, lines, reader.header, name, noisy)
 
 
 def _check_gap(t: Array, numbers: Sequence[int], source: str) -> None:

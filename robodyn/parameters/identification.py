@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.dynamics import together
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters import scene_numbers
@@ -36,7 +35,7 @@ from robodyn.parameters.base_parameters import (
     structural,
 )
 from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import Regressor, balanced_joints, regressor
+from robodyn.parameters.regression_matrix import Regressor, balanced_joints, regressor, rows_at_rest
 from robodyn.scene.scene import Description
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
@@ -45,7 +44,6 @@ BLOCK = 1 << 14  # states whose Y is held at once
 LARGEST = 1e100  # N m: squares of torques are summed
 QUIET = 1e-10  # part of a joint's torques below which what is left of them weighs no more
 TIGHT = 1e-14  # of scipy's tolerances
-RESTS = 1e-3  # of a joint's largest rate: below it the joint is at rest
 HOLD = 1e-7  # weight of the scene's own numbers, beside the data's, where these tell nothing
 
 
@@ -143,25 +141,6 @@ def _regressors(mechanism: Mechanism, states: Sequence[Array], t: Array) -> Iter
         yield regressor(mechanism, *(x[begin : begin + BLOCK] for x in (*states, t)))
 
 
-def _at_rest(
-    mechanism: Mechanism, states: Sequence[Array], rest: float | None
-) -> NDArray[np.bool_]:
-    """Return in which rows (T, a) static friction of a joint at rest is in a torque's equation.
-
-    That of a joint that others follow is in the equations of these.
-    """
-    joints = balanced_joints(mechanism)
-    named = dict(zip(("q", "qd", "qdd"), states, strict=True))
-    rates = np.abs(together(mechanism, named)["qd"])
-    slow = rates <= (RESTS * rates.max(axis=0, initial=0.0) if rest is None else rest)
-    found = np.zeros((len(rates), len(joints)), bool)
-    for k, _ in mechanism.dry:
-        for i, joint in enumerate(joints):
-            if joint == k or k not in joints:
-                found[:, i] |= slow[:, k] & slow[:, joint]
-    return found
-
-
 class _Data:
     """The triangles of the rows Y (pi - pi0) = tau - tau0, joints weighted.
 
@@ -178,7 +157,7 @@ class _Data:
     ) -> None:
         self.mechanism, self.rows = mechanism, len(tau)
         self.joints = tau.shape[1]
-        self.at_rest = _at_rest(mechanism, states, rest)
+        self.at_rest = rows_at_rest(mechanism, states, rest)
         tau = np.where(self.at_rest, 0.0, tau)
         self.counts = (~self.at_rest).sum(axis=0)
         parameters = linear_parameters(mechanism.description)

@@ -7,13 +7,14 @@ formula eliminates the pins' forces, the columns are loads that actuators and pi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations, islice
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.dense_dynamics import balanced, check_actuators
 from robodyn.dynamics.dynamics import PIVOT_CUT, times_of, together
@@ -34,6 +35,7 @@ from robodyn.tables.short_repr import short_repr
 RATES = ("qd", "qdd")
 BLOCK = 4096  # states whose pins are balanced at once
 CHOICES = 1000  # of joints that count as free
+RESTS = 1e-3  # of a joint's largest rate: below it the joint is at rest
 TINY = 1e-12  # a singular value that is none
 
 
@@ -104,6 +106,26 @@ def balanced_joints(mechanism: Mechanism) -> tuple[int, ...]:
 def balanced_mechanism(mechanism: Mechanism) -> Mechanism:
     """The mechanism with these as its actuated joints."""
     return replace(mechanism, actuated=balanced_joints(mechanism))
+
+
+def rows_at_rest(
+    mechanism: Mechanism, states: Sequence[Array], rest: float | None
+) -> NDArray[np.bool_]:
+    """Return in which rows each torque's equation (T, a) has static friction of a joint at rest.
+
+    A joint is at rest up to the rate `rest` (rad/s, m/s; None: RESTS of its largest). The friction
+    of a joint that follows is in the equations of the joints that rest with it.
+    """
+    joints = balanced_joints(mechanism)
+    named = dict(zip(("q", "qd", "qdd"), states, strict=True))
+    rates = np.abs(together(mechanism, named)["qd"])
+    slow = rates <= (RESTS * rates.max(axis=0, initial=0.0) if rest is None else rest)
+    found = np.zeros((len(rates), len(joints)), bool)
+    for k, _ in mechanism.dry:
+        for i, joint in enumerate(joints):
+            if joint == k or k not in joints:
+                found[:, i] |= slow[:, k] & slow[:, joint]
+    return found
 
 
 def _smooth(mechanism: Mechanism, states: list[Array], times: Array) -> tuple[Array, Array]:

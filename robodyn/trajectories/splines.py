@@ -67,8 +67,10 @@ def turns_between(q: Array, t: Array | None = None, qd: Array | None = None) -> 
     return found
 
 
-def derivative(t: Array, x: Array, order: int) -> Array:
-    """The derivative of this order, at times t (T,) that rise, of x (T, m), T >= FEWEST_ROWS.
+def derivative(t: Array, x: Array, order: int, at: Array | None = None) -> Array:
+    """The derivative of this order of x (T, m), at times t (T,) that rise, T >= FEWEST_ROWS.
+
+    `at` are other times (S,), from t[0] to t[-1], to take it at.
 
     That of the quintic spline through x whose third derivative's pieces run on at the ends (not a
     knot): nothing is assumed of the motion there.  Of a smooth motion the first derivative is right
@@ -82,7 +84,28 @@ def derivative(t: Array, x: Array, order: int) -> Array:
         with np.errstate(all="ignore"):
             places = (t - t[0]) / step
             spline = make_interp_spline(places, x, k=5)
-            found: Array = spline.derivative(order)(places) / step**order
+            wanted = places if at is None else (at - t[0]) / step
+            found: Array = spline.derivative(order)(wanted) / step**order
     except (ValueError, np.linalg.LinAlgError):
-        raise RobodynError("no spline goes through the times t", limit="too unequal") from None
+        raise _too_unequal() from None
     return found
+
+
+def resampled(t: Array, x: Array, at: Array) -> Array:
+    """Return x (T, m), known at times t (T,) that rise, at the times `at` (S,) between these.
+
+    By Akima's splines, which noise in rows that are close together does not upset.  Raises
+    RobodynError where the times are too unequal for floats.
+    """
+    from scipy.interpolate import Akima1DInterpolator
+
+    try:
+        with np.errstate(all="ignore"):
+            found: Array = Akima1DInterpolator(t, x)(at)
+    except ValueError:
+        raise _too_unequal() from None
+    return found
+
+
+def _too_unequal() -> RobodynError:
+    return RobodynError("no spline goes through the times t", limit="too unequal")
