@@ -6,7 +6,7 @@ Between its rows the reference is a polynomial in time, of the degree that the r
 - q, qd given: cubic Hermite; qdd_ref jumps at a row;
 - q given: the cubic spline (not-a-knot), twice continuously differentiable.
 
-Angles run on past a turn: wrapped ones are made so first, by `numpy.unwrap`.
+Angles must run on past a turn: apply `numpy.unwrap` to wrapped ones first.
 
 qd_ref and qdd_ref are always the derivatives of q_ref.  Beyond its end a reference may be held:
 q_ref stays, and qd_ref = qdd_ref = 0.
