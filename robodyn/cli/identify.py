@@ -95,16 +95,42 @@ def identify(
             measured = motion.tau, motion.t
             found = identified(mechanism, q, qd, qdd, *measured, names, physical, rest)
     joints = [k + 1 for k in balanced_joints(mechanism)]
-    at_rest = {
-        f"tau{k}": int(left_out)
-        for k, left_out in zip(joints, found.at_rest.sum(axis=0), strict=True)
-        if left_out
-    }
-    if at_rest:
-        counts = ", ".join(f"{count} of {found.rows} for {tau}" for tau, count in at_rest.items())
-        note(f"Note: rows in which static friction holds a joint at rest are left out: {counts}")
+    at_rest = _told_at_rest(found, joints)
     if not names and not physical:
         _check_told(mechanism, found, motion)
+    _tell_left(mechanism, found, motion, joints)
+    if residuals is not None:
+        _write_residuals(mechanism, found, motion, residuals)
+    content: dict[str, object] = {
+        "rows": found.rows,
+        "at_rest": at_rest,
+        "condition": found.condition,
+        "parameters": [x._asdict() for x in found.estimates],
+        "kept": list(found.kept),
+    }
+    for name, left in (("rms", found.rms), ("rms_torque", found.rms_torque)):
+        content[name] = dict(zip((f"tau{k}" for k in joints), left.tolist(), strict=True))
+    if fitted is not None:
+        _write_scene(mechanism, model, found, fitted)
+    if "-" in (fitted, residuals):  # which took the place of the results
+        return
+    write_structure(format, None, content, lambda: list(_tables(found, joints)))
+
+
+def _told_at_rest(found: Identification, joints: list[int]) -> dict[str, int]:
+    """Return how many rows are left out of each torque, of those with any; a note tells them."""
+    counts = dict(zip(joints, found.at_rest.sum(axis=0).tolist(), strict=True))
+    at_rest = {f"tau{k}": count for k, count in counts.items() if count}
+    if at_rest:
+        each = ", ".join(f"{count} of {found.rows} for {tau}" for tau, count in at_rest.items())
+        note(f"Note: rows in which static friction holds a joint at rest are left out: {each}")
+    return at_rest
+
+
+def _tell_left(
+    mechanism: Mechanism, found: Identification, motion: MotionFile, joints: list[int]
+) -> None:
+    """Warn of torques that the numbers do not tell, of numbers that no body has; note what stays."""
     untold = [
         f"{100 * left / usual:.3g} % of tau{k}"
         for k, left, usual in zip(joints, found.rms, found.rms_torque, strict=True)
@@ -122,22 +148,6 @@ def identify(
             note(f"Warning: {motion.source}: {text}: no body has that")
     if found.kept:
         note(f"Note: the data do not tell, and the scene's stay: {', '.join(found.kept)}")
-    if residuals is not None:
-        _write_residuals(mechanism, found, motion, residuals)
-    content: dict[str, object] = {
-        "rows": found.rows,
-        "at_rest": at_rest,
-        "condition": found.condition,
-        "parameters": [x._asdict() for x in found.estimates],
-        "kept": list(found.kept),
-    }
-    for name, left in (("rms", found.rms), ("rms_torque", found.rms_torque)):
-        content[name] = dict(zip((f"tau{k}" for k in joints), left.tolist(), strict=True))
-    if fitted is not None:
-        _write_scene(mechanism, model, found, fitted)
-    if "-" in (fitted, residuals):  # which took the place of the results
-        return
-    write_structure(format, None, content, lambda: list(_tables(found, joints)))
 
 
 def _check_told(mechanism: Mechanism, found: Identification, motion: MotionFile) -> None:
