@@ -130,7 +130,7 @@ def _told_at_rest(found: Identification, joints: list[int]) -> dict[str, int]:
 def _tell_left(
     mechanism: Mechanism, found: Identification, motion: MotionFile, joints: list[int]
 ) -> None:
-    """Warn of torques that the numbers do not tell, of numbers that no body has; note what stays."""
+    """Warn of torques that are not told and of numbers that no body has; note what stays."""
     untold = [
         f"{100 * left / usual:.3g} % of tau{k}"
         for k, left, usual in zip(joints, found.rms, found.rms_torque, strict=True)
