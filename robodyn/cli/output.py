@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
 from robodyn.cli.options import Extremes, Format, Out, OutputFormat
-from robodyn.errors import printable, printable_lines
+from robodyn.errors import InputError, printable, printable_lines
 from robodyn.pictures.column_units import TURNING, in_degrees, structure_in_degrees, with_unit
-from robodyn.tables.csv_fields import finite, unquoted
+from robodyn.tables.csv_fields import finite, shown, unquoted
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.records import Record
 from robodyn.tables.table_writer import WRITERS, ScaledWriter, Writer
@@ -102,10 +102,18 @@ def told(
     units: Mapping[str, str] = TURNING,
     summary: Summary | None = None,
 ) -> Writer:
-    """A writer, or of a `summary`; with --degrees of angles in degrees, by the scene's units."""
+    """A writer, or of a `summary`; with --degrees of angles in degrees, by the scene's units.
+
+    Raises InputError if the header has an angle both in radians and in degrees.
+    """
     make = make if summary is None else functools.partial(summary, make)
     if not degrees.get():
         return make(columns, header)
+    there = set(header)
+    for name in header:
+        if (other := in_degrees(name, units)[0]) != name and other in there:
+            limit = f"the table has {shown(other)} beside it: leave one of them out"
+            raise InputError("--degrees", value=shown(name), limit=limit)
     return ScaledWriter(make, lambda name: in_degrees(name, units), columns, header)
 
 
