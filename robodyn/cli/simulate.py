@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
@@ -85,7 +85,7 @@ class ResultOptions:
     quiet: Quiet = False
     report: Annotated[Text, output_file("--report", help="Write the summary as JSON.")] = None
     extremes: Extremes = False
-    out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None
+    out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None
 
     @property
     def format(self) -> Format:
@@ -93,8 +93,12 @@ class ResultOptions:
 
     def opened(self) -> AbstractContextManager[BinaryIO]:
         """The stream of the rows; a note says where those of a run that fails are."""
-        where, styled = "what was computed is in", self.format == "table"
-        return open_output(self.out, lambda name: note(f"{where} {name}"), styled)
+        return _opened(self.out, "what was computed is in", self.format == "table")
+
+
+def _opened(name: Text, kept: str, styled: bool = False) -> AbstractContextManager[BinaryIO]:
+    """The stream of an output; if the run fails a note, `kept`, names the file of what it wrote."""
+    return open_output(name, lambda partial: note(f"{kept} {partial}"), styled)
 
 
 def simulate(
@@ -160,10 +164,17 @@ def simulate(
             with at_place("--sensitivity", *by):
                 carried = with_sensitivities(mechanism, torques, begin, by, settings.method)
     acting = carried.actuation if carried else torques
-    with watching(duration, results.quiet) as watch, results.opened() as stream:
+    listed = events.events
+    with (
+        watching(duration, results.quiet) as watch,
+        results.opened() as stream,
+        nullcontext()
+        if listed is None
+        else _opened(listed, "the events up to there are in") as table,
+    ):
         rows = _Rows(mechanism, torques, carried, results, stream)
         given = mechanism, begin, duration, acting, settings, rows.write, times, watch, watched
-        outcome, facts = _told(given, rows, estimate, results, events)
+        outcome, facts = _told(given, rows, estimate, results, table)
         if not results.quiet:
             _summary(mechanism, facts, events.until)
             if how.estimate_error and facts.error_estimate is None:
@@ -260,15 +271,12 @@ def _told(
     rows: _Rows,
     estimate: float | None,
     results: ResultOptions,
-    events: EventOptions,
+    table: BinaryIO | None,
 ) -> tuple[Outcome, Report]:
     """How the run ended and what is told of it, in its report and the table of its events too."""
     mechanism, watched = rows.mechanism, given[-1]
-    with ExitStack() as files:
-        report, table = (
-            None if name is None else files.enter_context(open_output(name))
-            for name in (results.report, events.events)
-        )
+    opened = nullcontext() if results.report is None else open_output(results.report)
+    with opened as report:
         with named(), remarks():
             outcome, recorder = run(*given)
             facts = recorder.settle()

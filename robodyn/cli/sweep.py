@@ -73,7 +73,7 @@ def sweep(
     extremes: Extremes = False,
     correlations: bool = switch(_CORRELATIONS),
     quiet: Quiet = False,
-    out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None,
+    out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None,
 ) -> None:
     """The same simulation, or torque, over a grid or a random sample, as one CSV.
 
