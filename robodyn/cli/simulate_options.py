@@ -258,11 +258,11 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
 
     The pose must close.
     """
-    from robodyn.cli.row_files import open_file
+    from robodyn.cli.row_files import read_file
     from robodyn.control.state_feedback import read_feedback
 
-    with open_file(file) as (stream, name):
-        found = read_feedback(mechanism, stream.read(), name)
+    text, name = read_file(file)
+    found = read_feedback(mechanism, text, name)
     source = Source(Quantity("q", None), found.q, [], True)
     if at is not None:
         given, name = option_source(mechanism, Quantity("at", at)), "--at"
