@@ -28,7 +28,7 @@ from robodyn.tables.table_writer import Writer
 
 Compute = Callable[[int, Callable[[Rows], object]], object]  # from a chunk on, into what writes
 _SCHEDULER = "A Dask scheduler whose workers compute the chunks (the extra `cluster`)."
-_LOST = f"How long to wait for a worker where the scheduler has lost all. Default: {PATIENCE:g}."
+_LOST = f"How long to wait for a silent scheduler, or one without workers. Default: {PATIENCE:g}."
 _CORRELATIONS = "In place of the rows, Spearman's rank correlation of each result with what varies."
 MOST = 100_000  # points of a sample of which it is told
 SHOWN = 3  # numbers that are named
