@@ -6,7 +6,7 @@ import functools
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal
@@ -27,6 +27,13 @@ Summary = Callable[[MakeWriter, Sequence[str], Sequence[str]], Writer]
 degrees: ContextVar[bool] = ContextVar("degrees", default=False)  # whether angles are told so
 PAGE = 200  # rows of one table on the terminal; a longer result goes on in another
 LEAST = 30  # characters of a sentence in a table, however narrow the terminal
+
+
+def opened(name: str | None, kept: str, format: Format = "csv") -> AbstractContextManager[Any]:
+    """The stream of an output that is named; a note, `kept`, names what a run that fails leaves."""
+    if name is None:
+        return nullcontext()
+    return open_output(name, lambda partial: note(f"{kept} {partial}"), format == "table")
 
 
 @contextmanager
