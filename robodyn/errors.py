@@ -34,12 +34,21 @@ class RobodynError(Exception):
         self.limit = limit
         super().__init__(what)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Parts to rebuild it from, for `pickle` and `copy`."""
+        return _rebuilt, (type(self), self.args), self.__dict__
+
     def __str__(self) -> str:
         return _message(self.where, self.what, self.value, self.limit)
 
     def add_place(self, place: str) -> None:
         """Put `place` (a row of a table, say) before where the error already is."""
         self.where = f"{place}: {self.where}" if self.where else place
+
+
+def _rebuilt(kind: type[RobodynError], args: tuple[object, ...]) -> RobodynError:
+    """Return an error without a call of `__init__`: subclasses take other arguments than `args`."""
+    return kind.__new__(kind, *args)
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -192,6 +193,23 @@ def test_state_feedback(robodyn: Run, tmp_path: Path, more: tuple[object, ...]) 
         first = {name: float(text) for name, text in given.rows[0].items()}
         wanted = (0.2 - x) + 50 * math.radians(10)
         assert first["tau1"] == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_gain_is_a_regular_file_of_bounded_size(quick_shell: Run, tmp_path: Path) -> None:
+    """Also from stdin, which may be a pipe, no more than 16 MiB are read."""
+    gain, pipe, long = (tmp_path / name for name in ("gain.json", "pipe.json", "long.json"))
+    facts = {"coordinates": ["q1", "q2"], "q": [0, 1.5], "tau": [0]}
+    gain.write_text(json.dumps(facts | {"gain": [[-1, 50, -2, 12]]}))
+    os.mkfifo(pipe)
+    long.touch()
+    os.truncate(long, 2**24 + 1)
+    run = "robodyn simulate robots/cart-pole.yaml --q 0.2,80deg --time 0.1 --quiet "
+    run += " ".join(FED_BACK)
+    for name in (pipe, "/dev/zero"):
+        quick_shell(f"timeout 60 {run} {name}").fails(2, f"{name}: cannot be read", "regular file")
+    quick_shell(f"{run} {long}").fails(2, f"{long}: cannot be read: is larger than 16 MiB")
+    quick_shell(f"{run} - </dev/zero").fails(2, "stdin: cannot be read: is larger than 16 MiB")
+    assert quick_shell(f"cat {gain} | {run} -").out == quick_shell(f"{run} {gain}").out != ""
 
 
 def test_another_pose_in_place_of_one_that_does_not_close(robodyn: Run, tmp_path: Path) -> None:

@@ -82,13 +82,25 @@ def test_units(robodyn: Run, text: str, value: float) -> None:
     assert given.column("t")[-1] == pytest.approx(value, abs=1e-14)
 
 
-def test_the_file_of_events_is_never_half_written(robodyn: Run, tmp_path: Path) -> None:
+def test_a_run_that_fails_keeps_an_earlier_file_of_events(robodyn: Run, tmp_path: Path) -> None:
+    """What it found goes where its rows would go: beside it, under the first free name."""
     events = tmp_path / "events.csv"
     events.write_text("before\n")
-    given = robodyn(*ARM, "--event", "a=qd1", "--events", events, "--max-evals", 20)
-    assert given.code == 1
-    assert events.read_text() == "before\n" or events.read_text().startswith("event,t,")
-    assert os.listdir(tmp_path) == ["events.csv"]
+    run = (*ARM, "--event", "a=qd1", "--events", events)
+    for most, name in ((800, "events.csv.partial"), (20, "events.csv.partial.1")):
+        given = robodyn(*run, "--max-evals", most, "--quiet")
+        assert given.code == 1
+        assert f"the events up to there are in {tmp_path / name}\n" in given.err
+        assert events.read_text() == "before\n"
+        assert (tmp_path / name).read_text().startswith("event,t,q1,")
+    found = (tmp_path / "events.csv.partial").read_text().splitlines()
+    assert len(os.listdir(tmp_path)) == 3
+    done(robodyn(*run, "--quiet"))
+    assert len(found) == 2
+    assert events.read_text().startswith("\n".join(found))
+    # a run that cannot start has nothing to keep
+    robodyn(*run, "--tau", "1/t,0", "--quiet").fails(1, "cannot start")
+    assert len(os.listdir(tmp_path)) == 3
 
 
 @pytest.mark.parametrize("workers", [1, 2])

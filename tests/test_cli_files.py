@@ -103,14 +103,66 @@ def test_no_two_name_one_file(robodyn: Run, tmp_path: Path, command: str, kind: 
 def test_what_is_kept_beside_an_output_is_no_input_either(
     robodyn: Run, tmp_path: Path, command: str, end: str
 ) -> None:
+    """A sweep refuses the file by name; a run that fails takes another name."""
     path, link = tmp_path / f"out.csv{end}", tmp_path / "scene.yaml"
     path.write_text(ARM)
     link.symlink_to(path)
+    before = sorted(tmp_path.iterdir())
     for model in (path, link):
-        options = OTHERS.get(command, ["--q", "0,0"])
-        given = robodyn(command, model, *options, "-o", tmp_path / "out.csv")
-        given.fails(2, "--out", "would write over MODEL")
+        if command == "sweep":
+            refused = robodyn("sweep", model, "--vary", "q1=0,1", "-o", tmp_path / "out.csv")
+            refused.fails(2, str(path), "is not of this sweep", "remove or rename it")
+            assert sorted(tmp_path.iterdir()) == before
+        else:
+            failing = ("--q", "0,0", "--max-evals", "300", "-o", tmp_path / "out.csv")
+            assert robodyn("simulate", model, *failing).code == 1
+            kept = set(tmp_path.iterdir()) - set(before)
+            assert [name.read_text()[:2] for name in kept] == ["t,"]
+            for name in kept:
+                name.unlink()
         assert path.read_text() == ARM
+
+
+TABLED = """gravity: 9.81
+links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}, {name: b, m: 1, l: 1, r: 0.5, I: 0.1}]
+springs: [{joint: a, table: tab.csv, angle: 0}]
+loads: [{link: b, torque: {table: folder/push.csv, over: t, column: T}}]
+"""
+WITH_TABLES = [
+    *("torque SCENE --q 0,0 -o OUT", "torque SCENE --q 0,0 --set gravity=3 -o OUT"),
+    *("simulate SCENE --q 0,0 -o OUT", "simulate SCENE --q 0,0 --report OUT"),
+    "simulate SCENE --q 0,0 --event a=qd1 --events OUT",
+    "simulate robots/2r.yaml --q 0,0 --control pd --hold 0,0 --kp 1 --kd 1 --control-model SCENE "
+    "-o OUT",
+    *("sweep SCENE --vary q1=0,1 -o OUT", "sweep SCENE --vary links.b.m=1,2 -o OUT"),
+    *("fit SCENE --vary gravity=1:9 --match ROWS -o OUT", "identify SCENE ROWS -o OUT"),
+    *("identify SCENE ROWS --residuals OUT", "linearize SCENE --q 0,0 --lqr --gain-out OUT"),
+    *("check SCENE -o OUT", "equations SCENE -o OUT", "export SCENE --format mjcf -o OUT"),
+]
+
+
+@pytest.mark.parametrize("line", WITH_TABLES)
+def test_no_output_is_a_table_of_the_scene(robodyn: Run, tmp_path: Path, line: str) -> None:
+    scene, link = tmp_path / "scene.yaml", tmp_path / "link.csv"
+    (tmp_path / "folder").mkdir()
+    table, push = tmp_path / "tab.csv", tmp_path / "folder" / "push.csv"
+    scene.write_text(TABLED)
+    table.write_text("x,F\n-9,-90\n9,90\n")
+    push.write_text("t,T\n0,1\n20,2\n")
+    (tmp_path / "rows.csv").write_text("q1,q2\n0,0\n")
+    link.symlink_to(push)
+    before = sorted(tmp_path.rglob("*"))
+    line = line.replace("SCENE", str(scene)).replace("ROWS", str(tmp_path / "rows.csv"))
+    for out, place in (
+        (table, "springs[0].table"),
+        (f"{tmp_path}/folder/../tab.csv", "springs[0].table"),
+        *((push, "loads[0].torque"), (link, "loads[0].torque")),
+    ):
+        refused = robodyn(*line.replace("OUT", str(out)).split())
+        refused.fails(2, str(out), f"would write over {place}", "name another file")
+        assert table.read_text() == "x,F\n-9,-90\n9,90\n"
+        assert push.read_text() == "t,T\n0,1\n20,2\n"
+        assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_streams_are_files_too(robodyn: Run, quick_shell: Run, tmp_path: Path) -> None:

@@ -285,6 +285,52 @@ def test_rows_that_were_changed_are_computed_again_and_told(robodyn: Run, tmp_pa
 
 
 @pytest.mark.usefixtures("_small_chunks")
+def test_a_failed_simulation_and_a_sweep_into_one_file(robodyn: Run, tmp_path: Path) -> None:
+    """Neither takes the rows of the other, whichever begins; both say where theirs are."""
+    out = tmp_path / "out.csv"
+    names = [f"out.csv.partial{end}" for end in ("", ".json", ".sums", ".1")]
+    failing = ("simulate", "robots/2r.yaml", "--q", "0,0", "--max-evals", 300, "--quiet")
+    data = robodyn(*ARM, *SMALL, "--quiet", "--workers", 1).succeeds().out
+    _cut_off(robodyn, out, 3)
+    failed = robodyn(*failing, "-o", out)
+    assert failed.code == 1
+    assert f"what was computed is in {out}.partial.1\n" in failed.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
+    assert (tmp_path / names[3]).read_text().startswith("t,q1,")
+    resumed = robodyn(*ARM, *SMALL, "-o", out, "--workers", 1)
+    assert "has 300 of 900 points: going on" in resumed.err
+    assert out.read_text() == data
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.csv", names[3]]
+
+    failed = robodyn(*failing, "-o", out)
+    partial = tmp_path / names[0]
+    before = partial.read_text()
+    assert before == (tmp_path / names[3]).read_text()
+    refused = robodyn(*ARM, *SMALL, "-o", out)
+    refused.fails(2, f"{partial}: is not of this sweep", "remove or rename it")
+    assert partial.read_text() == before
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.usefixtures("_small_chunks")
+def test_a_failed_simulation_beside_a_sweep_that_runs(robodyn: Run, tmp_path: Path) -> None:
+    out, ran = tmp_path / "out.csv", []
+
+    def interfering(plan: sweep_plan.Plan, number: int) -> Rows:
+        if number == 4:
+            options = ("--q", "0,0", "--max-evals", 300, "--quiet", "-o", out)
+            ran.append(robodyn("simulate", "robots/2r.yaml", *options).code)
+        return run_chunk(plan, number)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("robodyn.sweeps.sweep_workers.run_chunk", interfering)
+        assert robodyn(*ARM, *SMALL, "-o", out, "--workers", 1).code == 0
+    assert ran == [1]
+    assert out.read_text() == robodyn(*ARM, *SMALL, "--quiet", "--workers", 1).out
+    assert (tmp_path / "out.csv.partial.1").read_text().startswith("t,q1,")
+
+
+@pytest.mark.usefixtures("_small_chunks")
 def test_facts_of_brackets_are_no_defect(robodyn: Run, tmp_path: Path) -> None:
     out = tmp_path / "out.csv"
     _cut_off(robodyn, out, 2)

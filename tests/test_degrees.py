@@ -138,6 +138,40 @@ def test_columns_in_degrees_are_read(robodyn: Run, tmp_path: Path) -> None:
     robodyn("torque", "robots/rp-arm.yaml", "-", stdin=told).fails(2, "column q2 is missing")
 
 
+def test_an_angle_that_is_there_twice_is_refused(robodyn: Run, tmp_path: Path) -> None:
+    """Nobody knows which of them is meant, wherever rows are read."""
+    path, out = tmp_path / "two.csv", tmp_path / "a.html"
+    path.write_text("t,q1,q1_deg,q2\n0,0.5,90,0\n1,0.5,90,0\n")
+    for task in (
+        *(
+            f"torque robots/2r.yaml {path}",
+            f"torque robots/2r.yaml {path} --degrees",
+            f"trajectory robots/2r.yaml --via {path}",
+        ),
+        *(f"draw robots/2r.yaml {path} --format text", f"animate robots/2r.yaml {path} -o {out}"),
+        f"simulate robots/2r.yaml --q 0,0 --track {path} --control pd --kp 9 --kd 1",
+        f"plot {path} --y q2 --x q1 --format text",
+    ):
+        refused = robodyn(*task.split()).fails(2, f"{path}: column q1", "again as q1_deg: leave")
+        assert refused.out == ""
+    # what passes through is the user's, unless it would have the name of another column
+    path.write_text("q1,q2,angle2,angle2_deg\n0,0,1,2\n")
+    points = robodyn("points", "robots/2r.yaml", path, "--of", "tip2").succeeds()
+    assert points.rows[0]["angle2_deg"] == "2"
+    refused = robodyn("points", "robots/2r.yaml", path, "--of", "tip2", "--degrees")
+    refused.fails(2, "--degrees = angle2", "angle2_deg beside it")
+    scene, table = tmp_path / "scene.yaml", tmp_path / "g.csv"
+    scene.write_text(
+        "links: [{name: a, l: 1, m: 1, r: 0.5, I: 0.1}]\n"
+        "loads: [{link: a, torque: {table: g.csv, over: q1, column: T}}]\n"
+    )
+    table.write_text("q1,q1_deg,T\n-4,-180,1\n4,180,1\n")
+    robodyn("torque", scene, "--q", "0").fails(2, "table = g.csv", "column q1", "again as q1_deg")
+    # a displacement is no angle
+    path.write_text("q1,q2,q2_deg\n0,0.1,7\n")
+    robodyn("torque", "robots/rp-arm.yaml", path, "--degrees").succeeds()
+
+
 @pytest.mark.parametrize("mark", [";", "\t"])
 def test_tables_of_scenes_with_other_delimiters(robodyn: Run, tmp_path: Path, mark: str) -> None:
     scene, results = tmp_path / "scene.yaml", []

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import importlib
 import math
+import pickle
 import re
 import tempfile
 from collections.abc import Callable, Iterator
@@ -16,7 +19,7 @@ from good_scenes import ARM, EVERYTHING, LOOP
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robodyn.errors import MOST_FAULTS, DescriptionError, InputError
+from robodyn.errors import MOST_FAULTS, DescriptionError, InputError, RobodynError
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text, read
 from robodyn.scene.scene import Closure, Description, Link, Point
@@ -494,6 +497,27 @@ def test_any_bytes_are_refused(data: bytes) -> None:
             read(file.name)
 
 
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("errors.InputError", "errors.AssemblyError", "errors.SingularError"),
+        *("trajectories.continuation.PathEndError", "trajectories.continuation.TravelError"),
+        *("trajectories.motion_limits.LimitError", "engines.row_values.TableLeftError"),
+        *("simulation.accuracy.AccuracyError", "cli.simulate.UnfinishedError"),
+    ],
+)
+def test_every_error_goes_to_another_process(path: str) -> None:
+    """Whatever arguments its own `__init__` takes."""
+    module, name = f"robodyn.{path}".rsplit(".", 1)
+    kind = getattr(importlib.import_module(module), name)
+    error = kind.__new__(kind)
+    RobodynError.__init__(error, "q1", where="a.yaml", value=3.0, limit="must be < 2")
+    error.add_place("row 3")
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is kind
+    assert str(again) == "row 3: a.yaml: q1 = 3.0: must be < 2"
+
+
 class TestManyFaults:
     """What is refused takes time by its length, and says no more than anyone reads."""
 
@@ -521,6 +545,20 @@ class TestManyFaults:
         assert len(told) <= MOST_FAULTS + 1
         if len(told) > MOST_FAULTS:
             assert told[-1] == f"many.yaml: there are more faults than these {MOST_FAULTS}"
+
+    @pytest.mark.parametrize("text", ["links: []\n", "gravity: x\nlinks: 3\n", ""])
+    def test_go_to_another_process(self, text: str) -> None:
+        """A pool of processes hands an error on as a pickle."""
+        with pytest.raises(DescriptionError) as caught:
+            from_text(text, "faulty.yaml")
+        error = caught.value
+        error.add_note("row 3")
+        for protocol in range(pickle.HIGHEST_PROTOCOL + 1):
+            again = pickle.loads(pickle.dumps(error, protocol))
+            assert type(again) is DescriptionError
+            assert (again.faults, again.__notes__) == (error.faults, ["row 3"])
+            assert str(again) == str(error) != ""
+        assert str(copy.deepcopy(error)) == str(error)
 
     def test_of_one_among_many(self) -> None:
         text = self.LINKS.replace("from: [0, 0]", "from: nowhere", 1)

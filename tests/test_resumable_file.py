@@ -1,6 +1,7 @@
 """A file that goes on where it was cut off: at every byte."""
 
 import multiprocessing
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import pytest
 from conftest import FRESH
 
-from robodyn.errors import InputError
+from robodyn.errors import InputError, RobodynError
 from robodyn.sweeps.resumable_file import ResumableFile
 
 HEADER = b"a,b\n"
@@ -72,7 +73,7 @@ def test_it_goes_on_from_any_byte(tmp_path: Path) -> None:
 
 def test_changed_rows_are_written_again(tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
-    for place in range(len(WHOLE)):
+    for place in range(len(HEADER), len(WHOLE)):
         rows, _, _ = cut_off(path)
         changed = bytearray(WHOLE)
         changed[place] ^= 1
@@ -112,9 +113,6 @@ def test_changed_digests_are_of_no_use(tmp_path: Path) -> None:
     cut_off(path)
     sums.write_bytes(b"9" * 15 + good[15:])
     ends_whole(path, 0, True)
-    cut_off(path)
-    sums.unlink()
-    ends_whole(path, 0, True)
 
 
 def test_digests_hold_for_these_facts_alone(tmp_path: Path) -> None:
@@ -138,11 +136,95 @@ def test_other_facts_are_refused_and_shown(tmp_path: Path) -> None:
         assert file.done == 1
 
 
-def test_rows_of_unknown_origin_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "out.csv"
-    path.with_name("out.csv.partial").write_bytes(HEADER + LINES[0])
-    with pytest.raises(InputError, match="is missing"):
+def refused(path: Path, name: str, why: str) -> None:
+    """The file is refused by its name, and none is changed, made or removed."""
+    before = {entry: entry.lstat().st_ino for entry in path.parent.iterdir()}
+    texts = {entry: entry.read_bytes() for entry in before if entry.is_file()}
+    with pytest.raises(InputError, match=why) as caught:
         opened(path)
+    assert str(caught.value).startswith(f"{path.with_name(name)}: is not of this sweep: ")
+    assert {entry: entry.lstat().st_ino for entry in path.parent.iterdir()} == before
+    assert {entry: entry.read_bytes() for entry in texts} == texts
+
+
+@pytest.mark.parametrize("text", [HEADER + LINES[0], b"somebody's\n", b""])
+def test_files_of_unknown_origin_are_refused(tmp_path: Path, text: bytes) -> None:
+    """Whichever of the three names they have."""
+    path = tmp_path / "out.csv"
+    for end, why in (
+        ("", "out.csv.partial.json, which tells what it is, is missing"),
+        (".sums", "out.csv.partial.json, which tells what it is, is missing"),
+        (".json", "is missing or damaged"),
+    ):
+        other = path.with_name(f"out.csv.partial{end}")
+        other.write_bytes(text)
+        if text or end != ".json":
+            refused(path, other.name, why)
+        other.unlink()
+
+
+def test_files_of_another_origin_are_refused(tmp_path: Path) -> None:
+    """Though what they depend on is there, as rows in their place by a run that failed are."""
+    path = tmp_path / "out.csv"
+    rows, _, sums = cut_off(path)
+    for text in (b"t,q1\n0,1\n", b"b,a\n" + b"".join(LINES), b"\n"):
+        rows.write_bytes(text)
+        refused(path, "out.csv.partial", "it has another header")
+    rows.write_bytes(WHOLE)
+    digests = sums.read_bytes()
+    sums.unlink()
+    refused(path, "out.csv.partial", "out.csv.partial.sums, its digests, is missing")
+    sums.write_bytes(digests)
+    ends_whole(path, 3, False)
+
+
+@pytest.mark.parametrize("end", ["", ".json", ".sums"])
+def test_links_are_not_followed(tmp_path: Path, end: str) -> None:
+    (tmp_path / "folder").mkdir()
+    path, target = tmp_path / "folder" / "out.csv", tmp_path / "precious"
+    link = path.with_name(f"out.csv.partial{end}")
+    for precious in (None, b"", b"precious"):
+        if precious is not None:
+            target.write_bytes(precious)
+        link.symlink_to(target)
+        refused(path, link.name, "it is a link or no regular file")
+        assert target.exists() == (precious is not None)
+        assert not precious or target.read_bytes() == precious
+        link.unlink()
+    os.mkfifo(link)
+    refused(path, link.name, "no regular file")
+
+
+@pytest.mark.parametrize("end", ["", ".sums"])
+def test_what_takes_the_place_of_a_file_is_not_renamed(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "out.csv"
+    other = path.with_name(f"out.csv.partial{end}")
+    for text in (b"t,q1\n0,1\n", None):
+        with opened(path) as file:
+            for number in range(3):
+                file.append(chunk(number))
+            other.unlink()
+            if text is not None:
+                other.write_bytes(text)
+            with pytest.raises(RobodynError, match=r"out.csv.partial\S*: was removed or replaced"):
+                file.finish()
+        assert not path.exists()
+        assert text is None or other.read_bytes() == text
+        for entry in tmp_path.iterdir():
+            entry.unlink()
+
+
+def test_facts_of_another_sweep_that_has_no_rows_stay(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    rows, facts, sums = cut_off(path)
+    rows.unlink()
+    for _ in range(2):
+        with pytest.raises(InputError, match=r"here: seed 2; remove it, \.json and"):
+            opened(path, FACTS | {"seed": 2})
+        sums.unlink(missing_ok=True)
+    facts.unlink()
+    with opened(path, FACTS | {"seed": 2}) as file:
+        write(file)
 
 
 @pytest.mark.parametrize(

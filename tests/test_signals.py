@@ -433,6 +433,28 @@ def test_faults_are_told(tables):
             assert limit in str(error.value)
 
 
+def test_a_table_is_a_regular_file_of_bounded_size(tmp_path):
+    """A pipe that nobody writes is not waited for, a device not read."""
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    (tmp_path / "sparse.csv").touch()
+    os.truncate(tmp_path / "sparse.csv", 2**24 + 1)
+    table(tmp_path, "long.csv", "x,F", [(float(k), 1.0) for k in range(2001)])
+    rows = [f"{k},{k},{'x' * 10**5}" for k in range(20)]
+    (tmp_path / "wide.csv").write_text("\n".join(["x,F,note", *rows]))
+    for name, limit in (
+        ("pipe.csv", "is not a regular file"),
+        ("zero.csv", "is not a regular file"),
+        ("sparse.csv", "is larger than 16 MiB"),
+        ("long.csv", "has more than 2000 rows below its header"),
+        (".", "cannot be read: is a directory"),
+    ):
+        with pytest.raises(DescriptionError) as error:
+            from_text(ARM + SPRING.format(f"table: {name}"), str(tmp_path / "scene.yaml"))
+        assert f"springs[0].table = {name}: {limit}" in str(error.value)
+    from_text(ARM + SPRING.format("table: wide.csv"), str(tmp_path / "scene.yaml"))
+
+
 GOOD = """links:
   - {name: crank, m: 1, l: 1, r: 0.5, I: 0.1}
   - {name: rod, m: 1, l: 2, r: 1, I: 0.2}

@@ -2,6 +2,8 @@
 
 import itertools
 import math
+import socket
+import threading
 import time
 import warnings
 from collections.abc import Iterator
@@ -410,6 +412,17 @@ class TestCluster:
         pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
         with pytest.raises(RobodynError, match="no Dask scheduler answers"):
             whole(TestWorkers.SMALL, scheduler="nonsense://127.0.0.1:1")
+
+    def test_a_scheduler_that_accepts_and_stays_silent_is_given_up(self) -> None:
+        pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+            late = threading.Timer(30.0, server.close)
+            late.start()
+            with pytest.raises(RobodynError, match=r"no Dask scheduler answers there: .*imed out"):
+                whole(TestWorkers.SMALL, scheduler=address, patience=0.5)
+            assert late.is_alive()
+            late.cancel()
 
     @pytest.mark.filterwarnings("ignore")
     def test_a_timeout_of_a_chunk_is_no_lack_of_workers(self, address, monkeypatch) -> None:

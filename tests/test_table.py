@@ -28,7 +28,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from named_case import case
 
-from robodyn.errors import InputError
+from robodyn.errors import InputError, RobodynError
 from robodyn.tables.decimals import decimals
 from robodyn.tables.output_file import open_output
 from robodyn.tables.table import FEW, LONGEST_ROW, READ_BYTES, Chunk, Reader
@@ -631,6 +631,44 @@ def test_an_output_file_that_fails_leaves_no_trace(
     assert stream.closed
     assert names_in(tmp_path) == ["out.csv"] * old
     assert not old or path.read_text() == "old"
+
+
+def test_a_part_that_is_kept_takes_the_first_free_name(tmp_path: Path) -> None:
+    """What is there, as links that lead nowhere and folders, stays."""
+    path, told = tmp_path / "out.csv", list[str]()
+    path.write_text("old")
+    (tmp_path / "out.csv.partial").write_text("")
+    (tmp_path / "out.csv.partial.1").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "out.csv.partial.2").mkdir()
+    for text in (b"half", b"third", b""):
+        with pytest.raises(KeyboardInterrupt), open_output(path, told.append) as stream:  # noqa: PT012
+            stream.write(text)
+            raise KeyboardInterrupt
+    kept = [tmp_path / f"out.csv.partial.{k}" for k in (3, 4)]
+    assert told == list(map(str, kept))
+    assert [name.read_text() for name in (path, *kept)] == ["old", "half", "third"]
+    assert (tmp_path / "out.csv.partial").read_text() == ""
+    assert not (tmp_path / "nowhere").exists()
+    assert len(names_in(tmp_path)) == 6
+
+
+@pytest.mark.parametrize("fails", [True, False])
+def test_what_takes_the_place_of_what_was_written_is_not_renamed(
+    tmp_path: Path, fails: bool
+) -> None:
+    path = tmp_path / "out.csv"
+    path.write_text("old")
+    with (  # noqa: PT012
+        pytest.raises(RobodynError, match="was removed or replaced"),
+        open_output(path, lambda name: None) as stream,
+    ):
+        stream.write(b"new")
+        (temporary,) = set(tmp_path.iterdir()) - {path}
+        temporary.unlink()
+        temporary.write_text("other")
+        if fails:
+            raise ValueError
+    assert path.read_text() == "old"
 
 
 def test_permissions_of_output_files(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """The options and arguments that name files: each is declared here as read or as written.
 
-One guard holds for all of them: nothing that a command writes takes the place of what it reads, or
-of what else it writes, by whatever name.
+One guard holds for all of them, and for the tables that scenes name: nothing that a command writes
+takes the place of what it reads, or of what else it writes, by whatever name.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ import stat
 import sys
 from collections.abc import Callable
 from contextvars import ContextVar
-from typing import Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,7 +20,10 @@ from robodyn.errors import InputError
 from robodyn.tables.csv_fields import DELIMITERS
 from robodyn.tables.records import Record
 
-KEPT = (".partial", ".partial.json", ".partial.sums")  # beside a file that is not whole
+if TYPE_CHECKING:
+    from robodyn.mechanics.mechanism import Mechanism
+    from robodyn.scene.scene import Description
+
 _DECLARED = "robodyn.files"
 _DELIMITER = "Where fields of rows that are read end: ; (with decimal commas) or tab."
 delimiter: ContextVar[str] = ContextVar("delimiter", default=",")  # of rows that are read
@@ -80,16 +84,36 @@ def scene_file(name: str) -> str:
     return str(example)
 
 
-def output_file(*flags: str, help: str, kept: bool = False) -> Any:
-    """An option that is a file to write, and the files that are `kept` beside it."""
+def load_scene(name: str) -> Mechanism:
+    """The mechanism of a scene file; raises as `read_scene`."""
+    from robodyn.mechanics.mechanism import build
+
+    return build(read_scene(name))
+
+
+def read_scene(name: str) -> Description:
+    """The scene file; InputError if one of its tables is an output of the command.
+
+    Raises DescriptionError for a faulty scene.
+    """
+    from robodyn.scene.description import read
+    from robodyn.scene.scene import Table, signals_of
+
+    scene = read(name)
+    for place, signal in signals_of(scene):
+        if isinstance(signal, Table):
+            path = str(Path(name).parent / signal.file)
+            _add(_declared.get([]), _File(place, path, False, _places(path, 0)))
+    return scene
+
+
+def output_file(*flags: str, help: str) -> Any:
+    """An option that is a file to write."""
 
     def writes(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
         if named(value) is not None or param.name == "out":  # which is stdout where it is left out
             name = value or "-"
-            places = _places(name, 1)
-            if kept and name != "-" and places:
-                places = places.union(*(_places(os.path.realpath(name) + end, 1) for end in KEPT))
-            _declare(ctx, _File(flags[0], name, True, places))
+            _declare(ctx, _File(flags[0], name, True, _places(name, 1)))
         return value
 
     return typer.Option(*flags, metavar="FILE", help=help, callback=writes)
@@ -150,9 +174,18 @@ def _places(name: str, standard: int) -> frozenset[object]:
     return frozenset([path] if name == "-" else [])
 
 
+_declared: ContextVar[list[_File]] = ContextVar("declared")  # of the command that runs
+
+
 def _declare(ctx: typer.Context, file: _File) -> None:
-    """Raise InputError where this file and one before it exclude each other."""
-    known: list[_File] = ctx.meta.setdefault(_DECLARED, [])
+    """Add a file to those of the command; raises as `_add`."""
+    if _DECLARED not in ctx.meta:
+        _declared.set(ctx.meta.setdefault(_DECLARED, []))
+    _add(_declared.get(), file)
+
+
+def _add(known: list[_File], file: _File) -> None:
+    """Add `file`; raise InputError if it and a known one exclude each other."""
     for other in known:
         if (file.written or other.written) and file.places & other.places:
             first, second = (file, other) if file.written else (other, file)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Option
 
-from robodyn.cli.files import model_argument, output_file, rows_argument
+from robodyn.cli.files import model_argument, output_file, read_scene, rows_argument
 from robodyn.errors import DescriptionError, InputError
 from robodyn.scene.quantities import is_plain, parse_vector
 from robodyn.tables.csv_fields import shown
@@ -110,9 +110,7 @@ class Model:
     @cached_property
     def _read(self) -> Description:
         """The scene file as it is, with the tables that it names: read once a command."""
-        from robodyn.scene.description import read
-
-        return read(self.model)
+        return read_scene(self.model)
 
     def put(self) -> dict[str, float | tuple[float, ...]]:
         """What --set gives, by the names of numbers, as a scene is rewritten with it."""

@@ -6,15 +6,15 @@ import functools
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
 from robodyn.cli.options import Extremes, Format, Out, OutputFormat
-from robodyn.errors import printable, printable_lines
+from robodyn.errors import InputError, printable, printable_lines
 from robodyn.pictures.column_units import TURNING, in_degrees, structure_in_degrees, with_unit
-from robodyn.tables.csv_fields import finite, unquoted
+from robodyn.tables.csv_fields import finite, shown, unquoted
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.records import Record
 from robodyn.tables.table_writer import WRITERS, ScaledWriter, Writer
@@ -27,6 +27,13 @@ Summary = Callable[[MakeWriter, Sequence[str], Sequence[str]], Writer]
 degrees: ContextVar[bool] = ContextVar("degrees", default=False)  # whether angles are told so
 PAGE = 200  # rows of one table on the terminal; a longer result goes on in another
 LEAST = 30  # characters of a sentence in a table, however narrow the terminal
+
+
+def opened(name: str | None, kept: str, format: Format = "csv") -> AbstractContextManager[Any]:
+    """The stream of an output that is named; a note, `kept`, names what a run that fails leaves."""
+    if name is None:
+        return nullcontext()
+    return open_output(name, lambda partial: note(f"{kept} {partial}"), format == "table")
 
 
 @contextmanager
@@ -102,10 +109,18 @@ def told(
     units: Mapping[str, str] = TURNING,
     summary: Summary | None = None,
 ) -> Writer:
-    """A writer, or of a `summary`; with --degrees of angles in degrees, by the scene's units."""
+    """A writer, or of a `summary`; with --degrees of angles in degrees, by the scene's units.
+
+    Raises InputError if the header has an angle both in radians and in degrees.
+    """
     make = make if summary is None else functools.partial(summary, make)
     if not degrees.get():
         return make(columns, header)
+    there = set(header)
+    for name in header:
+        if (other := in_degrees(name, units)[0]) != name and other in there:
+            limit = f"the table has {shown(other)} beside it: leave one of them out"
+            raise InputError("--degrees", value=shown(name), limit=limit)
     return ScaledWriter(make, lambda name: in_degrees(name, units), columns, header)
 
 

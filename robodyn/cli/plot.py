@@ -7,12 +7,11 @@ from typing import Annotated
 from typer import Option
 
 from robodyn.cli.figures import PictureOptions
-from robodyn.cli.files import model_file, rows_argument
+from robodyn.cli.files import load_scene, model_file, rows_argument
 from robodyn.cli.options import Degrees, Text, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError
-from robodyn.mechanics.mechanism import load
 from robodyn.pictures import chart_figure
 from robodyn.pictures.chart import read_chart
 from robodyn.pictures.column_units import TURNING, scene_units
@@ -69,7 +68,7 @@ def plot(
         raise InputError("--colour", value=shown(colour), limit="needs --x and --y")
     if log and colour is None:
         raise InputError("--log", limit="is a scale of colours: give --colour")
-    units = TURNING if model is None else scene_units(load(model))
+    units = TURNING if model is None else scene_units(load_scene(model))
     opened, above = map(open_input, files), [f"  {shown(title)}"] if title else []
     if colour is not None:
         mapped = read_map(opened, x or "", patterns or [], colour, log, units, degrees, note)

@@ -12,6 +12,7 @@ from robodyn.cli.files import delimiter
 from robodyn.cli.output import note
 from robodyn.errors import InputError
 from robodyn.tables.delimited import Delimited
+from robodyn.tables.input_file import read_bounded, read_regular
 
 if TYPE_CHECKING:
     from robodyn.tables.table import Array
@@ -62,7 +63,22 @@ def open_file(states: str) -> Iterator[tuple[BinaryIO, str]]:
     try:
         stream = open(states, "rb")  # noqa: SIM115 (closed by the with below)
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError("cannot be read", where=states, limit=reason.lower()) from None
+        raise _unreadable(states, error) from None
     with stream:
         yield stream, states
+
+
+def read_file(name: str) -> tuple[bytes, str]:
+    """All bytes of a regular file, or of stdin for `-`, and its name; InputError beyond 16 MiB."""
+    try:
+        if name != "-":
+            return read_regular(name), name
+        with open_file(name) as (stream, told):
+            return read_bounded(stream), told
+    except (OSError, ValueError) as error:
+        raise _unreadable("stdin" if name == "-" else name, error) from None
+
+
+def _unreadable(name: str, error: OSError | ValueError) -> InputError:
+    reason = getattr(error, "strerror", None) or str(error)
+    return InputError("cannot be read", where=name, limit=reason[:1].lower() + reason[1:])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
@@ -18,12 +18,13 @@ from robodyn.cli.options import (
     Format,
     Model,
     Number,
+    Out,
     Quiet,
     Text,
     load_with,
     option,
 )
-from robodyn.cli.output import default_format, extremes_writer, maker, note, told
+from robodyn.cli.output import default_format, extremes_writer, maker, note, opened, told
 from robodyn.cli.signals import watching
 from robodyn.cli.simulate_options import (
     ControlOptions,
@@ -60,7 +61,6 @@ if TYPE_CHECKING:
     from robodyn.simulation.sensitivity import Sensitivities
 
 _TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
-_OUT = "Write here, all or nothing."
 EVENTS_AT_ONCE = 1 << 14  # that are written together
 AT_REST = 1e-13  # part of the energy at the start below which nothing moves
 
@@ -85,16 +85,11 @@ class ResultOptions:
     quiet: Quiet = False
     report: Annotated[Text, output_file("--report", help="Write the summary as JSON.")] = None
     extremes: Extremes = False
-    out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None
+    out: Out = None
 
     @property
     def format(self) -> Format:
         return default_format(None, self.out) if self.extremes else "csv"
-
-    def opened(self) -> AbstractContextManager[BinaryIO]:
-        """The stream of the rows; a note says where those of a run that fails are."""
-        where, styled = "what was computed is in", self.format == "table"
-        return open_output(self.out, lambda name: note(f"{where} {name}"), styled)
 
 
 def simulate(
@@ -160,10 +155,14 @@ def simulate(
             with at_place("--sensitivity", *by):
                 carried = with_sensitivities(mechanism, torques, begin, by, settings.method)
     acting = carried.actuation if carried else torques
-    with watching(duration, results.quiet) as watch, results.opened() as stream:
+    with (
+        watching(duration, results.quiet) as watch,
+        opened(results.out or "-", "what was computed is in", results.format) as stream,
+        opened(events.events, "the events up to there are in") as table,
+    ):
         rows = _Rows(mechanism, torques, carried, results, stream)
         given = mechanism, begin, duration, acting, settings, rows.write, times, watch, watched
-        outcome, facts = _told(given, rows, estimate, results, events)
+        outcome, facts = _told(given, rows, estimate, results, table)
         if not results.quiet:
             _summary(mechanism, facts, events.until)
             if how.estimate_error and facts.error_estimate is None:
@@ -260,15 +259,11 @@ def _told(
     rows: _Rows,
     estimate: float | None,
     results: ResultOptions,
-    events: EventOptions,
+    table: BinaryIO | None,
 ) -> tuple[Outcome, Report]:
     """How the run ended and what is told of it, in its report and the table of its events too."""
     mechanism, watched = rows.mechanism, given[-1]
-    with ExitStack() as files:
-        report, table = (
-            None if name is None else files.enter_context(open_output(name))
-            for name in (results.report, events.events)
-        )
+    with nullcontext() if results.report is None else open_output(results.report) as report:
         with named(), remarks():
             outcome, recorder = run(*given)
             facts = recorder.settle()

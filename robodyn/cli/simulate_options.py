@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
 
-from robodyn.cli.files import input_file, model_file, output_file, rows_file
+from robodyn.cli.files import input_file, load_scene, model_file, output_file, rows_file
 from robodyn.cli.options import EACH, Number, Text, Unwrap, option, refuse, switch
 from robodyn.cli.output import note
 from robodyn.cli.states import Quantity, Source, complete, option_source, remarks
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import joint_values, scene_units
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.simulation.even_times import DEFAULT_DURATION
@@ -224,7 +224,7 @@ def controlled(
         raise InputError(" or ".join(f"--{aim}" for aim in aims), limit=limit)
     if not mechanism.actuated:
         raise InputError("--control", where=mechanism.source, limit="no joint is actuated")
-    believed = None if options.control_model is None else load(options.control_model)
+    believed = None if options.control_model is None else load_scene(options.control_model)
     gains: dict[str, Any] = {
         name: (
             joint_values(mechanism, text, "tau", "--tau-max")
@@ -267,11 +267,11 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
 
     The pose must close.
     """
-    from robodyn.cli.row_files import open_file
+    from robodyn.cli.row_files import read_file
     from robodyn.control.state_feedback import read_feedback
 
-    with open_file(file) as (stream, name):
-        found = read_feedback(mechanism, stream.read(), name)
+    text, name = read_file(file)
+    found = read_feedback(mechanism, text, name)
     source = Source(Quantity("q", None), found.q, [], True)
     if at is not None:
         given, name = option_source(mechanism, Quantity("at", at)), "--at"

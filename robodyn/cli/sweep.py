@@ -28,7 +28,7 @@ from robodyn.tables.table_writer import Writer
 
 Compute = Callable[[int, Callable[[Rows], object]], object]  # from a chunk on, into what writes
 _SCHEDULER = "A Dask scheduler whose workers compute the chunks (the extra `cluster`)."
-_LOST = f"How long to wait for a worker where the scheduler has lost all. Default: {PATIENCE:g}."
+_LOST = f"How long to wait for a silent scheduler, or one without workers. Default: {PATIENCE:g}."
 _CORRELATIONS = "In place of the rows, Spearman's rank correlation of each result with what varies."
 MOST = 100_000  # points of a sample of which it is told
 SHOWN = 3  # numbers that are named
@@ -73,7 +73,7 @@ def sweep(
     extremes: Extremes = False,
     correlations: bool = switch(_CORRELATIONS),
     quiet: Quiet = False,
-    out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None,
+    out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None,
 ) -> None:
     """The same simulation, or torque, over a grid or a random sample, as one CSV.
 

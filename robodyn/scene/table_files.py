@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import math
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -15,10 +15,10 @@ from robodyn.errors import InputError
 from robodyn.scene.scene import Table, Tables
 from robodyn.tables.csv_fields import DELIMITERS, unquoted
 from robodyn.tables.delimited import Delimited
+from robodyn.tables.input_file import read_regular
 from robodyn.tables.table import Reader
 
 MOST_ROWS = 2000  # every engine writes the rows into its code
-MOST_BYTES = 2**20
 PERIODS = (2.0 * math.pi, 4.0 * math.pi)  # of a joint's angle, after which a table repeats
 PERIOD_OFF = 1e-6  # rad that the digits of a file may miss them by
 ENDS_AGREE = 1e-9  # of the largest value
@@ -67,17 +67,17 @@ def _columns(
     if x == column:
         raise ValueError(f"has {x} on both axes")
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ValueError(f"is larger than {MOST_BYTES} bytes")
-        stream = _commas(path.read_bytes(), column)
+        stream = _commas(read_regular(path), column)
         reader = Reader(stream, "", (column,) if turns else (x, column))
-        rows = [row for chunk in reader.chunks([x, column]) for row in chunk.values.tolist()]
+        chunks = reader.chunks([x, column])
+        rows = list(islice((row for c in chunks for row in c.values.tolist()), MOST_ROWS + 1))
     except InputError as error:
         raise ValueError(str(error).lstrip(": ")) from None
     except OSError as error:
         raise ValueError(f"cannot be read: {(error.strerror or str(error)).lower()}") from None
     if not 2 <= len(rows) <= MOST_ROWS:
-        raise ValueError(f"has {len(rows)} rows below its header; it needs 2 to {MOST_ROWS}")
+        count = f"more than {MOST_ROWS}" if len(rows) > MOST_ROWS else len(rows)
+        raise ValueError(f"has {count} rows below its header; it needs 2 to {MOST_ROWS}")
     for (before, low), (after, high) in pairwise(rows):
         if not after > before:
             raise ValueError(f"{x} must increase from row to row: {after:g} follows {before:g}")

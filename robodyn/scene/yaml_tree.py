@@ -12,8 +12,8 @@ from pathlib import Path
 import yaml
 
 from robodyn.errors import DescriptionError, Fault
+from robodyn.tables.input_file import MOST_BYTES
 
-MAX_BYTES = 16 * 2**20
 MAX_DEPTH = 40
 MAX_NODES = 300_000  # with aliases counted as often as they are used
 _TOO_DEEP = f"nests deeper than {MAX_DEPTH} levels"
@@ -59,7 +59,7 @@ def read_text(path: Path) -> str:
 
     try:
         with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
+            data = stream.read(MOST_BYTES + 1)
     except FileNotFoundError:
         from robodyn.scene.example_scenes import like  # only a faulty name pays for the import
 
@@ -68,8 +68,8 @@ def read_text(path: Path) -> str:
         raise refuse("is a directory, not a scene file") from None
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    if len(data) > MAX_BYTES:
-        raise refuse(f"is larger than {MAX_BYTES // 2**20} MiB")
+    if len(data) > MOST_BYTES:
+        raise refuse(f"is larger than {MOST_BYTES // 2**20} MiB")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -3,7 +3,8 @@
 Until it is whole, FILE's rows are in FILE.partial, what they depend on in FILE.partial.json, and a
 digest of each chunk in FILE.partial.sums.  Each chunk is on the disk before the next begins; what
 does not match its digest, as what was cut off in the middle of a chunk, is left out when the file
-goes on.  FILE.partial.json is locked by whoever touches any of them.
+goes on.  FILE.partial.json is locked by whoever touches any of them.  What something else made
+under one of these names is refused, and stays as it is.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Mapping
+import stat
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from types import TracebackType
 
 from robodyn.errors import InputError
-from robodyn.tables.output_file import NamedFile, close_quietly
+from robodyn.tables.output_file import NamedFile, check_same, close_quietly
 
 BLOCK = 1 << 20
 MOST_FACTS = 1 << 26  # bytes
@@ -51,26 +53,31 @@ class ResumableFile:
             try:
                 if os.path.exists(self._target):
                     os.close(os.open(self._target, os.O_WRONLY))  # a read-only file stays
+                for name in (self._rows_name, self._facts_name, self._sums_name):
+                    with suppress(FileNotFoundError):
+                        if not stat.S_ISREG(os.lstat(name).st_mode):
+                            raise self._foreign(name, "it is a link or no regular file")
                 lock = self._locked()
                 opened.callback(close_quietly, lock)
                 known = lock.read(MOST_FACTS)
-                there = os.path.exists(self._rows_name) and os.path.getsize(self._rows_name) > 0
-                if there:
-                    if not known:  # made just now
-                        made.callback(os.unlink, self._facts_name)
-                    self._check(known, json.loads(text))
+                if not known:  # made just now
+                    made.callback(os.unlink, self._facts_name)
+                there = [x for x in (self._rows_name, self._sums_name) if os.path.lexists(x)]
+                if there or not text.startswith(known):
+                    self._check(known, json.loads(text), there)
                 else:
-                    made.callback(self._remove)
                     lock.truncate(0)
                     lock.seek(0)
                     self._write(lock, text)
-                self._rows, self._sums = (
-                    io.BufferedRandom(NamedFile(name, "a+b", f"{path}{name[len(self._target) :]}"))
-                    for name in (self._rows_name, self._sums_name)
-                )
-                for stream in (self._rows, self._sums):
-                    opened.callback(close_quietly, stream)
-                    stream.seek(0)
+                streams = []
+                for name in (self._sums_name, self._rows_name):
+                    mode = "r+b" if name in there else "x+b"
+                    file = NamedFile(name, mode, self._told(name), _no_link)
+                    streams.append(io.BufferedRandom(file))
+                    opened.callback(close_quietly, streams[-1])
+                    if name not in there:
+                        made.callback(os.unlink, name)
+                self._sums, self._rows = streams
                 self._keep(header, -(-lines // chunk))
                 self.doubted &= bool(known)
             except OSError as error:
@@ -89,10 +96,13 @@ class ResumableFile:
 
     def finish(self) -> None:
         """The file is whole: it takes its place."""
+        for name, stream in ((self._rows_name, self._rows), (self._sums_name, self._sums)):
+            check_same(name, stream)
         if os.path.exists(self._target):
             shutil.copymode(self._target, self._rows_name)
         os.replace(self._rows_name, self._target)
-        self._remove()
+        os.unlink(self._sums_name)
+        os.unlink(self._facts_name)  # the file that is locked goes last
 
     def __enter__(self) -> ResumableFile:
         return self
@@ -108,7 +118,7 @@ class ResumableFile:
     def _locked(self) -> io.BufferedRandom:
         """The file of facts, locked, and still the one of this name."""
         while True:
-            descriptor = os.open(self._facts_name, os.O_RDWR | os.O_CREAT, 0o666)
+            descriptor = _no_link(self._facts_name, os.O_RDWR | os.O_CREAT)
             stream = open(descriptor, "r+b")  # noqa: SIM115
             try:
                 self._lock(stream)
@@ -131,32 +141,40 @@ class ResumableFile:
             limit = "another process is writing it"
             raise InputError("cannot be written", where=self.partial, limit=limit) from None
 
-    def _remove(self) -> None:
-        """Remove all but FILE; the file that is locked goes last."""
-        for name in (self._rows_name, self._sums_name, self._facts_name):
-            with suppress(FileNotFoundError):
-                os.unlink(name)
+    def _told(self, name: str) -> str:
+        """The name of a file beside the target, as messages tell it."""
+        return self.path + name[len(self._target) :]
 
-    def _check(self, text: bytes, facts: Mapping[str, object]) -> None:
-        """Refuse to go on with the lines of another computation."""
-        limit = f"{self.partial}.json, which tells what they are, is missing or damaged: "
-        unknown = InputError("rows", where=self.partial, limit=limit + "remove or rename them")
+    def _foreign(self, name: str, why: str) -> InputError:
+        """The error for a file beside the target that this sweep did not make."""
+        limit = f"{why}: remove or rename it"
+        return InputError("is not of this sweep", where=self._told(name), limit=limit)
+
+    def _check(self, text: bytes, facts: Mapping[str, object], there: Sequence[str]) -> None:
+        """Refuse to go on with the lines of another computation; `there` are rows and digests."""
+        missing = f"{self.partial}.json, which tells what it is, is missing or damaged"
+        unknown = self._foreign((*there, self._facts_name)[0], missing)
         try:
             known = json.loads(text)
             if not isinstance(known, dict):
                 raise unknown
             other = [name for name in {**known, **facts} if known.get(name) != facts.get(name)]
-            there = ", ".join(_shown(name, known.get(name)) for name in other)
+            theirs = ", ".join(_shown(name, known.get(name)) for name in other)
         except (ValueError, RecursionError):  # of brackets within brackets
             raise unknown from None
         if other:
-            here = ", ".join(_shown(name, facts.get(name)) for name in other)
-            limit = f"there: {there}; here: {here}; remove it, or name another file"
+            ours = ", ".join(_shown(name, facts.get(name)) for name in other)
+            limit = f"there: {theirs}; here: {ours}; remove it, .json and .sums, or name another"
             raise InputError("holds rows of another computation", where=self.partial, limit=limit)
+        if there == [self._rows_name]:
+            raise self._foreign(there[0], f"{self.partial}.sums, its digests, is missing")
 
     def _keep(self, header: bytes, most: int) -> None:
         """Find the chunks that match their digests, and cut off what follows them."""
-        kept = len(header) if self._rows.read(len(header)) == header else 0
+        begin = self._rows.read(len(header))
+        if not header.startswith(begin):
+            raise self._foreign(self._rows_name, "it has another header")
+        kept = len(header) if begin == header else 0
         while kept and self.done < most:
             record = RECORD.fullmatch(self._sums.read(RECORD_SIZE))
             if record is None or self._digest_of(int(record[1])) != record[2].decode():
@@ -189,6 +207,11 @@ class ResumableFile:
         stream.write(data)
         stream.flush()
         os.fsync(stream.fileno())
+
+
+def _no_link(path: str, flags: int) -> int:
+    """Open a file, made where the flags say so, that is no symbolic link."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def _shown(name: str, value: object) -> str:

@@ -110,7 +110,7 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
             names = [axes[k].name for k in changed]
             try:
                 mechanism = build(scene.replaced(dict(zip(names, key, strict=True))))
-            except DescriptionError as error:  # which no process can hand to another
+            except DescriptionError as error:
                 if any(axis.deviation for axis in axes):  # one may be drawn that is out of limits
                     for k in indices:
                         outcomes[k] = NO_SCENE

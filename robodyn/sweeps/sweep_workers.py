@@ -31,6 +31,7 @@ AHEAD = 2  # chunks under way for each worker
 PATIENCE = 60.0  # s without a worker of the cluster
 POLL = 1.0  # s between looks whether there is one
 ANSWER = 5.0  # s in which a scheduler must answer
+CONNECT = 10.0  # s in which it must greet
 _ENVIRONMENT = threading.Lock()  # held by the thread that changes it
 
 
@@ -177,15 +178,16 @@ def _cluster(
     gc.collect()  # one that found no scheduler, and ended while the next begins, would wait for it
     connect: Any = distributed.Client
     try:
-        client: Any = connect(address, timeout=10, set_as_default=False)
+        _greet(address, min(CONNECT, max(patience, POLL)))
+        client: Any = connect(address, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        limit = f"no Dask scheduler answers there: {error}"
+        limit = f"no Dask scheduler answers there: {str(error) or 'timed out'}"
         raise RobodynError("scheduler", value=address, limit=limit) from None
     try:
-        threads = sum(client.nthreads().values())
+        watch = _Watch(client, address, patience, tell)
+        threads = watch.threads()
         if not threads:
             raise RobodynError("scheduler", value=address, limit="it has no workers")
-        watch = _Watch(client, address, patience, tell)
 
         def submit(function: Callable[..., Rows], *arguments: Any) -> Any:
             return _Remote(client.submit(function, *arguments, pure=False), watch)
@@ -193,6 +195,28 @@ def _cluster(
         yield submit, threads
     finally:
         client.close()
+
+
+def _greet(address: str, seconds: float) -> None:
+    """Raise OSError if what is at `address` does not greet as Dask does within so many seconds.
+
+    A client would wait without end for one that accepts and stays silent.
+    """
+    import distributed
+
+    dask: Any = distributed
+    secured = dask.Security().get_connection_args("client")
+
+    async def greeted() -> None:
+        comm = await dask.core.connect(address, seconds, **secured)
+        await comm.close()
+
+    runner = dask.utils.LoopRunner()
+    runner.start()
+    try:
+        dask.utils.sync(runner.loop, greeted, callback_timeout=seconds)
+    finally:
+        runner.stop()
 
 
 class _Watch:
@@ -205,14 +229,19 @@ class _Watch:
         self._patience, self._tell = patience, tell
         self.lost: float | None = None  # since when
 
+    def threads(self) -> int:
+        """How many threads its workers have; none where the scheduler does not answer."""
+        answer = min(ANSWER, max(self._patience, POLL))
+        try:
+            found = self._client.sync(self._client.scheduler.ncores, callback_timeout=answer)
+        except (TimeoutError, OSError):
+            return 0
+        return sum(found.values())
+
     def look(self) -> None:
         """Raise RobodynError where patience is at its end."""
         asked = time.monotonic()
-        try:  # a scheduler that does not answer has no workers for us
-            there = self._client.sync(self._client.scheduler.ncores, callback_timeout=ANSWER)
-        except (TimeoutError, OSError):
-            there = {}
-        if there:
+        if self.threads():
             if self.lost is not None:
                 self._tell("the cluster has workers again")
             self.lost = None

@@ -16,12 +16,14 @@ from robodyn.errors import InputError, RobodynError, printable_lines
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
+    Opener = Callable[[str, int], int]
+
 
 class NamedFile(io.FileIO):
     """A file that is told by `shown` where a write fails, as on a full disk."""
 
-    def __init__(self, path: str, mode: str, shown: str) -> None:
-        super().__init__(path, mode)
+    def __init__(self, path: str, mode: str, shown: str, opener: Opener | None = None) -> None:
+        super().__init__(path, mode, opener=opener)
         self._shown = shown
 
     def write(self, data: ReadableBuffer, /) -> int:
@@ -40,10 +42,10 @@ def open_output(
     """A binary stream to a file that takes its place, whole, when the block ends well.
 
     Where the block raises, an older file stays as it was; what was written is removed, or, with
-    `partial`, kept under a name beside it that `partial` is told.  None and "-" are the standard
-    output; a device or a pipe is written as it stands.  A terminal is shown what it would obey
-    written out, unless the output is `styled`, made for a terminal.  Raises InputError where the
-    file cannot be created.
+    `partial`, kept under the first free name of PATH.partial, PATH.partial.1, ..., which `partial`
+    is told.  None and "-" are the standard output; a device or a pipe is written as it stands.  A
+    terminal is shown what it would obey written out, unless the output is `styled`, made for a
+    terminal.  Raises InputError where the file cannot be created.
     """
     if path is None or os.fspath(path) == "-":
         raw = on_terminal(None) and not styled
@@ -75,16 +77,43 @@ def open_output(
             shutil.copymode(target, temporary)
         try:
             yield stream
+            stream.flush()
+            if not in_place:
+                check_same(temporary, stream)
             stream.close()
             if not in_place:
                 os.replace(temporary, target)
         except BaseException:
+            keeps = partial is not None and not in_place
+            if keeps and not stream.closed:
+                check_same(temporary, stream)
             close_quietly(stream)
-            if partial is not None and not in_place and os.path.getsize(temporary):
-                kept = f"{target}.partial"
+            if partial is not None and keeps and os.path.getsize(temporary):
+                kept = _first_free(f"{target}.partial")
                 os.replace(temporary, kept)
                 partial(kept)
             raise
+
+
+def check_same(path: str, stream: BinaryIO) -> None:
+    """Raise RobodynError if `path` no longer names the file that is open as `stream`."""
+    with suppress(FileNotFoundError):
+        if os.path.samestat(os.lstat(path), os.fstat(stream.fileno())):
+            return
+    raise RobodynError("was removed or replaced while it was written", where=path)
+
+
+def _first_free(path: str) -> str:
+    """Create an empty file at `path`, else at the first free of PATH.1, PATH.2, ...; its name."""
+    name, number = path, 0
+    while True:
+        try:
+            os.close(os.open(name, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+        except FileExistsError:
+            number += 1
+            name = f"{path}.{number}"
+        else:
+            return name
 
 
 def write_text(text: str, path: str | None) -> None:

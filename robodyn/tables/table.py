@@ -103,7 +103,9 @@ class Reader:
                 limit = "the name occurs twice in the header"
                 raise self._fault(numbers[0], "column", shown(name) or "''", limit)
         turned = {name: name.removesuffix(IN_DEGREES) for name in self.header}
-        own = {name: x for name, x in turned.items() if x not in self._place and x not in lengths}
+        angles = {name: x for name, x in turned.items() if x != name and x not in lengths}
+        self._twice = {x: name for name, x in angles.items() if x in self._place}
+        own = {name: x for name, x in angles.items() if x not in self._twice}
         self.names = tuple(own.get(name, name) for name in self.header)
         self._place |= {name: place for place, name in enumerate(self.names)}
         self._rows = chain([_Rows(lines[1:], numbers[1:], quoted)], arrivals)
@@ -111,16 +113,19 @@ class Reader:
     def chunks(self, names: Sequence[str]) -> Iterator[Chunk]:
         """The rows that are left, the columns `names` as numbers, each as soon as it arrives.
 
-        Raises InputError, with the columns that are there, at once where one is missing.  The rows
-        before a faulty one (not UTF-8, bad quoting, a wrong number of fields, a named column that
-        is not a finite number) come first; the next step raises InputError with its line, column
-        and text.
+        Raises InputError at once if a column is missing, with those that are there, or if it is
+        there twice, as q1 and q1_deg.  The rows before a faulty one (not UTF-8, bad quoting, a
+        wrong number of fields, a named column that is not a finite number) come first; the next
+        step raises InputError with its line, column and text.
         """
         missing = [name for name in names if name not in self._place]
         if missing:
             what = f"column {shown(', '.join(missing))} is missing"
             limit = f"the header has {columns_told(self.header, missing[0])}"
             raise InputError(what, where=self.source, limit=limit)
+        if twice := next((name for name in names if name in self._twice), None):
+            limit = f"is there again as {shown(self._twice[twice])}: leave one of them out"
+            raise InputError(f"column {shown(twice)}", where=self.source, limit=limit)
         return self._checked(names, [self._place[name] for name in names])
 
     def _checked(self, names: Sequence[str], places: list[int]) -> Iterator[Chunk]:
