@@ -10,6 +10,7 @@ from conftest import ROOT
 from each_case import each
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from sliding_scenes import BARREL, LEVER, SCISSORS, STARTED
 
 import oracles
 from random_mechanisms import (
@@ -617,6 +618,76 @@ class TestUndetermined:
     def test_values_that_do_not_fit(self, values, place):
         with pytest.raises(InputError, match=place):
             assembly.assemble(self.FIVE_BAR.mechanism, values)
+
+
+DIRECTIONLESS = {
+    "a slot through its own pivot": (mechanism(LEVER), "q2 (lever)"),
+    "a slide on its pivot": (mechanism(BARREL), "q2 (barrel), q3 (rod)"),
+    "equal bars whose pivots meet": (four_bar(1.0, 0.8, 0.8, 1.0), "q2 (coupler), q3 (rocker)"),
+}
+
+
+class TestDirectionsOfNothing:
+    """Poses whose actuated joints leave the direction of another link open."""
+
+    @each("name", DIRECTIONLESS)
+    @each("turns", [0.0, 1.0, -3.0])  # but for rounding the pivots meet here too
+    @each("branch", BRANCHES)
+    def test_they_are_singular(self, name, turns, branch):
+        mech, joints = DIRECTIONLESS[name]
+        told = f"singular configuration at q1 = {360 * turns:g} deg.*{re.escape(joints)} here"
+        with pytest.raises(SingularError, match=told):
+            assembly.assemble(mech, [2 * np.pi * turns], [branch])
+
+    @pytest.mark.parametrize(
+        ("rocker", "closure"),
+        [
+            ("  - {name: rocker, m: 1, l: 1, r: 0, I: 1, from: [2, 0]}\n", "[forearm, rocker]"),
+            ("", "{point: forearm, on: {through: [1, 0], along: [1, 1]}}"),
+        ],
+    )
+    def test_links_folded_onto_one_another(self, rocker, closure):
+        """A forearm of the coupler's length lies on it: the two of them turn as they like."""
+        mech = mechanism(
+            "links:\n"
+            "  - {name: crank, m: 1, l: 1, r: 0, I: 1}\n"
+            "  - {name: coupler, m: 1, l: 0.7, r: 0, I: 1}\n"
+            "  - {name: forearm, m: 1, l: 0.7, r: 0, I: 1}\n"
+            f"{rocker}closures: [{closure}]\nactuated: [crank, forearm]\n"
+        )
+        with pytest.raises(SingularError, match=re.escape("q2 (coupler)")):
+            assembly.assemble(mech, [0.0, np.pi])
+        assert np.isfinite(assembly.assemble(mech, [0.0, 3.0])).all()
+
+    @each("name", DIRECTIONLESS)
+    def test_beside_them_the_loops_close(self, name):
+        mech, _ = DIRECTIONLESS[name]
+        given = np.array([-0.1, -1e-6, 0.0, 1e-6, 0.1])[:, None]
+        q, missing = assembly.attempt(mech, given)
+        assert np.isnan(missing).tolist() == [False, False, True, False, False]
+        closed = q[~np.isnan(missing)]
+        assert np.abs(cf.closure_gap(mech, closed)).max() < 1e-15
+
+    def test_the_slot_points_from_the_levers_pivot_to_the_pin(self):
+        """A triangle with equal sides: its base turns by half the crank's angle and a quarter."""
+        for angle, error in ((1e-9, 1e-6), (0.5, 1e-14), (2.0, 1e-14)):
+            _, lever = assembly.assemble(mechanism(LEVER), [angle])
+            assert lever == pytest.approx(np.pi / 2 + angle / 2, abs=error)
+
+    @pytest.mark.parametrize("text", [SCISSORS, SCISSORS + STARTED])
+    def test_a_branch_that_is_not_asked_for_never_decides(self, text):
+        """On the other branch the arms lie on one another, and the table hangs free."""
+        mech = mechanism(text)
+        for angle in (0.3, np.pi / 6, 1.0):
+            q = assembly.assemble(mech, [angle])
+            wanted = [angle, np.pi - angle, -2.0 * angle]
+            assert np.abs(q - wanted).max() < 1e-14
+            with pytest.raises(SingularError, match=re.escape("q2 (table)")):
+                assembly.assemble(mech, [angle], ["crossed", "open"])
+        assert assembly.scene_branches(mech)[0] == "open"
+
+    def test_a_range_runs_through_them(self):
+        assert assembly.reachable(mechanism(LEVER), [1.0], 0) == [(-np.pi, np.pi)]
 
 
 class TestProjection:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from robodyn.cli.options import Differentiate, Q, Qd, States
 from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_silence
-from robodyn.errors import InputError, RobodynError, at_place
+from robodyn.errors import InputError, RobodynError, SingularError, at_place
 from robodyn.mechanics.loop_rows import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, vector_of_joints
@@ -231,6 +231,10 @@ def evaluate(
         with remarks(), options.writer(columns, reader.header, units, summary) as writer:
             if not computed.write(chunks, writer, name) and (adds or writer.needs_rows):
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
+            if computed.singular and summary is not None:
+                raise computed.singular[0]
+        if computed.singular:
+            raise computed.singular[0]
 
 
 class _Computed:
@@ -240,6 +244,7 @@ class _Computed:
         self, mechanism: Mechanism, sources: Sequence[Source], compute: Callable[..., Array]
     ) -> None:
         self.mechanism, self.sources, self.compute = mechanism, sources, compute
+        self.singular: list[SingularError] = []  # of the first such row
 
     def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
         """The results (T, k) at rows (T, columns)."""
@@ -263,7 +268,10 @@ class _Computed:
         return found
 
     def write(self, chunks: Iterable[Chunk], writer: Writer, name: str) -> int:
-        """Write the results behind the rows of a table; how many there are."""
+        """Write the results behind the rows of a table; how many there are.
+
+        Those of a row at a singular configuration are empty.
+        """
         rows = 0
         for chunk in chunks:
             rows += len(chunk.lines)
@@ -272,9 +280,14 @@ class _Computed:
             except RobodynError:
                 # find the row, with those before it written: again, one by one
                 for k, line in enumerate(chunk.lines):
-                    with at_place(f"{name}: line {chunk.line_numbers[k]}"):
-                        computed = self.at(chunk.values[k : k + 1])
-                    writer.write_rows([line], computed)
+                    try:
+                        with at_place(f"{name}: line {chunk.line_numbers[k]}"):
+                            computed = self.at(chunk.values[k : k + 1])
+                    except SingularError as error:
+                        self.singular = self.singular or [error]
+                        writer.write_empty(line)
+                    else:
+                        writer.write_rows([line], computed)
         return rows
 
 
