@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.loops.assembly_plan import Plan, Step, root_of
+from robodyn.mechanics.parts import NOTHING
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Coupling
 from robodyn.tables.arrays import Array, Complex
 
 CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
 PARALLEL = 1e-12  # sine between two lines that do not meet
-NOTHING = 8 * float(np.finfo(float).eps)  # part of the loop's lengths that has no direction
 
 OWN = -1  # in place of a joint: what is constant in the frame of a line that turns
 
