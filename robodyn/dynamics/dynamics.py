@@ -93,15 +93,11 @@ def forward_dynamics_and_forces(
     return Accelerations(*_batch(mechanism, "forward", 2, t, q=q, qd=qd, tau=tau))
 
 
-def accelerations_in_motion(
+def motion_dynamics(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, t: ArrayLike = 0.0
 ) -> Accelerations:
-    """Return what `forward_dynamics_and_forces` does, at states of a run.
-
-    A run steps across a place where the ends of a spring meet.  Here a spring whose ends meet but
-    for rounding is no error.
-    """
-    return Accelerations(*_batch(mechanism, "forward", 2, t, on_the_way=True, q=q, qd=qd, tau=tau))
+    """As `forward_dynamics_and_forces`, also where a spring's ends meet but for rounding."""
+    return Accelerations(*_batch(mechanism, "motion", 2, t, q=q, qd=qd, tau=tau))
 
 
 def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, Array]:
@@ -115,16 +111,13 @@ def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, 
 
 
 def _batch(
-    mechanism: Mechanism,
-    kind: str,
-    wanted: int,
-    t: ArrayLike,
-    on_the_way: bool = False,
-    **given: ArrayLike,
+    mechanism: Mechanism, kind: str, wanted: int, t: ArrayLike, **given: ArrayLike
 ) -> tuple[Array, Array, str]:
     """Joint values (..., n), multipliers (..., r) where two arrays are `wanted`, and a remark."""
     states = together(mechanism, given)
-    if not on_the_way:
+    if kind == "motion":  # which steps across places where a spring's ends meet
+        kind = "forward"
+    else:
         check_directions(mechanism, states["q"])
     times = times_of(t, states["q"]) if mechanism.timed else np.zeros(())
     if mechanism.switches:
@@ -252,8 +245,6 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike
         near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q))
         return _missed(mechanism, found, q[near < change_points.NEAR])
     except SingularError:
-        if mechanism.springs:  # one without a direction is no change point: it raises here again
-            required_load(mechanism, q, qd, qdd, t)
         if q.ndim > 1:
             states = [x.reshape(-1, mechanism.n) for x in (q, qd, qdd)]
             now = np.broadcast_to(np.asarray(t, float), q.shape[:-1]).ravel()
