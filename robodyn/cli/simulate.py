@@ -192,6 +192,8 @@ def _start(mechanism: Mechanism, start: Sequence[Quantity], assemble: bool) -> n
             raise AssemblyError(f"no closed configuration found near the start: {fault[1].what}")
         if sources[1].whole:
             qd = loop_rates.nearest_velocities(mechanism, q, rates)
+            if (fault := loop_rates.check_closed(mechanism, q, qd)) is not None:
+                raise fault[1]
         else:
             rates = qd = complete(mechanism, sources, [q, rates])[1]
     if assemble:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from robodyn.cli.options import Differentiate, Q, Qd, States
 from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_silence
-from robodyn.errors import InputError, RobodynError, SingularError, at_place
+from robodyn.errors import InputError, RobodynError, SingularPoseError, at_place
 from robodyn.mechanics.loop_rows import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, vector_of_joints
@@ -139,6 +139,16 @@ def complete(
     if not free:
         from robodyn.loops import assembly, loop_rates
     motion: dict[str, Array] = {}
+
+    def check() -> None:
+        moving = (motion.get(name) for name in ("qd", "qdd"))
+        fault = loop_rates.check_closed(mechanism, motion["q"], *moving)
+        if fault is not None:
+            if sources[0].quantity.option is not None:
+                fault[1].add_place(f"--{sources[0].quantity.name}")
+            raise fault[1]
+
+    unchecked = bool(mechanism.rows) and any(source.whole for source in sources)
     with np.errstate(all="ignore"):
         for source, given in zip(sources, values, strict=True):
             name, full = source.quantity.name, given
@@ -149,6 +159,9 @@ def complete(
             elif name == "qd":
                 full = loop_rates.loop_velocities(mechanism, motion["q"], given)
             elif name == "qdd":
+                if unchecked:
+                    check()
+                    unchecked = False
                 full = loop_rates.loop_accelerations(mechanism, motion["q"], motion["qd"], given)
             else:
                 full = np.zeros((*given.shape[:-1], mechanism.n))
@@ -156,13 +169,8 @@ def complete(
             if not np.isfinite(full).all():
                 raise overflow()
             motion[name] = full
-        if mechanism.rows and any(source.whole for source in sources):
-            moving = (motion.get(name) for name in ("qd", "qdd"))
-            fault = loop_rates.check_closed(mechanism, motion["q"], *moving)
-            if fault is not None:
-                if sources[0].quantity.option is not None:
-                    fault[1].add_place(f"--{sources[0].quantity.name}")
-                raise fault[1]
+        if unchecked:
+            check()
     return list(motion.values())
 
 
@@ -244,7 +252,7 @@ class _Computed:
         self, mechanism: Mechanism, sources: Sequence[Source], compute: Callable[..., Array]
     ) -> None:
         self.mechanism, self.sources, self.compute = mechanism, sources, compute
-        self.singular: list[SingularError] = []  # of the first such row
+        self.singular: list[SingularPoseError] = []  # of the first such row
 
     def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
         """The results (T, k) at rows (T, columns)."""
@@ -283,7 +291,7 @@ class _Computed:
                     try:
                         with at_place(f"{name}: line {chunk.line_numbers[k]}"):
                             computed = self.at(chunk.values[k : k + 1])
-                    except SingularError as error:
+                    except SingularPoseError as error:
                         self.singular = self.singular or [error]
                         writer.write_empty(line)
                     else:

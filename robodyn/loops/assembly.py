@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
-from robodyn.errors import AssemblyError, InputError, SingularError
+from robodyn.errors import AssemblyError, InputError, SingularPoseError
 from robodyn.loops.assembly_plan import Plan, joints_of
 from robodyn.loops.assembly_plan import assembly_plan as assembly_plan
 from robodyn.loops.closing import NEAR_SINGULAR, half_turn, singular_size, wrapped
@@ -288,13 +288,13 @@ def _told(mechanism: Mechanism, given: Array) -> str:
     )
 
 
-def _undetermined(mechanism: Mechanism, given: Array, q: Array) -> SingularError:
+def _undetermined(mechanism: Mechanism, given: Array, q: Array) -> SingularPoseError:
     """The error of a state whose loops close with joints, nan in q (n,), at any value."""
     names = [f"q{k + 1} ({mechanism.link_names[k]})" for k in np.flatnonzero(np.isnan(q))]
     limit = f"the actuated joints do not determine {', '.join(names) or 'the others'} here: "
     limit += f"give all {mechanism.n} joint angles, or another configuration"
     what = f"singular configuration at {_told(mechanism, given)}"
-    return SingularError(what, where=mechanism.source, limit=limit)
+    return SingularPoseError(what, where=mechanism.source, limit=limit)
 
 
 def _cannot_close(

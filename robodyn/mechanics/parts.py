@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from robodyn.errors import SingularError
+from robodyn.errors import SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism, conserves
 from robodyn.scene.scene import Signal
 
@@ -91,9 +91,9 @@ def met_ends(mechanism: Mechanism, q: Sequence[Any], exp: Callable[[Any], Any]) 
     return met
 
 
-def no_direction(mechanism: Mechanism, spring: int) -> SingularError:
+def no_direction(mechanism: Mechanism, spring: int) -> SingularPoseError:
     """The error of a spring between points whose ends coincide."""
-    return SingularError(
+    return SingularPoseError(
         f"the ends of spring {spring + 1} between two points coincide",
         where=mechanism.source,
         limit="its force has no direction there; only length 0 without damping allows that",
