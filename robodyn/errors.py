@@ -154,3 +154,7 @@ class AssemblyError(RobodynError):
 
 class SingularError(RobodynError):
     """The equations have no unique solution at this configuration (exit code 1)."""
+
+
+class SingularPoseError(SingularError):
+    """Like its base class; other configurations of the same mechanism have a solution."""

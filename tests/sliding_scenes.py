@@ -64,3 +64,32 @@ closures:
 couplings: ["q1 = 0.3 q3 - 0.1", "q6 = 2 q4 + 0.2", "q2 = q5"]
 """
 SLIDING_SCENES = {"mixed": COUPLED, "block": BLOCK, "sliding block": SLIDING, "turned": TURNED}
+
+# links whose direction is that of nothing somewhere
+LEVER = """\
+links:
+  - {name: crank, m: 0.5, l: 0.2, r: 0.08, I: 0.002}
+  - {name: lever, m: 0.7, l: 0.6, r: 0.25, I: 0.02, from: [0.2, 0]}
+closures: [{point: crank, on: {link: lever, through: [0, 0], along: [1, 0]}}]
+actuated: [crank]
+"""
+BARREL = """\
+links:
+  - {name: arm, m: 1, l: 0.5, r: 0.25, I: 0.02}
+  - {name: barrel, m: 1, l: 0, r: 0, I: 0.01, from: [0.5, 0]}
+  - {name: rod, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0.01}
+closures: [[arm, rod]]
+actuated: [arm]
+"""
+SCISSORS = """\
+gravity: 9.81
+links:
+  - {name: armA, m: 1, l: 1.6, r: 0, I: 1}
+  - {name: table, m: 1, l: 1.6, r: 0.8, I: 1}
+  - {name: armB, from: "armA@0.8,0", m: 1, l: 0.8, r: 0, I: 1}
+closures:
+  - {point: "armB@0.8,0", on: {through: [0, 0], along: [1, 0]}}
+  - {point: "armB@-0.8,0", on: {link: table, through: [0, 0], along: [1, 0]}}
+actuated: [armA]
+"""
+STARTED = "start: {armA: 30deg, table: 150deg, armB: -60deg}\n"

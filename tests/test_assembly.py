@@ -10,6 +10,7 @@ from conftest import ROOT
 from each_case import each
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from sliding_scenes import BARREL, LEVER, SCISSORS, STARTED
 
 import oracles
 from random_mechanisms import (
@@ -28,6 +29,7 @@ from robodyn.dynamics import closed_form as cf
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import load
+from robodyn.simulation.simulation import simulate
 
 SEEDS = range(8)
 FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: more of the slow
@@ -619,6 +621,76 @@ class TestUndetermined:
             assembly.assemble(self.FIVE_BAR.mechanism, values)
 
 
+DIRECTIONLESS = {
+    "a slot through its own pivot": (mechanism(LEVER), "q2 (lever)"),
+    "a slide on its pivot": (mechanism(BARREL), "q2 (barrel), q3 (rod)"),
+    "equal bars whose pivots meet": (four_bar(1.0, 0.8, 0.8, 1.0), "q2 (coupler), q3 (rocker)"),
+}
+
+
+class TestDirectionsOfNothing:
+    """Poses whose actuated joints leave the direction of another link open."""
+
+    @each("name", DIRECTIONLESS)
+    @each("turns", [0.0, 1.0, -3.0])  # but for rounding the pivots meet here too
+    @each("branch", BRANCHES)
+    def test_they_are_singular(self, name, turns, branch):
+        mech, joints = DIRECTIONLESS[name]
+        told = f"singular configuration at q1 = {360 * turns:g} deg.*{re.escape(joints)} here"
+        with pytest.raises(SingularError, match=told):
+            assembly.assemble(mech, [2 * np.pi * turns], [branch])
+
+    @pytest.mark.parametrize(
+        ("rocker", "closure"),
+        [
+            ("  - {name: rocker, m: 1, l: 1, r: 0, I: 1, from: [2, 0]}\n", "[forearm, rocker]"),
+            ("", "{point: forearm, on: {through: [1, 0], along: [1, 1]}}"),
+        ],
+    )
+    def test_links_folded_onto_one_another(self, rocker, closure):
+        """A forearm of the coupler's length lies on it: the two of them turn as they like."""
+        mech = mechanism(
+            "links:\n"
+            "  - {name: crank, m: 1, l: 1, r: 0, I: 1}\n"
+            "  - {name: coupler, m: 1, l: 0.7, r: 0, I: 1}\n"
+            "  - {name: forearm, m: 1, l: 0.7, r: 0, I: 1}\n"
+            f"{rocker}closures: [{closure}]\nactuated: [crank, forearm]\n"
+        )
+        with pytest.raises(SingularError, match=re.escape("q2 (coupler)")):
+            assembly.assemble(mech, [0.0, np.pi])
+        assert np.isfinite(assembly.assemble(mech, [0.0, 3.0])).all()
+
+    @each("name", DIRECTIONLESS)
+    def test_beside_them_the_loops_close(self, name):
+        mech, _ = DIRECTIONLESS[name]
+        given = np.array([-0.1, -1e-6, 0.0, 1e-6, 0.1])[:, None]
+        q, missing = assembly.attempt(mech, given)
+        assert np.isnan(missing).tolist() == [False, False, True, False, False]
+        closed = q[~np.isnan(missing)]
+        assert np.abs(cf.closure_gap(mech, closed)).max() < 1e-15
+
+    def test_the_slot_points_from_the_levers_pivot_to_the_pin(self):
+        """A triangle with equal sides: its base turns by half the crank's angle and a quarter."""
+        for angle, error in ((1e-9, 1e-6), (0.5, 1e-14), (2.0, 1e-14)):
+            _, lever = assembly.assemble(mechanism(LEVER), [angle])
+            assert lever == pytest.approx(np.pi / 2 + angle / 2, abs=error)
+
+    @pytest.mark.parametrize("text", [SCISSORS, SCISSORS + STARTED])
+    def test_a_branch_that_is_not_asked_for_never_decides(self, text):
+        """On the other branch the arms lie on one another, and the table hangs free."""
+        mech = mechanism(text)
+        for angle in (0.3, np.pi / 6, 1.0):
+            q = assembly.assemble(mech, [angle])
+            wanted = [angle, np.pi - angle, -2.0 * angle]
+            assert np.abs(q - wanted).max() < 1e-14
+            with pytest.raises(SingularError, match=re.escape("q2 (table)")):
+                assembly.assemble(mech, [angle], ["crossed", "open"])
+        assert assembly.scene_branches(mech)[0] == "open"
+
+    def test_a_range_runs_through_them(self):
+        assert assembly.reachable(mechanism(LEVER), [1.0], 0) == [(-np.pi, np.pi)]
+
+
 class TestProjection:
     @pytest.mark.parametrize("name", LOOPS)
     def test_newton_closes_what_is_nearly_closed(self, name):
@@ -667,6 +739,81 @@ class TestCheckClosed:
         """Links of 1 m: the coupler's tip at (1, 1), the rocker's at (2, 0)."""
         _, error = loop_rates.check_closed(four_bar(1, 1, 1, 1), np.array([0.0, np.pi / 2, 0.0]))
         assert "gap in position = 1.41421 m" in str(error)
+
+    IN_LINE = np.array([np.pi / 2, -np.pi])  # a crank and a rod of 0.2 m, folded across the slide
+
+    @each("rates", [(2.0, 0.0), (2.0, -4.0), (-0.1, 0.2), (0.0, 0.0), (2.0, -4.0000001)])
+    def test_rates_along_a_branch_close(self, rates):
+        mech = slider_crank(0.2, 0.2, 0.0)
+        assert loop_rates.check_closed(mech, self.IN_LINE, np.array(rates)) is None
+        many = np.tile(self.IN_LINE, (5, 1)), np.tile(rates, (5, 1))
+        assert loop_rates.check_closed(mech, *many) is None
+
+    @each("rates", [(0.0, 3.0), (1.0, 1.0), (1e-3, 0.0011), (2.0, -3.999)])
+    def test_rates_that_no_motion_has(self, rates):
+        """The height 0.2 (sin a + sin b) of the pin has Psi = 0 here, and the second derivative
+        0.2 (b'^2 - a'^2), whatever the accelerations."""
+        mech = slider_crank(0.2, 0.2, 0.0)
+        gap = abs(0.2 * ((rates[0] + rates[1]) ** 2 - rates[0] ** 2))
+        q, qd = np.tile([1.0, -2.0], (5, 1)), np.tile([1.0, -2.0], (5, 1))
+        q[3], qd[3] = self.IN_LINE, rates
+        for qdd in (None, np.zeros((5, 2))):
+            index, error = loop_rates.check_closed(mech, q, qd, qdd)
+            assert index == 3
+            assert f"no motion has these rates: gap in acceleration = {gap:.6g} m/s^2" in str(error)
+        with pytest.raises(InputError, match="no motion has these rates"):
+            simulate(mech, self.IN_LINE, rates, 0.1)
+
+    @each("coupler", [0.0, 1.0])
+    @each("off", [0.0, 0.1])
+    def test_rates_of_a_parallelogram_in_line(self, coupler, off):
+        """Where l a' + d b' = l c', the second derivative l a'^2 + d b'^2 - l c'^2 of the gap along
+        the line is zero if b' is 0 or 2 a'/(1 - d/l)."""
+        length, ground, crank = 0.3, 0.7, 2.0
+        b = coupler * 2.0 * crank / (1.0 - ground / length) + off
+        rocker = crank + ground / length * b
+        gap = abs(length * crank**2 + ground * b**2 - length * rocker**2)
+        mech = four_bar(length, ground, length, ground)
+        fault = loop_rates.check_closed(mech, np.zeros(3), np.array([crank, b - crank, rocker]))
+        if off:
+            assert f"gap in acceleration = {gap:.6g} m/s^2" in str(fault[1])
+        else:
+            assert gap < 1e-13
+            assert fault is None
+
+    @each("beside", [1e-3, 1e-5, 1e-7, 1e-9])
+    def test_motions_close_beside_a_change_point(self, beside):
+        """On either branch: the pin stays at the crank's pivot, or the rod mirrors the crank."""
+        mech = slider_crank(0.2, 0.2, 0.0)
+        for way in (beside, -beside):
+            for q, qd in (([way, 0.0], [1.0, 0.0]), ([way, -2.0 * way], [1.0, -2.0])):
+                q = self.IN_LINE + q
+                assert loop_rates.check_closed(mech, q, np.array(qd)) is None
+
+    def test_a_motion_that_misses_a_change_point_closes(self):
+        """With a rod that is too short by a little the crank turns back before it is upright."""
+        mech = slider_crank(0.2, 0.2 - 1e-13, 0.0)
+        q = assembly.assemble(mech, [np.pi / 2 - 0.1], ["crossed"])
+        qd = loop_rates.loop_velocities(mech, q, [1.0])
+        motion = simulate(mech, q, qd, 0.2)
+        assert motion.outcome.label == "finished"
+        for k in range(len(motion.t)):
+            assert loop_rates.check_closed(mech, motion.q[k], motion.qd[k]) is None
+
+    def test_closures_that_depend_on_one_another_everywhere(self):
+        """A parallelogram with two couplers moves as one with one of them."""
+        mech = mechanism(
+            "links:\n"
+            "  - {name: crank, m: 1, l: 0.3, r: 0, I: 1}\n"
+            "  - {name: coupler, m: 1, l: 0.7, r: 0, I: 1}\n"
+            "  - {name: rocker, m: 1, l: 0.3, r: 0, I: 1, from: [0.7, 0]}\n"
+            "  - {name: second, m: 1, l: 0.7, r: 0, I: 1, from: 'crank@0.1,0'}\n"
+            "closures: [[coupler, rocker], [second, 'rocker@0.1,0']]\n"
+            "actuated: [crank]\n"
+        )
+        angles = np.linspace(-3.0, 3.0, 7)[:, None]
+        q, qd = angles * [1, -1, 1, -1], np.tile([1.0, -1.0, 1.0, -1.0], (7, 1))
+        assert loop_rates.check_closed(mech, q, qd) is None
 
     def test_open_chains_and_no_states_have_nothing_to_check(self):
         chain = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]")

@@ -165,6 +165,36 @@ def test_a_change_point_is_named(robodyn: Run, arguments: list[str]) -> None:
     assert failed.out == ""
 
 
+FOLDED = """\
+gravity: 9.81
+links:
+  - {name: crank, m: 0.8, l: 0.2, r: 0.09, I: 0.003}
+  - {name: rod, m: 0.5, l: 0.2, r: 0.11, I: 0.0022, payload: 0.7}
+closures: [{point: rod, on: {through: [0, 0], along: [1, 0]}}]
+actuated: [crank]
+"""
+
+
+def test_rates_that_no_motion_has_are_refused(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    """The crank holds, the rod of its length turns: its pin is 0.2 m 3^2 off the slide."""
+    path, pose = scene(FOLDED), ("--q", "90deg,-180deg")
+    states = "q1,q2,qd1,qd2\n1,-2,1,-2\n1.5707963267948966,-3.141592653589793,0,3\n"
+    for command in ("accel", "torque"):
+        failed = robodyn(command, path, "-", stdin=states)
+        assert len(failed.fails(2, "stdin: line 3: ", "1.8 m/s^2").rows) == 1
+    commands = ("accel",), ("torque", "--qdd", "0,0"), ("torque",), ("simulate", "--time", "0.1")
+    for command, *options in commands:
+        failed = robodyn(command, path, *pose, "--qd", "0,3", *options)
+        told = "no motion has these rates: gap in acceleration = 1.8 m/s^2", "along one of its"
+        assert failed.fails(2, str(path), *told).out == ""
+        for rates in ("2,0", "2,-4"):
+            given = robodyn(command, path, *pose, "--qd", rates, *options)
+            assert given.code == 0
+            if command == "simulate":
+                begun = [float(given.rows[0][name]) for name in ("qd1", "qd2")]
+                assert begun == pytest.approx([float(x) for x in rates.split(",")], abs=1e-12)
+
+
 @pytest.mark.parametrize("arguments", [["--qd", "1e200,1"], ["--tau", "1e308,-1e308"]])
 @pytest.mark.parametrize("batch", [False, True])
 def test_a_result_beyond_the_floats_is_an_error(

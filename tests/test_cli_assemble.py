@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, SCOTCH_YOKE, Outcome, relative_error
+from sliding_scenes import LEVER, SCISSORS
 
 import oracles
 
@@ -315,6 +316,20 @@ def test_a_change_point_is_named(robodyn: Run) -> None:
     assert values(open_, "q") == values(crossed, "q") == [0.0, 0.0, 0.0]
     moving = robodyn("assemble", "robots/parallelogram.yaml", "--q", "0", "--qd", "1")
     assert moving.fails(1, "robots/parallelogram.yaml", "change point").out == ""
+
+
+def test_branches_that_do_not_tell_a_pose_are_left_out(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    given = robodyn("assemble", scene(SCISSORS), "--q", "30deg").succeeds()
+    assert [row["branch"] for row in given.rows] == ["open open", "open crossed"]
+    wanted = [math.pi / 6, 5 * math.pi / 6, -math.pi / 3]
+    assert values(given.rows[0], "q") == pytest.approx(wanted, abs=1e-14)
+    path = scene(LEVER)
+    for options in ((), ("--range",), ("--format", "json")):
+        failed = robodyn("assemble", path, "--q", "0", *options)
+        assert failed.fails(1, str(path), "singular configuration", "q2 (lever)").out == ""
+    assert len(robodyn("assemble", path, "--q", "0,90deg").rows) == 1
 
 
 def test_rates_beyond_the_floats_do_no_harm(process: Run) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from conftest import Outcome, relative_error
+from sliding_scenes import SCISSORS, STARTED
 
 import robodyn as rd
 
@@ -34,6 +35,16 @@ def test_held_joint_and_its_torque(robodyn: Run) -> None:
     for row in rows:
         given = robodyn("torque", BAR, "--q", ",".join(str(row[f"q{k}"]) for k in (1, 2, 3)))
         assert given.row["tau1"] == pytest.approx(2.0, rel=1e-9)
+
+
+def test_a_branch_that_is_not_asked_for_hides_no_rest(robodyn: Run, tmp_path: Path) -> None:
+    path = tmp_path / "scissors.yaml"
+    path.write_text(SCISSORS + STARTED)
+    held = robodyn("equilibrium", path, "--hold", "armA").succeeds()
+    assert float(held.rows[0]["tau1"]) == pytest.approx(2.4 * 9.81 * math.cos(math.pi / 6))
+    rests = robodyn("equilibrium", path, "--all").succeeds()
+    heights = [float(row["PE"]) / 9.81 for row in rests.rows]
+    assert heights == pytest.approx([-3.2, -2.4, -1.6, 1.6, 3.2])
 
 
 def test_torques_that_are_not_unique_are_told(robodyn: Run, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import pytest
 from conftest import FRESH, ROOT, Outcome
 from named_case import case
 from scipy.integrate import solve_ivp
-from sliding_scenes import BLOCK
+from sliding_scenes import BLOCK, LEVER, SCISSORS, STARTED
 
 import robodyn as package
 from robodyn import inverse_dynamics, load, simulate
@@ -111,6 +111,27 @@ def test_a_point_that_cannot_be_assembled_is_a_row(robodyn: Run) -> None:
     assert [row["outcome"] for row in given.rows] == ["finished", "cannot assemble"]
     assert set(given.rows[1].values()) == {"1.2", "", "cannot assemble"}
     assert "1 cannot assemble" in given.err
+
+
+def test_a_point_whose_loops_close_in_any_direction_is_singular(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    vary = ("--vary", "q1=-0.2:0.2:5", "--quiet")
+    for how in (("--kind", "torque"), ("--time", 0.01, "--result", "final")):
+        given = robodyn("sweep", scene(LEVER), *vary, *how).succeeds()
+        outcomes = [row["outcome"] for row in given.rows]
+        assert outcomes == ["finished", "finished", "singular", "finished", "finished"]
+        assert set(given.rows[2].values()) == {"0.0", "", "singular"}
+
+
+def test_a_branch_that_is_not_asked_for_decides_no_sweep(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    """The table of 1 kg at half its length rises by the arms' tips, their own centres by less."""
+    path = scene(SCISSORS + STARTED)
+    given = robodyn("sweep", path, "--kind", "torque", "--vary", "q1=20deg,30deg,40deg")
+    needed = [2.4 * 9.81 * math.cos(math.radians(angle)) for angle in (20, 30, 40)]
+    assert given.column("tau1") == pytest.approx(needed, rel=1e-12)
 
 
 def test_flip_of_a_link(robodyn: Run) -> None:

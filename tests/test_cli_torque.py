@@ -482,10 +482,19 @@ def test_a_change_point_is_named(robodyn: Run, rate: str, angle: str) -> None:
 
 
 def test_a_change_point_in_a_batch(robodyn: Run) -> None:
+    """Its row is empty, and those behind it are computed."""
     stdin = "q1\n1\n2\n0\n1\n"
     failed = robodyn("torque", "robots/parallelogram.yaml", "-", stdin=stdin)
     failed.fails(1, "stdin: line 4: ", "change point")
-    assert len(failed.rows) == 2
+    first, _, singular, last = failed.rows
+    assert last == first
+    assert singular == dict.fromkeys(first, "") | {"q1": "0"}
+    ends = robodyn("torque", "robots/parallelogram.yaml", "-", "--extremes", stdin=stdin)
+    of_q1, of_torque, *_ = ends.fails(1, "stdin: line 4: ").rows
+    assert (of_q1["min"], of_torque["column"]) == ("0.0", "tau1")
+    assert float(of_torque["min"]) == min(float(row["tau1"]) for row in failed.rows if row["tau1"])
+    whole = ("torque", "robots/parallelogram.yaml", "-", "--fluctuation", "0.1")
+    assert robodyn(*whole, stdin=stdin).fails(1, "line 4", "change point").out == ""
 
 
 def test_too_few_actuators_name_the_free_joint(robodyn: Run, scene: Callable[[str], Path]) -> None:

@@ -17,6 +17,7 @@ from random_mechanisms import (
 from robodyn import (
     assemble,
     forward_dynamics,
+    forward_dynamics_derivatives,
     gravity_vector,
     inverse_dynamics,
     kinetic_energy,
@@ -24,6 +25,7 @@ from robodyn import (
     other_forces,
     potential_energy,
     reactions,
+    regressor,
     shaking_force,
     simulate,
 )
@@ -293,6 +295,74 @@ class TestCoincidingEnds:
         mech = mechanism(self.TEXT.replace("springs: [", far))
         with pytest.raises(SingularError, match=r"spring 2 "):
             gravity_vector(mech, [[0.3, 0.1], [0.0, 0.0]])
+
+    FOLDED = (
+        "links: [{name: a, m: 2, l: 1, r: 0.5, I: 0.2}, {name: b, m: 2, l: 1, r: 0.5, I: 0.2}]\n"
+        "springs: [{between: [b, [0, 0]], stiffness: 300, length: 0.4}]\n"
+    )
+    ANGLES = 0.0, 0.3, 1.0, math.pi / 2, -2.0
+
+    def test_ends_that_meet_but_for_rounding(self):
+        """The second link lies on the first: rounding alone would tell a direction."""
+        mech, zero = mechanism(self.FOLDED), np.zeros(2)
+        damped = mechanism(self.FOLDED.replace("length: 0.4", "length: 0, damping: 1"))
+        calls = (
+            lambda q: gravity_vector(mech, q),
+            lambda q: inverse_dynamics(mech, q, zero, zero),
+            lambda q: forward_dynamics(mech, q, zero, zero),
+            lambda q: other_forces(damped, q, zero),
+            lambda q: forward_dynamics_derivatives(mech, q, zero, zero),
+            lambda q: regressor(mech, q, zero, zero),
+        )
+        beside = np.tile([0.3, 3.0], (40_000, 1))
+        for angle in self.ANGLES:
+            beside[-1] = met = angle, math.pi
+            for call in calls:
+                for q in (met, [met, (0.3, 3.0)], beside):
+                    with pytest.raises(SingularError, match=r"spring 1 .* coincide"):
+                        call(q)
+
+    def test_ends_that_are_apart_by_more(self):
+        """A chord of two links of 1 m: the spring turns the second one by k (L - d) cos(half)."""
+        mech = mechanism(self.FOLDED)
+        for left in (1e-12, 1e-6, 0.5):
+            tau = inverse_dynamics(mech, [0.3, math.pi - left], [0, 0], [0, 0])
+            needed = 300 * (0.4 - 2 * math.sin(left / 2)) * math.cos(left / 2)
+            assert tau == pytest.approx([0.0, needed], abs=1e-9 + 1e-14 / left)
+
+    def test_a_displacement_has_a_direction_however_small(self):
+        mech = mechanism(
+            "links: [{name: a, joint: prismatic, axis: [1, 0], m: 2, l: 0, r: 0, I: 0.2}]\n"
+            "springs: [{between: [a, [0, 0]], stiffness: 300, length: 0.4}]\n"
+        )
+        for way in (1e-17, -1e-100):
+            needed = -math.copysign(120.0, way)
+            assert inverse_dynamics(mech, [way], [0], [0]) == pytest.approx([needed])
+
+    def test_folded_links_on_the_command_line(self, robodyn, scene):
+        path = scene(self.FOLDED)
+        for angle in self.ANGLES:
+            for command in ("torque", "accel", "reactions", "terms", "linearize"):
+                failed = robodyn(command, path, "--q", f"{angle},180deg")
+                failed.fails(1, "the ends of spring 1 between two points coincide")
+        swept = robodyn(
+            "sweep", path, "--kind", "torque", "--vary", "q1=0.3,1", "--q", "0,180deg", "--quiet"
+        ).succeeds()
+        assert [row["outcome"] for row in swept.rows] == ["singular", "singular"]
+        rows = "q1,q2\n0.3,3\n1,3.141592653589793\n0.4,3\n"
+        first, met, last = robodyn("torque", path, "-", stdin=rows).fails(1, "line 3").rows
+        assert met == {"q1": "1", "q2": "3.141592653589793", "tau1": "", "tau2": ""}
+        assert float(first["tau2"]) == pytest.approx(float(last["tau2"]), rel=1e-12)
+
+    @pytest.mark.parametrize("method", ["DOP853", "taylor"])
+    def test_a_run_steps_across(self, method):
+        """Energy is kept on the way in and out, and the rows of the run have accelerations."""
+        mech = mechanism(self.FOLDED)
+        motion = simulate(mech, [0.3, math.pi], [0, 1], 0.1, method=method)
+        assert motion.outcome.label == "finished"
+        energy = kinetic_energy(mech, motion.q, motion.qd) + potential_energy(mech, motion.q)
+        assert np.ptp(energy) < 1e-6
+        assert np.isfinite(motion.qdd).all()
 
     def test_other_forces_broadcast(self):
         rubbing = "I: 0.1, friction: {torque: 1, speed: 0.1}}"

@@ -14,7 +14,7 @@ from mpmath import mp
 
 import robodyn as api
 from random_mechanisms import seeded_tree
-from robodyn.errors import AssemblyError, InputError
+from robodyn.errors import AssemblyError, InputError, SingularError
 from robodyn.kinematics.named_points import named_points
 from robodyn.kinematics.point_motion import point_jacobian
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -145,6 +145,16 @@ def test_without_a_pose_the_branch_is_open() -> None:
 def test_place_out_of_reach_is_told() -> None:
     with pytest.raises(AssemblyError, match=r"tip2 does not reach \(1.5, 0\).* 0\.1 m out"):
         api.inverse_kinematics(scene("2r"), [[0.5, 0.5], [1.5, 0.0]], "tip2")
+
+
+def test_place_that_any_direction_reaches_is_singular() -> None:
+    """The joint of an arm with two equal links."""
+    links = "links: [{name: a, m: 1, l: 0.5, r: 0, I: 1}, {name: b, m: 1, l: 0.5, r: 0, I: 1}]"
+    arm = build(from_text(links, "arm.yaml"))
+    with pytest.raises(SingularError, match=r"tip2 at \(0, 0\): any direction"):
+        api.inverse_kinematics(arm, [[0.5, 0.5], [0.0, 0.0]], "tip2")
+    with pytest.raises(AssemblyError, match=r"tip2 does not reach \(2, 0\)"):
+        api.inverse_kinematics(arm, [[2.0, 0.0], [0.0, 0.0]], "tip2")
 
 
 # By Newton's method

@@ -20,7 +20,7 @@ from robodyn.cli.output import (
 )
 from robodyn.cli.states import StateOptions, option_source, overflow, single_state
 from robodyn.dynamics.closed_form import point_motion
-from robodyn.errors import AssemblyError
+from robodyn.errors import AssemblyError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
@@ -64,7 +64,7 @@ def assemble(
     for name, way in ways:
         try:
             found.append((name, single_state(mechanism, given, way)))
-        except AssemblyError:  # of the scene's own, or where one branch reaches farther
+        except (AssemblyError, SingularError):  # the scene's own decides, no other branch does
             if not found:
                 raise
     barred: set[str] = set()

@@ -186,11 +186,11 @@ def _start(mechanism: Mechanism, start: Sequence[Quantity], assemble: bool) -> n
 
         given, rates = (np.array(source.values) for source in sources)
         q = assembly.close_positions(mechanism, given)
-        fault = loop_rates.check_closed(mechanism, q)
-        if fault is not None:
+        if (fault := loop_rates.check_closed(mechanism, q)) is not None:
             raise AssemblyError(f"no closed configuration found near the start: {fault[1].what}")
         if sources[1].whole:
             qd = loop_rates.nearest_velocities(mechanism, q, rates)
+            complete(mechanism, sources, [q, qd])  # no motion may have them
         else:
             rates = qd = complete(mechanism, sources, [q, rates])[1]
     if assemble:

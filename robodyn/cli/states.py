@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from robodyn.cli.options import Differentiate, Q, Qd, States, Unwrap
 from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_silence
-from robodyn.errors import InputError, RobodynError, at_place
+from robodyn.errors import InputError, RobodynError, SingularPoseError, at_place
 from robodyn.mechanics.loop_rows import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, vector_of_joints
@@ -140,6 +140,16 @@ def complete(
     if not free:
         from robodyn.loops import assembly, loop_rates
     motion: dict[str, Array] = {}
+
+    def check() -> None:
+        moving = (motion.get(name) for name in ("qd", "qdd"))
+        fault = loop_rates.check_closed(mechanism, motion["q"], *moving)
+        if fault is not None:
+            if sources[0].quantity.option is not None:
+                fault[1].add_place(f"--{sources[0].quantity.name}")
+            raise fault[1]
+
+    unchecked = bool(mechanism.rows) and any(source.whole for source in sources)
     with np.errstate(all="ignore"):
         for source, given in zip(sources, values, strict=True):
             name, full = source.quantity.name, given
@@ -150,6 +160,9 @@ def complete(
             elif name == "qd":
                 full = loop_rates.loop_velocities(mechanism, motion["q"], given)
             elif name == "qdd":
+                if unchecked:
+                    check()
+                    unchecked = False
                 full = loop_rates.loop_accelerations(mechanism, motion["q"], motion["qd"], given)
             else:
                 full = np.zeros((*given.shape[:-1], mechanism.n))
@@ -157,13 +170,8 @@ def complete(
             if not np.isfinite(full).all():
                 raise overflow()
             motion[name] = full
-        if mechanism.rows and any(source.whole for source in sources):
-            moving = (motion.get(name) for name in ("qd", "qdd"))
-            fault = loop_rates.check_closed(mechanism, motion["q"], *moving)
-            if fault is not None:
-                if sources[0].quantity.option is not None:
-                    fault[1].add_place(f"--{sources[0].quantity.name}")
-                raise fault[1]
+        if unchecked:
+            check()
     return list(motion.values())
 
 
@@ -234,6 +242,10 @@ def evaluate(
         with remarks(), options.writer(columns, reader.header, units, summary) as writer:
             if not computed.write(chunks, writer, name) and (adds or writer.needs_rows):
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
+            if computed.singular and summary is not None:
+                raise computed.singular[0]
+        if computed.singular:
+            raise computed.singular[0]
 
 
 class _Computed:
@@ -243,6 +255,7 @@ class _Computed:
         self, mechanism: Mechanism, sources: Sequence[Source], compute: Callable[..., Array]
     ) -> None:
         self.mechanism, self.sources, self.compute = mechanism, sources, compute
+        self.singular: list[SingularPoseError] = []  # of the first such row
 
     def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
         """The results (T, k) at rows (T, columns)."""
@@ -266,7 +279,10 @@ class _Computed:
         return found
 
     def write(self, chunks: Iterable[Chunk], writer: Writer, name: str) -> int:
-        """Write the results behind the rows of a table; how many there are."""
+        """Write the results behind the rows of a table; how many there are.
+
+        Those of a row at a singular configuration are empty.
+        """
         rows = 0
         for chunk in chunks:
             rows += len(chunk.lines)
@@ -275,9 +291,14 @@ class _Computed:
             except RobodynError:
                 # find the row, with those before it written: again, one by one
                 for k, line in enumerate(chunk.lines):
-                    with at_place(f"{name}: line {chunk.line_numbers[k]}"):
-                        computed = self.at(chunk.values[k : k + 1])
-                    writer.write_rows([line], computed)
+                    try:
+                        with at_place(f"{name}: line {chunk.line_numbers[k]}"):
+                            computed = self.at(chunk.values[k : k + 1])
+                    except SingularPoseError as error:
+                        self.singular = self.singular or [error]
+                        writer.write_empty(line)
+                    else:
+                        writer.write_rows([line], computed)
         return rows
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 from contextlib import suppress
@@ -12,6 +13,7 @@ from robodyn.engines.formulas import MAX_GENERATED
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
+from robodyn.mechanics.parts import met_ends
 
 
 def torque(
@@ -111,7 +113,9 @@ def _single_state(
                 at = [0.0] if mechanism.timed else []
                 function = compile_floats(formula, "torque")
                 found = function(*values[0], *values[1], *values[2], *at)
-                if not mechanism.has_tables or all(map(math.isfinite, found)):
+                lost = any(met_ends(mechanism, values[0], cmath.exp).values())
+                lost = lost or (mechanism.has_tables and not all(map(math.isfinite, found)))
+                if not lost:
                     return found, values[1]
             except ValueError:  # the sine of infinity: sums of angles that are too large
                 raise overflow() from None

@@ -29,7 +29,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.placed import Placed, absolute_rates, as_states, columns, placed
+from robodyn.dynamics.placed import (
+    Placed,
+    absolute_rates,
+    as_states,
+    check_directions,
+    columns,
+    placed,
+)
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.mechanics.modes import Mode, in_mode, pressed
@@ -89,7 +96,9 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     if mechanism.springs or mechanism.joint_springs:
         from robodyn.engines.row_values import rows_of
 
-        G = G + rows_of(parts.stored, mechanism)("torques", q)
+        rows = rows_of(parts.stored, mechanism)
+        check_directions(rows.mechanism, np.asarray(q, float))
+        G = G + rows("torques", q)
     return G
 
 
@@ -104,7 +113,9 @@ def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike
     from robodyn.engines.row_values import rows_of
 
     states = as_states(mechanism, "q", q), as_states(mechanism, "qd", qd)
-    return 0.0 - rows_of(parts.spent, mechanism)("torques", *states, t)  # of nothing no -0.0
+    rows = rows_of(parts.spent, mechanism)
+    check_directions(rows.mechanism, states[0])
+    return 0.0 - rows("torques", *states, t)  # of nothing no -0.0
 
 
 def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:

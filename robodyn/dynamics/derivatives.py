@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.dense_dynamics import RANK_CUT, elimination_is_safe
 from robodyn.dynamics.dynamics import PIVOT_CUT, times_of, together
-from robodyn.dynamics.placed import absolute_rates, finite
+from robodyn.dynamics.placed import absolute_rates, check_directions, finite
 from robodyn.dynamics.sticking import modes_of
 from robodyn.engines import formulas, straightline
 from robodyn.engines.derivative_formulas import (
@@ -100,6 +100,7 @@ def _each(
 ) -> list[Array]:
     """The result and its derivatives."""
     states = together(mechanism, given)
+    check_directions(mechanism, states["q"])
     shape, times = states["q"].shape, times_of(t, states["q"]).ravel()
     n = mechanism.n
     flat = {name: finite(name, array).reshape(-1, n) for name, array in states.items()}

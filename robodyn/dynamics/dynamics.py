@@ -30,7 +30,7 @@ from robodyn.dynamics.dense_dynamics import (
     elimination_is_safe,
     required_load,
 )
-from robodyn.dynamics.placed import finite, matvec, n_wide, placed
+from robodyn.dynamics.placed import check_directions, finite, matvec, n_wide, placed
 from robodyn.engines import formulas
 from robodyn.engines.formulas import Formula
 from robodyn.errors import InputError, SingularError
@@ -93,6 +93,13 @@ def forward_dynamics_and_forces(
     return Accelerations(*_batch(mechanism, "forward", 2, t, q=q, qd=qd, tau=tau))
 
 
+def motion_dynamics(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, t: ArrayLike = 0.0
+) -> Accelerations:
+    """As `forward_dynamics_and_forces`, also where a spring's ends meet but for rounding."""
+    return Accelerations(*_batch(mechanism, "motion", 2, t, q=q, qd=qd, tau=tau))
+
+
 def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, Array]:
     """Values (..., n) of joints, broadcast to one another; InputError where they do not fit."""
     each = [n_wide(mechanism, name, value) for name, value in given.items()]
@@ -108,6 +115,10 @@ def _batch(
 ) -> tuple[Array, Array, str]:
     """Joint values (..., n), multipliers (..., r) where two arrays are `wanted`, and a remark."""
     states = together(mechanism, given)
+    if kind == "motion":  # which steps across places where a spring's ends meet
+        kind = "forward"
+    else:
+        check_directions(mechanism, states["q"])
     times = times_of(t, states["q"]) if mechanism.timed else np.zeros(())
     if mechanism.switches:
         from robodyn.dynamics.switching import by_modes  # which asks for accelerations itself
@@ -234,8 +245,6 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike
         near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q))
         return _missed(mechanism, found, q[near < change_points.NEAR])
     except SingularError:
-        if mechanism.springs:  # one without a direction is no change point: it raises here again
-            required_load(mechanism, q, qd, qdd, t)
         if q.ndim > 1:
             states = [x.reshape(-1, mechanism.n) for x in (q, qd, qdd)]
             now = np.broadcast_to(np.asarray(t, float), q.shape[:-1]).ravel()

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics import parts
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.csv_fields import shown
@@ -56,6 +57,20 @@ def finite(name: str, array: Array) -> Array:
         place = f"{name}[{', '.join(map(str, where))}]"
         raise InputError(place, value=array[tuple(where)], limit="must be finite")
     return array
+
+
+def check_directions(mechanism: Mechanism, q: Array) -> None:
+    """Raise SingularError if at q (..., n) a spring that needs a direction has none.
+
+    Then the ends of the spring meet, but for rounding.
+    """
+    if not mechanism.springs:
+        return
+    with np.errstate(all="ignore"):
+        met = parts.met_ends(mechanism, list(np.moveaxis(q, -1, 0)), np.exp)
+    for spring, states in met.items():
+        if np.any(states):
+            raise parts.no_direction(mechanism, spring)
 
 
 def within_floats(

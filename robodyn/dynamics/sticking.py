@@ -120,7 +120,7 @@ def mode_at(
     if len(starts) < len(still):
         limits = {joint: bounds(mechanism, joint, sides.get(joint, ())) for joint in still}
         free = in_mode(mechanism, Mode((), tuple(sorted(slips.items())), pushing))
-        qdd = dynamics.forward_dynamics(free, q, qd, tau, t)[still]
+        qdd = dynamics.motion_dynamics(free, q, qd, tau, t).qdd[still]
         starts = _starts(mechanism, qdd, responses(mechanism, q, still)[:, still], limits, starts)
     slips |= {joint: way for joint, way in starts.items() if joint in dict(mechanism.dry)}
     own = tuple(joint for joint in still if joint not in starts)

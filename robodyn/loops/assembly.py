@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
-from robodyn.errors import AssemblyError, InputError
+from robodyn.errors import AssemblyError, InputError, SingularPoseError
 from robodyn.loops.assembly_plan import Plan, joints_of
 from robodyn.loops.assembly_plan import assembly_plan as assembly_plan
 from robodyn.loops.closing import NEAR_SINGULAR, half_turn, singular_size, wrapped
@@ -54,17 +54,19 @@ def assemble(
     """All joint angles (..., n) from those of the actuated joints (..., actuated), radians.
 
     `branches` has "open" or "crossed" for each closure; None takes the scene's.  Raises InputError
-    where a joint is neither actuated nor in a loop, and AssemblyError where the loops cannot
-    close: it tells the distance missing and the range of the actuated joints that can be reached.
+    where a joint is neither actuated nor in a loop, SingularError where the loops close with joints
+    at any value, and AssemblyError where the loops cannot close: it tells the distance missing and
+    the range of the actuated joints that can be reached.
     """
     given = _as_actuated(mechanism, q_actuated)
     q, missing = attempt(mechanism, given, branches)
     flat = missing.reshape(-1)
     if flat.size and not (flat <= 0.0).all():
         worst = int(np.argmax(np.where(np.isnan(flat), np.inf, flat)))
-        raise _cannot_close(
-            mechanism, given.reshape(-1, given.shape[-1])[worst], float(flat[worst]), branches
-        )
+        state = given.reshape(-1, given.shape[-1])[worst]
+        if np.isnan(flat[worst]):
+            raise _undetermined(mechanism, state, q.reshape(-1, mechanism.n)[worst])
+        raise _cannot_close(mechanism, state, float(flat[worst]), branches)
     return q
 
 
@@ -73,7 +75,7 @@ def attempt(
 ) -> tuple[Array, Array]:
     """Like `assemble`, but a state that cannot close is told by its missing distance (...), m.
 
-    The distance is zero where the loops close.
+    The distance is zero where the loops close, and nan where they close with joints at any value.
     """
     given = _as_actuated(mechanism, q_actuated)
     if branches is None:
@@ -201,7 +203,8 @@ def _away(mechanism: Mechanism, driven: Array, told: Sequence[int], words: Seque
     q, missing = attempt(mechanism, driven, words)
     way = wrapped(mechanism, q - np.array([x or 0.0 for x in mechanism.description.start or ()]))
     off = np.abs(way[..., told] / mechanism.arrays.units[list(told)]).max(axis=-1)
-    return float((off + OPEN * (missing > 0.0)).min())
+    off = np.where(missing <= 0.0, off, off + OPEN)
+    return float(np.where(np.isnan(off), np.inf, off).min())  # a pose of nothing is near to none
 
 
 def _known(mechanism: Mechanism, plan: Plan, given: Array) -> tuple[Array, list[Array]]:
@@ -237,7 +240,7 @@ def reachable(
     def closes(values: Array) -> NDArray[np.bool_]:
         states = np.repeat(np.asarray(q_actuated, float)[None, :], len(values), axis=0)
         states[:, joint] = values
-        return np.asarray(attempt(mechanism, states, branches)[1] <= 0.0)
+        return np.asarray(~(attempt(mechanism, states, branches)[1] > 0.0))
 
     good = closes(edges)
     if good.all():
@@ -277,13 +280,27 @@ def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
     return array
 
 
-def _cannot_close(
-    mechanism: Mechanism, given: Array, missing: float, branches: Sequence[str] | None
-) -> AssemblyError:
-    at = ", ".join(
+def _told(mechanism: Mechanism, given: Array) -> str:
+    """The actuated joints of a state by name, in degrees and m."""
+    return ", ".join(
         f"q{k + 1} = " + (f"{x:.6g} m" if k in mechanism.slides else f"{np.degrees(x):.6g} deg")
         for k, x in zip(mechanism.actuated, given, strict=True)
     )
+
+
+def _undetermined(mechanism: Mechanism, given: Array, q: Array) -> SingularPoseError:
+    """The error of a state whose loops close with joints, nan in q (n,), at any value."""
+    names = [f"q{k + 1} ({mechanism.link_names[k]})" for k in np.flatnonzero(np.isnan(q))]
+    limit = f"the actuated joints do not determine {', '.join(names) or 'the others'} here: "
+    limit += f"give all {mechanism.n} joint angles, or another configuration"
+    what = f"singular configuration at {_told(mechanism, given)}"
+    return SingularPoseError(what, where=mechanism.source, limit=limit)
+
+
+def _cannot_close(
+    mechanism: Mechanism, given: Array, missing: float, branches: Sequence[str] | None
+) -> AssemblyError:
+    at = _told(mechanism, given)
     off = [float(x) for x in _known(mechanism, assembly_plan(mechanism), given)[1]]
     if any(off):
         worst = int(np.argmax(off))

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
 from robodyn.engines.singular_values import svd
-from robodyn.errors import SingularError
+from robodyn.errors import SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
 
@@ -109,11 +109,11 @@ def singular_size(mechanism: Mechanism) -> float:
     return min(size, max(usual, size * 2.0 / loops))
 
 
-def singular_at(mechanism: Mechanism, kind: str, q: Array, limit: str) -> SingularError:
+def singular_at(mechanism: Mechanism, kind: str, q: Array, limit: str) -> SingularPoseError:
     """The error of a singular configuration q (n,) of a kind."""
     at = ", ".join(f"{x:.9g}" for x in q)
     what = f"singular configuration ({kind}) at q = {at}"
-    return SingularError(what, where=mechanism.source, limit=limit)
+    return SingularPoseError(what, where=mechanism.source, limit=limit)
 
 
 def half_turn(angle: Array) -> Array:

@@ -15,8 +15,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robodyn.loops.assembly_plan import Plan, Step, root_of
+from robodyn.mechanics.parts import NOTHING
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Coupling
 from robodyn.tables.arrays import Array, Complex
@@ -24,11 +26,11 @@ from robodyn.tables.arrays import Array, Complex
 CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
 PARALLEL = 1e-12  # sine between two lines that do not meet
 
-
 OWN = -1  # in place of a joint: what is constant in the frame of a line that turns
 
-# the unknowns by their joints, the distance missing (below zero where it closes), a sine
-Solved = tuple[dict[int, Array], Array, Array]
+# the unknowns by their joints, the distance missing (below zero where it closes), a sine, and the
+# length whose direction is taken: zero if the unknowns may be anything
+Solved = tuple[dict[int, Array], Array, Array, Array]
 
 
 def solve_dyad(
@@ -37,12 +39,16 @@ def solve_dyad(
     """The unknowns of a step, the distance missing (0 where it closes), a sine.
 
     `x` (..., n) has what unknown links turn ahead of the first of them.  The sine is that of the
-    angle between the unknown links, or of a link to its line's normal.
+    angle between the unknown links, or of a link to its line's normal.  If any value closes, as at
+    a slot's own pivot, the unknowns and the distance are nan.
     """
-    found, missing, sine = _Dyad(mechanism, plan, step, x, side).solved()
-    row = step.rows[0]
-    missing = np.where(missing > CLOSED * (row.size + abs(row.offset)), missing, 0.0)
-    return [found[u] for u in step.unknown], missing, sine
+    with np.errstate(invalid="ignore", divide="ignore"):  # directions of nothing
+        found, missing, sine, length = _Dyad(mechanism, plan, step, x, side).solved()
+    size = step.rows[0].size + abs(step.rows[0].offset)
+    missing = np.where(missing > CLOSED * size, missing, 0.0)
+    free = (length <= NOTHING * size) & (missing <= 0.0)
+    unknowns = [np.where(free, np.nan, found[u]) for u in step.unknown]
+    return unknowns, np.where(free, np.nan, missing), sine
 
 
 class _Dyad:
@@ -60,6 +66,7 @@ class _Dyad:
         self.line = None if self.row.line is None else plan.turns_with[self.row.line]
         self.K, self.c = self._gap(x)
         self.one: Array = np.ones(self.K.shape)
+        self.always: Array = np.full(self.K.shape, np.inf)  # a length of what has a direction
 
     def _gap(self, x: Array) -> tuple[Complex, dict[int, Complex]]:
         row, step, mechanism = self.row, self.step, self.mechanism
@@ -116,19 +123,19 @@ class _Dyad:
         missing = np.abs(self.K) if self.pin else np.abs(self.K.imag)
         if self.row.arm:
             missing = np.where(self.K.real > 0.0, missing, self.row.arm)
-        return {}, missing, self.one
+        return {}, missing, self.one, self.always
 
     def _line_angle(self) -> Solved:
         (u,) = self.turning
         z: Complex = self.K if u == self.line else self.c[u].conj()
-        return {u: np.angle(z)}, np.zeros(self.K.shape), self.one
+        return {u: np.angle(z)}, np.zeros(self.K.shape), self.one, self.always
 
     def _slide_on_line(self) -> Solved:
         (u,), c = self.sliding, self.c
         sine = _ratio(np.abs(c[u].imag), np.abs(c[u]))
         meets = sine > PARALLEL
         way = -self.K.imag / np.where(meets, c[u].imag, 1.0) * meets
-        return {u: way}, np.where(meets, 0.0, np.abs(self.K.imag)), sine
+        return {u: way}, np.where(meets, 0.0, np.abs(self.K.imag)), sine, self._where(meets)
 
     def _turn_on_line(self) -> Solved:
         (u,), K, c = self.turning, self.K, self.c
@@ -136,16 +143,18 @@ class _Dyad:
         length, across = (np.abs(c[u]), -K.imag) if own is None else (np.abs(K), -own.imag)
         along, missing, sine = _second_side(length, across, self.side)
         there = along + 1j * across
-        return {u: np.angle(there / c[u]) if own is None else np.angle(K / there)}, missing, sine
+        turn = np.angle(there / c[u]) if own is None else np.angle(K / there)
+        return {u: turn}, missing, sine, length
 
     def _slide_to_pin(self) -> Solved:
         (u,) = self.sliding
         ahead = -self.K / self.c[u]
-        return {u: ahead.real}, np.abs(ahead.imag * self.c[u]), self.one
+        return {u: ahead.real}, np.abs(ahead.imag * self.c[u]), self.one, self.always
 
     def _turn_to_pin(self) -> Solved:
         (u,), K, c = self.turning, self.K, self.c
-        return {u: np.angle(-K / c[u])}, np.abs(np.abs(K) - np.abs(c[u])), self.one
+        far, length = np.abs(K), np.abs(c[u])
+        return {u: np.angle(-K / c[u])}, np.abs(far - length), self.one, np.minimum(far, length)
 
     def _circles(self) -> Solved:
         """RRR."""
@@ -154,14 +163,12 @@ class _Dyad:
         ra, rb, d = np.abs(first), np.abs(second), np.abs(K)
         missing = np.maximum(d - (ra + rb), np.abs(ra - rb) - d)
         # P - A = (x + i y) along the unit vector from A to D; Heron's product keeps y exact
-        with np.errstate(invalid="ignore", divide="ignore"):
-            unit = np.where(d > 0.0, -K / np.where(d > 0.0, d, 1.0), 1.0)
-            along = np.where(d > 0.0, ((ra - rb) * (ra + rb) / d + d) / 2.0, 0.0)
-            heron = ((ra + rb) + d) * ((ra + rb) - d) * (d - (ra - rb)) * (d + (ra - rb))
-            y = np.where(d > 0.0, np.sqrt(np.maximum(heron, 0.0)) / (2.0 * d), ra)
-        arm = unit * (along + 1j * self.side * y)
+        along = ((ra - rb) * (ra + rb) / d + d) / 2.0
+        heron = ((ra + rb) + d) * ((ra + rb) - d) * (d - (ra - rb)) * (d + (ra - rb))
+        y = np.sqrt(np.maximum(heron, 0.0)) / (2.0 * d)
+        arm = -K / d * (along + 1j * self.side * y)
         found = {one: np.angle(arm / first), two: np.angle((-K - arm) / second)}
-        return found, missing, _ratio(np.abs(d * y), ra * rb)
+        return found, missing, _ratio(np.abs(d * y), ra * rb), np.minimum(d, np.minimum(ra, rb))
 
     def _circle_and_line(self) -> Solved:
         """RPR where the line turns with the unknown link, else RRP."""
@@ -170,13 +177,14 @@ class _Dyad:
             ahead = c[u] * c[s].conj()
             along, missing, sine = _second_side(np.abs(K), ahead.imag, self.side)
             turn = np.angle(-K / (c[s] * (along + 1j * ahead.imag)))
-            return {s: along - ahead.real, u: turn}, missing, sine
+            return {s: along - ahead.real, u: turn}, missing, sine, np.abs(K)
         back = c[s].conj() * K
         across = -back.imag
         side = self.side if self._first_side(u) == self._first_side(s) else -self.side
-        along, missing, sine = _second_side(np.abs(c[u]), across, side)
+        length = np.abs(c[u])
+        along, missing, sine = _second_side(length, across, side)
         turn = np.angle(c[s] * (along + 1j * across) / c[u])
-        return {s: -back.real - along, u: turn}, missing, sine
+        return {s: -back.real - along, u: turn}, missing, sine, length
 
     def _lines(self) -> Solved:
         """PRP."""
@@ -187,7 +195,10 @@ class _Dyad:
         missing = np.where(meets, 0.0, np.abs((c[one].conj() * K).imag))
         cross = np.where(meets, cross, np.inf)
         ways = {one: (c[two].conj() * K).imag / cross, two: -(c[one].conj() * K).imag / cross}
-        return ways, missing, sine
+        return ways, missing, sine, self._where(meets)
+
+    def _where(self, determined: NDArray[np.bool_]) -> Array:
+        return np.where(determined, np.inf, 0.0)
 
     def _first_side(self, joint: int) -> bool:
         """Whether a joint is on the side of the closure that is named first."""

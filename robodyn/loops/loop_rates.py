@@ -17,7 +17,14 @@ from numpy.typing import ArrayLike
 from robodyn.dynamics.closed_form import absolute_jacobian, closure_bias, gap_at, scaled_jacobian
 from robodyn.dynamics.placed import Placed, absolute_rates, as_states, matvec, placed
 from robodyn.errors import InputError
-from robodyn.loops.change_points import NEAR, nearest_singular, nearness, rank, rank_beside
+from robodyn.loops.change_points import (
+    NEAR,
+    apart,
+    nearest_singular,
+    nearness,
+    rank,
+    rank_beside,
+)
 from robodyn.loops.closing import loop_size, singular_at
 from robodyn.loops.projection import state_led_across
 from robodyn.mechanics.mechanism import Mechanism
@@ -26,6 +33,8 @@ from robodyn.tables.arrays import Array
 SINGULAR = 1e-7  # a least singular value below this part of the loop's size is singular
 LITTLE_HOLD = 0.05  # such a value of the passive joints: torques beside a dead centre grow large
 REDUNDANT = 1e-10  # singular values below this part of the largest one are rounding
+AT_SINGULAR = 1e-5  # rad, from a singular configuration within which rates are those at it
+BENT = 100.0  # part of themselves that rates may change by in a rad along a branch
 GAP_ALLOWED = 1e-6  # part of the loop's size (or of the terms of a rate) that input may miss
 
 
@@ -124,24 +133,67 @@ def check_closed(
         return None
     sizes, at = _sizes(mechanism), placed(mechanism, q)
     opening = gap_at(mechanism, mechanism.arrays, at) + _turned_over(mechanism, at)
-    checks = [("position", "m", opening, loop_size(mechanism))]
-    if qd is not None:
-        rates, Psi = absolute_rates(mechanism, qd), absolute_jacobian(mechanism, at)
-        fastest = np.abs(rates).max(axis=-1, keepdims=True)
-        opening = matvec(Psi, rates)
-        checks.append(("velocity", "m/s", opening, sizes * fastest))
-        if qdd is not None:
-            turning = absolute_rates(mechanism, qdd)
-            bending = matvec(Psi, turning) + closure_bias(mechanism, q, qd)
-            size = np.abs(turning).max(axis=-1, keepdims=True) + fastest**2
-            checks.append(("acceleration", "m/s^2", bending, sizes * size))
-    for what, unit, gap, size in checks:
-        wrong = np.abs(gap) > GAP_ALLOWED * size
-        if wrong.any():
-            state = int(np.flatnonzero(wrong.any(axis=-1))[0])
-            most = np.broadcast_to(GAP_ALLOWED * size, gap.shape).reshape(-1, gap.shape[-1])[state]
-            open = gap.reshape(-1, gap.shape[-1])[state]
-            return state, _open(mechanism, open, what, unit, float(most.min()))
+    fault = _first_open(mechanism, "position", "m", opening, loop_size(mechanism))
+    if fault is not None or qd is None:
+        return fault
+    rates, Psi = absolute_rates(mechanism, qd), absolute_jacobian(mechanism, at)
+    fastest = np.abs(rates).max(axis=-1, keepdims=True)
+    opening = matvec(Psi, rates)
+    fault = _first_open(mechanism, "velocity", "m/s", opening, sizes * fastest)
+    fault = fault or _first_impossible(mechanism, q, np.asarray(qd, float), Psi)
+    if fault is not None or qdd is None:
+        return fault
+    turning = absolute_rates(mechanism, qdd)
+    bending = matvec(Psi, turning) + closure_bias(mechanism, q, qd)
+    size = np.abs(turning).max(axis=-1, keepdims=True) + fastest**2
+    return _first_open(mechanism, "acceleration", "m/s^2", bending, sizes * size)
+
+
+def _first_open(
+    mechanism: Mechanism, what: str, unit: str, gap: Array, size: Array | float
+) -> tuple[int, InputError] | None:
+    """The first state whose gap (..., r) is more than input may miss of a size, and the error."""
+    wrong = np.abs(gap) > GAP_ALLOWED * size
+    if not wrong.any():
+        return None
+    state = int(np.flatnonzero(wrong.any(axis=-1))[0])
+    most = np.broadcast_to(GAP_ALLOWED * size, gap.shape).reshape(-1, gap.shape[-1])[state]
+    open = gap.reshape(-1, gap.shape[-1])[state]
+    return state, _open(mechanism, open, what, unit, float(most.min()))
+
+
+def _first_impossible(
+    mechanism: Mechanism, q: Array, qd: Array, Psi: Array
+) -> tuple[int, InputError] | None:
+    """The first state (..., n) whose rates no motion has, where Psi loses rank, and the error.
+
+    With u a left null vector of Psi there, no accelerations close u . gapdd = u . (Psidot qd).
+    """
+    r, n = Psi.shape[-2:]
+    units, size = mechanism.arrays.units, loop_size(mechanism)
+    flat = (Psi * units / size).reshape(-1, r, n)
+    squares = flat @ np.swapaxes(flat, -1, -2)
+    # few states have so small a determinant: the others cost no singular values
+    others = np.trace(squares, axis1=-2, axis2=-1) ** (r - 1)
+    found = np.flatnonzero(np.linalg.det(squares) <= (10.0 * AT_SINGULAR) ** 2 * others)
+    q, qd = (np.broadcast_to(x, (*Psi.shape[:-2], n)).reshape(-1, n) for x in (q, qd))
+    close = nearness(mechanism, scaled_jacobian(mechanism, q[found])) < 10.0 * AT_SINGULAR
+    for state in found[close]:
+        near = nearest_singular(mechanism, q[state])
+        away = np.inf if near is None or near.misses else float(apart(mechanism, q[state], near.q))
+        if near is None or away > AT_SINGULAR:
+            continue
+        U, s, _ = np.linalg.svd(scaled_jacobian(mechanism, near.q))
+        left = U[:, int(np.sum(s > SINGULAR * size)) :]
+        gap = float(np.linalg.norm(closure_bias(mechanism, near.q, qd[state]) @ left))
+        fastest = float(np.abs(absolute_rates(mechanism, qd[state]) / units).max())
+        most = (GAP_ALLOWED + BENT * away) * size * fastest**2
+        if gap > most:
+            limit = f"{most:.3g} m/s^2 at most, whatever the accelerations: at this singular "
+            limit += "configuration give the rates of a motion along one of its branches"
+            what, value = "no motion has these rates: gap in acceleration", f"{gap:.6g} m/s^2"
+            error = InputError(what, where=mechanism.source, value=value, limit=limit)
+            return int(state), error
     return None
 
 

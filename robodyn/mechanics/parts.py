@@ -5,12 +5,16 @@ Massless, weightless, without closures or dampers of joints.  Numbers may be sym
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from robodyn.errors import SingularError
+from robodyn.errors import SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism, conserves
 from robodyn.scene.scene import Signal
+
+NOTHING = 8 * sys.float_info.epsilon  # part of the lengths to a distance that is rounding
 
 
 def bare(mechanism: Mechanism) -> Mechanism:
@@ -64,9 +68,32 @@ def acting(mechanism: Mechanism) -> Mechanism:
     return replace(spent(mechanism), springs=springs, joint_springs=turned)
 
 
-def no_direction(mechanism: Mechanism, spring: int) -> SingularError:
+def met_ends(mechanism: Mechanism, q: Sequence[Any], exp: Callable[[Any], Any]) -> dict[int, Any]:
+    """Return whether the ends of each spring that needs a direction meet within rounding.
+
+    Keys are places among the springs.  The n values of `q` are floats or arrays, and `exp` is the
+    complex exponential of them.  Ends that are apart by less than NOTHING of the lengths which lead
+    from one to the other meet.
+    """
+    directed = {k: x.between for k, x in enumerate(mechanism.springs) if x.directed}
+    x, met = list(q), {}
+    for k in mechanism.order if directed else ():
+        if (above := mechanism.above[k]) is not None:
+            x[k] = x[k] + x[above]
+    for place, between in directed.items():
+        apart, lengths = between.constant, abs(between.constant)
+        for k, c in between.terms:
+            turned = mechanism.frames[k]
+            part = c * (x[k] if k in mechanism.slides else 1.0)
+            part = part if turned is None else part * exp(1j * x[turned])
+            apart, lengths = apart + part, lengths + abs(part)
+        met[place] = abs(apart) <= NOTHING * lengths
+    return met
+
+
+def no_direction(mechanism: Mechanism, spring: int) -> SingularPoseError:
     """The error of a spring between points whose ends coincide."""
-    return SingularError(
+    return SingularPoseError(
         f"the ends of spring {spring + 1} between two points coincide",
         where=mechanism.source,
         limit="its force has no direction there; only length 0 without damping allows that",

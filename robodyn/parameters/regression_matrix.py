@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.dense_dynamics import balanced, check_actuators
 from robodyn.dynamics.dynamics import PIVOT_CUT, times_of, together
-from robodyn.dynamics.placed import finite
+from robodyn.dynamics.placed import check_directions, finite
 from robodyn.dynamics.sticking import modes_of
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formula_rows import FormulaRows
@@ -130,6 +130,7 @@ def rows_at_rest(
 
 def _smooth(mechanism: Mechanism, states: list[Array], times: Array) -> tuple[Array, Array]:
     """Y (T, a p) and what is known (T, a) of a mechanism whose equations are the same."""
+    check_directions(mechanism, states[0])
     every = [*states, times[:, None]] if mechanism.timed else states
     solved = _rows(mechanism, True)
     if solved is None:

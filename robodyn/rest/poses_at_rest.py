@@ -174,7 +174,8 @@ def _near(mechanism: Mechanism, near: ArrayLike | None) -> Array:
     if near is None:
         start = mechanism.description.start or [None] * mechanism.n
         begin = np.array([x or 0.0 for x in start])
-        with suppress(InputError, AssemblyError):  # joints are free, or zero is out of reach
+        # joints are free, zero is out of reach, or it does not determine the pose
+        with suppress(InputError, AssemblyError, SingularError):
             return assemble(mechanism, begin[list(mechanism.actuated)])
         near = close_positions(mechanism, begin)
         if not _open(mechanism, near):
@@ -201,7 +202,11 @@ def _starts(mechanism: Mechanism, joints: Sequence[int], near: Array) -> Iterato
         if mechanism.rows and set(joints) <= set(driven):
             with suppress(InputError):  # joints are free: the actuated ones do not tell the rest
                 q, missing = attempt(mechanism, drawn[:, driven])
-                closed = q[missing <= 0.0]
+                free = np.isnan(missing)  # any direction closes: the one drawn
+                drawn = np.where(np.isnan(q), drawn, q)
+                q[free] = close_positions(mechanism, drawn[free], joints)
+                free &= [not _open(mechanism, each) for each in q]
+                closed = q[free | (missing <= 0.0)]
         if closed is None:
             q = close_positions(mechanism, drawn, joints)
             closed = q[[not _open(mechanism, each) for each in q]]

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from robodyn.dynamics.dense_dynamics import responses
-from robodyn.dynamics.dynamics import forward_dynamics
+from robodyn.dynamics.dynamics import motion_dynamics
 from robodyn.dynamics.sticking import AT_REST, forces_between, mode_at, resting
 from robodyn.errors import SingularError
 from robodyn.events.signs import ROUNDING
@@ -57,7 +57,7 @@ class Bounces:
         if any(leaves > 0.0 and part < 1.0 for leaves, part in zip(leaving, e, strict=True)):
             on = [end for end in ends if not after[end[0]]]
             mode = mode_at(self.mechanism, q, after, tau, resting(self.mechanism, after), on, t=t)
-            qdd = forward_dynamics(in_mode(self.mechanism, mode.mode), q, after, tau, t)
+            qdd = motion_dynamics(in_mode(self.mechanism, mode.mode), q, after, tau, t).qdd
         for k, (joint, side) in enumerate(ends):
             back, leaves = side * float(qdd[joint]), leaving[k]
             if leaves > 0.0 and e[k] < 1.0 and back > 0.0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from robodyn.dynamics import closed_form
-from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
+from robodyn.dynamics.dynamics import loop_forces, motion_dynamics
 from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
@@ -28,7 +28,7 @@ def motion_values(
 
     `moving` is what moves there: the mechanism, or one of its modes.
     """
-    solution = forward_dynamics_and_forces(moving, q, qd, tau, t)
+    solution = motion_dynamics(moving, q, qd, tau, t)
     forces = loop_forces(mechanism, solution.multipliers[..., : len(mechanism.rows)], q)
     energy = np.sum(closed_form.energies(moving, q, qd), axis=0)
     driven = tau[:, list(mechanism.actuated)]

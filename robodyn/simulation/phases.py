@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robodyn.dynamics import closed_form, sticking
-from robodyn.dynamics.dynamics import forward_dynamics_and_forces
+from robodyn.dynamics.dynamics import motion_dynamics
 from robodyn.errors import InputError
 from robodyn.events.functions import EventFunction
 from robodyn.events.signs import ROUNDING
@@ -206,7 +206,7 @@ class Phases:
         """What holds each held joint, (k, held)."""
         n = self.mechanism.n
         tau = self._torques(t, y)
-        solution = forward_dynamics_and_forces(self.moving, y[:, :n], y[:, n : 2 * n], tau, t)
+        solution = motion_dynamics(self.moving, y[:, :n], y[:, n : 2 * n], tau, t)
         return sticking.held_forces(self.moving, solution.multipliers)
 
     def _margins(self, t: Array, y: Array) -> Array:

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from robodyn.dynamics.dense_dynamics import responses
-from robodyn.dynamics.dynamics import forward_dynamics
+from robodyn.dynamics.dynamics import motion_dynamics
 from robodyn.dynamics.sticking import mode_at, resting, touching
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.kinks import kink_at
@@ -131,7 +131,7 @@ class Modes:
     def _rates(self, phases: Phases, moving: Mechanism, t: float, y: Array) -> Array:
         """Of q, qd and z in a mode."""
         q, qd = phases._split(y)
-        qdd = forward_dynamics(moving, q, qd, phases._torque(t, y), t)
+        qdd = motion_dynamics(moving, q, qd, phases._torque(t, y), t).qdd
         act = phases.actuation.function(len(q))
         return np.concatenate([qd, qdd, act(max(t, phases.after), y.tolist())[len(q) :]])
 
@@ -184,7 +184,7 @@ class Modes:
                 f = f.copy()
                 f[:n], f[n : 2 * n] = (
                     qd,
-                    forward_dynamics(self.mechanism, q, qd, phases._torque(t, then), t),
+                    motion_dynamics(self.mechanism, q, qd, phases._torque(t, then), t).qdd,
                 )
                 moved, now = moved - shift * f, then
             orders.append(np.concatenate([now[n : 2 * n], moved.ravel()]))

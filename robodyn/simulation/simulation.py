@@ -81,7 +81,7 @@ class Motion:
     def qdd(self) -> Array:
         """The accelerations (T, n), rad/s^2, computed when they are asked for."""
         states = self.in_phases(self.q, self.qd, self.tau, self.t)
-        return np.concatenate([dynamics.forward_dynamics(moving, *x) for moving, *x in states])
+        return np.concatenate([dynamics.motion_dynamics(moving, *x).qdd for moving, *x in states])
 
     def in_phases(self, *values: Array) -> Iterator[tuple[Any, ...]]:
         """What moves in each phase, and these values there."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robodyn.control.tracking import ReferenceTable
-from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.dynamics.dynamics import inverse_dynamics_and_forces, motion_dynamics
 from robodyn.dynamics.state_columns import Solved, column_names, columns_of
 from robodyn.errors import InputError
 from robodyn.kinematics.named_points import named_points
@@ -112,7 +112,7 @@ def of_motion(
     mechanism, wanted = motion.mechanism, [parsed(text).column for text in texts]
     named, found = named_points(mechanism, of), []
     for moving, t, q, qd, tau in motion.in_phases(motion.t, motion.q, motion.qd, motion.tau):
-        solution = forward_dynamics_and_forces(moving, q, qd, tau, t)
+        solution = motion_dynamics(moving, q, qd, tau, t)
         forces = solution.multipliers[..., : len(mechanism.rows)]
         solved = Solved(t, q, qd, solution.qdd, tau, forces)
         given = {}

@@ -126,6 +126,8 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
             )
         )
         full_q, missing = assembly.attempt(driver, q)
+        for k in chosen[np.isnan(missing)]:
+            outcomes[k] = Outcome.SINGULAR.label
         closes = np.isfinite(full_q).all(axis=1) & (missing <= 0.0)
         chosen, full_q, qd, tau = chosen[closes], full_q[closes], qd[closes], tau[closes]
         full_qd, kept = _velocities(mechanism, full_q, qd)
@@ -218,6 +220,8 @@ def _along(plan: Plan, mechanism: Mechanism, track: ReferenceTable) -> tuple[Arr
     nothing, t = np.full(len(plan.told), math.nan), np.array(track.times)
     driven, rates = track.at(t)
     q, missing = assembly.attempt(mechanism, driven)
+    if np.isnan(missing).any():
+        return nothing, Outcome.SINGULAR.label
     if not np.isfinite(q).all() or (missing > 0.0).any():
         return nothing, CANNOT_ASSEMBLE
     qd, kept = _velocities(mechanism, q, rates)

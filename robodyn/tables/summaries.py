@@ -64,6 +64,9 @@ class SummaryWriter(Writer):
         self._passing = [self._passing[k] for k in np.flatnonzero(~np.isnan(passed).any(axis=0))]
         self.write_columns(rows)
 
+    def write_empty(self, line: str) -> None:
+        self.write_rows([line], np.full((1, len(self._places)), np.nan))
+
     def close(self) -> None:
         columns, rows = self.tell()
         writer = self._make(columns)

@@ -73,6 +73,10 @@ class Writer:
         else:
             self._write_rows(self._merged(lines, self._texts(values)))
 
+    def write_empty(self, line: str) -> None:
+        """Write one row of the input, its computed columns empty."""
+        self._write_rows(self._merged([line], [[self._text(None)] * len(self._places)]))
+
     def close(self) -> None:
         """End the table; the stream stays open."""
         self._stream.flush()
@@ -212,6 +216,9 @@ class ScaledWriter(Writer):
         if self._places:
             lines = list(map(self._scaled, lines))
         self._writer.write_rows(lines, values * self._factors)
+
+    def write_empty(self, line: str) -> None:
+        self._writer.write_empty(self._scaled(line))
 
     def _scaled(self, line: str) -> str:
         fields = split_fields(line)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.placed import numbers
-from robodyn.errors import AssemblyError, InputError
+from robodyn.errors import AssemblyError, InputError, SingularError
 from robodyn.kinematics.named_points import named_point
 from robodyn.loops.assembly import all_branches, assembly_plan, attempt, scene_branches
 from robodyn.loops.closing import wrapped
@@ -35,7 +35,8 @@ def inverse_kinematics(
     closed form; else, and where the mechanism is redundant (then by least motion), Newton's method
     follows straight lines from `near` and from place to place.
 
-    Raises InputError for arguments that do not fit, AssemblyError where a place is out of reach.
+    Raises InputError for arguments that do not fit, AssemblyError where a place is out of reach,
+    SingularError where links that lead to it may have any direction.
     """
     named = named_point(mechanism, of, "of")
     places = numbers("xy", xy)
@@ -69,9 +70,14 @@ def along_branch(task: Task, places: Array, pose: Array | None) -> Array:
         return _followed(task, places, pose)
     branches = _nearest_branches(task, places[0], pose)
     whole, missing = attempt(task.guided, places, branches)
-    if missing.max() > 0.0:
-        k = int(np.argmax(missing > 0.0))
-        what = f"{task.of.name} does not reach ({places[k, 0]:.9g}, {places[k, 1]:.9g})"
+    if not (missing <= 0.0).all():
+        k = int(np.argmin(missing <= 0.0))
+        at = f"({places[k, 0]:.9g}, {places[k, 1]:.9g})"
+        if np.isnan(missing[k]):
+            what = f"singular configuration: {task.of.name} at {at}"
+            limit = "any direction of the links leads there: choose a place beside it"
+            raise SingularError(what, where=task.mechanism.source, limit=limit)
+        what = f"{task.of.name} does not reach {at}"
         limit = f"place {k + 1} is {missing[k]:.9g} m out of reach"
         raise AssemblyError(what, where=task.mechanism.source, limit=limit)
     q: Array = whole[:, :n]

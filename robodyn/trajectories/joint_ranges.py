@@ -82,7 +82,7 @@ def _way(
         if not error.u and branches is not None:
             beside = q[moved]
             beside[place] += sign * NUDGE * mechanism.arrays.units[joint]
-            with suppress(AssemblyError):  # it ends there
+            with suppress(AssemblyError, SingularError):  # it ends there
                 return _way(mechanism, assemble(mechanism, beside, branches), place, sign, None)
         ended, ahead = error.kind, ahead * error.u
         if ended == "dead centre" and error.u:
