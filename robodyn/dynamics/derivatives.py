@@ -71,10 +71,10 @@ def forward_dynamics_derivatives(
 ) -> ForwardDerivatives:
     """The accelerations of `forward_dynamics`, and their derivatives.
 
-    q, qd, tau are (..., n) and broadcast.  Where joints stick or rest at their ends they are those
-    of the others.  `numbers` are names such as `links.forearm.m`, as sweeps vary them, of the
-    file that the mechanism was loaded from; q and qd are held.  Raises as `forward_dynamics` does,
-    and InputError for a name that is none.
+    q, qd, tau are (..., n) and broadcast, tau of all joints or of the actuated ones.  Where joints
+    stick or rest at their ends they are those of the others.  `numbers` are names such as
+    `links.forearm.m`, as sweeps vary them, of the file that the mechanism was loaded from; q and qd
+    are held.  Raises as `forward_dynamics` does, and InputError for a name that is none.
     """
     return ForwardDerivatives(*_each(mechanism, "forward", t, numbers, q=q, qd=qd, tau=tau))
 

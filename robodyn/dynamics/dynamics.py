@@ -79,7 +79,8 @@ def forward_dynamics(
     """The accelerations qdd that the joint torques tau cause, (..., n), rad/s^2.
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with the closures Psi qdd + Psidot qd = 0.
-    q, qd, tau are (..., n) and broadcast; a closed mechanism's q and qd must keep its closures.
+    q, qd, tau are (..., n) and broadcast, tau of all joints or of the actuated ones; a closed
+    mechanism's q and qd must keep its closures.
     Loads that vary are those at the times t (...), s.  Raises InputError for arrays that do
     not fit, SingularError where a freedom has no inertia.
     """

@@ -31,12 +31,22 @@ def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
 
 
 def n_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
-    """`values` as floats (..., n); InputError unless they are n wide."""
-    array, n = numbers(name, values), mechanism.n
-    if array.ndim == 0 or array.shape[-1] != n:
-        limit = f"must have {n} values along the last axis, one a joint"
-        raise InputError(f"{name}.shape", value=array.shape, limit=limit)
-    return array
+    """`values` as floats (..., n); InputError unless they are n wide.
+
+    Torques, `tau`, may be those of the actuated joints alone: passive joints get zero.
+    """
+    array, n, driven = numbers(name, values), mechanism.n, list(mechanism.actuated)
+    wide = array.shape[-1] if array.ndim else None
+    if wide == n:
+        return array
+    if name == "tau" and wide == len(driven):
+        torques = np.zeros((*array.shape[:-1], n))
+        torques[..., driven] = array
+        return torques
+    limit = f"must have {n} values along the last axis, one a joint"
+    if name == "tau" and len(driven) < n:
+        limit += f", or {len(driven)}, one an actuated joint"
+    raise InputError(f"{name}.shape", value=array.shape, limit=limit)
 
 
 def numbers(name: str, values: ArrayLike) -> Array:
