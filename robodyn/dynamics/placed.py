@@ -8,7 +8,7 @@ accelerations are written here, once, and T = dX/dx is in `columns`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -66,6 +66,26 @@ def finite(name: str, array: Array) -> Array:
         place = f"{name}[{', '.join(map(str, where))}]"
         raise InputError(place, value=array[tuple(where)], limit="must be finite")
     return array
+
+
+def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Values (..., n) of joints, broadcast to one another; InputError where they do not fit."""
+    each = [n_wide(mechanism, name, value) for name, value in given.items()]
+    try:
+        return dict(zip(given, np.broadcast_arrays(*each), strict=True))
+    except ValueError:
+        shapes = ", ".join(str(array.shape) for array in each)
+        raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
+
+
+def times_of(t: ArrayLike, q: Array) -> Array:
+    """The times of states q (..., n), (...)."""
+    try:
+        times = np.broadcast_to(finite("t", np.asarray(t, float)), q.shape[:-1])
+    except ValueError:
+        limit = f"must broadcast to {q.shape[:-1]}, one a state"
+        raise InputError("t.shape", value=np.shape(t), limit=limit) from None
+    return np.array(times)
 
 
 def within_floats(

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn.dynamics.free_joints import balanced_joints
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters import scene_numbers
@@ -35,7 +36,7 @@ from robodyn.parameters.base_parameters import (
     structural,
 )
 from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import Regressor, balanced_joints, regressor, rows_at_rest
+from robodyn.parameters.regression_matrix import Regressor, regressor, rows_at_rest
 from robodyn.scene.scene import Description
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
