@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from robodyn.errors import AssemblyError as AssemblyError
     from robodyn.errors import DescriptionError as DescriptionError
     from robodyn.errors import InputError as InputError
+    from robodyn.errors import ResidualError as ResidualError
     from robodyn.errors import RobodynError as RobodynError
     from robodyn.errors import SingularError as SingularError
     from robodyn.kinematics.point_motion import points as points
@@ -97,7 +98,14 @@ _ROOMS = {
         "kept_moments",
         "pin_forces",
     ],
-    "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
+    "errors": [
+        "AssemblyError",
+        "DescriptionError",
+        "InputError",
+        "ResidualError",
+        "RobodynError",
+        "SingularError",
+    ],
     "kinematics.point_motion": ["points"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism"],

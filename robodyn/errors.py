@@ -152,6 +152,10 @@ class AssemblyError(RobodynError):
     """The loops cannot be closed at this configuration (exit code 1)."""
 
 
+class ResidualError(RobodynError):
+    """A motion needs a torque at a joint that no actuator drives (exit code 1)."""
+
+
 class SingularError(RobodynError):
     """The equations have no unique solution at this configuration (exit code 1)."""
 

@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from named_case import case
 
+import robodyn
+from random_mechanisms import mechanism
 from robodyn import load
 from robodyn.errors import InputError
 from robodyn.mechanics import actuation
@@ -21,6 +23,8 @@ from robodyn.mechanics.actuation import Actuation
 ARM = load(ROOT / "robots/2r.yaml")
 FOUR_BAR = load(ROOT / "robots/four-bar.yaml")
 FIVE_BAR = load(ROOT / "robots/five-bar.yaml")
+MOTOR = "I: 0.0028, motor: {ratio: 5, inertia: 1e-5}"
+GEARED = mechanism((ROOT / "robots/five-bar.yaml").read_text().replace("I: 0.0028", MOTOR))
 Y = (0.7, -0.4, 1.3, -2.2)  # q1, q2, qd1, qd2
 T = 0.6
 NAMES = {"t": T, "q1": Y[0], "q2": Y[1], "qd1": Y[2], "qd2": Y[3], "pi": math.pi, "e": math.e}
@@ -581,6 +585,60 @@ class TestFunctions:
         source = actuation.callback(ARM, lambda t, q, qd: [1.0])
         with pytest.raises(InputError, match="1 value"):
             source.function(2)(0.0, Y)
+
+
+class TestWidths:
+    """Each function takes torques of all joints, or of the actuated ones alone."""
+
+    Q = robodyn.assemble(FIVE_BAR, [2.0, 1.0])
+    QD = robodyn.loop_velocities(FIVE_BAR, Q, [1.0, 0.5])
+    STATE = FIVE_BAR, Q, QD
+    FEW, ALL = [0.3, -0.2], [0.3, 0.0, -0.2, 0.0]
+    CASES = (
+        lambda self, tau: robodyn.forward_dynamics(*self.STATE, tau),
+        lambda self, tau: robodyn.forward_dynamics(*self.STATE, np.tile(tau, (300, 1))),
+        lambda self, tau: robodyn.forward_dynamics_and_forces(*self.STATE, tau).multipliers,
+        lambda self, tau: robodyn.forward_dynamics_derivatives(*self.STATE, tau).by_q,
+        lambda self, tau: robodyn.linearize(*self.STATE, tau).A,
+        lambda self, tau: robodyn.equilibrium(FIVE_BAR, tau=tau).q,
+        lambda self, tau: [rest.q for rest in robodyn.equilibria(FIVE_BAR, tau=tau)],
+        lambda self, tau: robodyn.simulate(*self.STATE, 0.1, tau).q,
+        lambda self, tau: robodyn.simulate(*self.STATE, 0.1, lambda t, q, qd: tau).q,
+        lambda self, tau: robodyn.simulate(*self.STATE, 0.1, self.feedback(tau)).q,
+        lambda self, tau: self.labels(tau),
+        lambda self, tau: robodyn.motor_loads(GEARED, tau, self.QD)["motor3"],
+        lambda self, tau: robodyn.identify(*self.measured(len(tau) == 4)).pi,
+    )
+
+    def feedback(self, tau):
+        given = robodyn.StateFeedback((0, 2), self.Q.tolist(), tau, [[9, 1, 2, 0], [0, 8, 0, 1]])
+        reference = robodyn.ReferenceTable.set_point([2.0, 1.0], 1.0)
+        return robodyn.controller(FIVE_BAR, reference, "state-feedback", gain=given)
+
+    def labels(self, tau):
+        picture = robodyn.draw(*self.STATE, tau=tau, forces=True)
+        return [text.get_text() for text in picture.axes[0].texts]
+
+    def measured(self, whole):
+        t = np.linspace(0.0, 2.0, 60)
+        q = robodyn.assemble(FIVE_BAR, np.stack([2.0 + 0.3 * np.sin(3 * t), 1.0 + 0.2 * t], -1))
+        qd = robodyn.loop_velocities(FIVE_BAR, q, np.stack([0.9 * np.cos(3 * t), 0.2 + 0 * t], -1))
+        tau = robodyn.inverse_dynamics(FIVE_BAR, q, qd, np.zeros_like(q))
+        return FIVE_BAR, q, qd, np.zeros_like(q), tau if whole else tau[:, [0, 2]]
+
+    @pytest.mark.parametrize("case", CASES)
+    def test_both(self, case):
+        few, every = (case(self, tau) for tau in (self.FEW, self.ALL))
+        assert np.array_equal(few, every)
+
+    def test_others(self):
+        match = r"tau.shape = \(3,\): must have 4 .*one a joint, or 2, one an actuated joint"
+        for function in (robodyn.forward_dynamics, robodyn.linearize):
+            with pytest.raises(InputError, match=match):
+                function(*self.STATE, [1.0, 2.0, 3.0])
+        mech, *states, tau = self.measured(whole=True)
+        with pytest.raises(InputError, match=r"must be \(60, 2\).*\(60, 4\), zero at passive"):
+            robodyn.identify(mech, *states, tau + 1.0)
 
 
 def test_a_step_by_exponentials_goes_on_where_they_overflow():

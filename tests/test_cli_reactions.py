@@ -199,24 +199,43 @@ def test_what_simulate_writes(robodyn: Run, model: str) -> None:
 
 
 @pytest.mark.parametrize("options", [[], ["--tau", "0,0"]])
-def test_joints_that_are_free_need_their_torque(
+def test_a_free_motion_needs_no_torques(
     robodyn: Run, scene: Callable[[str], Path], options: list[str]
 ) -> None:
-    """A free double pendulum has forces too, but no torques that would make any motion."""
+    """A free double pendulum has forces too."""
     arm = Path("robots/2r.yaml").read_text() + "actuated: []\n"
     motion = robodyn(
         *("simulate", scene(arm), "--q", "1,2", "--time", "1", "--every", "0.5", "--quiet")
     ).succeeds()
     given = robodyn("reactions", scene(arm), "-", *options, stdin=motion.out)
-    if not options:
-        given.fails(1, "fewer actuators")
-        return
     expected = [
         two_link_forces(*(np.array([float(row[f"{x}{k}"]) for k in (1, 2)]) for x in NAMES))
         for row in given.succeeds().rows
     ]
     found = np.transpose([given.column(column) for column in TWO_LINK_COLUMNS])
     assert relative_error(found, expected) < 1e-9
+
+
+def test_without_actuators_at_rest(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    """Two links on springs: the joint of link 1 carries both weights less the spring's pull."""
+    arm = scene(
+        "gravity: 9.81\n"
+        "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}, {name: b, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+        "springs: [{joint: a, stiffness: 30, angle: 30deg}, "
+        "{between: [b, [0, 2]], stiffness: 20, length: 0.5}]\n"
+        "actuated: []\n"
+    )
+    rest = robodyn("equilibrium", arm, "--format", "csv").succeeds()
+    q1, q2 = (rest.column(name)[0] for name in ("q1", "q2"))
+    tip = np.exp(1j * q1) + np.exp(1j * (q1 + q2))
+    pull = 20.0 * (abs(tip - 2j) - 0.5) * (2j - tip) / abs(tip - 2j)
+    held = 2 * 9.81 * 1j - pull
+    found = robodyn("reactions", arm, "-", stdin=rest.out).succeeds()
+    given = [found.column(name)[0] for name in ("rx1", "ry1")]
+    assert given == pytest.approx([held.real, held.imag], abs=1e-9)
+    away = f"{q1 + 1e-7!r},{q2!r}"
+    found = robodyn("reactions", arm, "--q", away)
+    found.fails(1, "residual1 = ", "joint a is free", "or give --tau 0,0")
 
 
 def test_a_header_alone_is_a_table_without_rows(robodyn: Run) -> None:

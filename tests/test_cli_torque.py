@@ -500,9 +500,57 @@ def test_a_change_point_in_a_batch(robodyn: Run) -> None:
 def test_too_few_actuators_name_the_free_joint(robodyn: Run, scene: Callable[[str], Path]) -> None:
     links = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 1}, {name: b, m: 2, l: 1, r: 0.4, I: 2}]\n"
     path = scene(links + "actuated: [a]\n")
-    failed = robodyn("torque", path, "--q", "1,2").fails(1, str(path), "q2 (b)", "free", "actuated")
+    told = str(path), "residual2 = 2.32 N m: must be 0, as joint b is free", "--residual"
+    failed = robodyn("torque", path, "--q", "1,0", "--qd", "0,0", "--qdd", "0,1").fails(1, *told)
     assert failed.out == ""
-    robodyn("torque", path, "-", stdin="q1,q2\n1,2\n").fails(1, str(path), "q2 (b)", "free")
+    rows = "q1,q2,qdd1,qdd2\n1,0,0,0\n1,0,0,1\n"
+    failed = robodyn("torque", path, "-", stdin=rows).fails(1, "line 3", *told)
+    assert [row["tau1"] for row in failed.rows] == ["0.0"]
+    # M22 = 2 + 2*0.4^2, M12 = M22 + 2*0.4
+    found = robodyn("torque", path, "-", "--residual", "--power", stdin=rows).succeeds()
+    assert found.out.splitlines()[0] == "q1,q2,qdd1,qdd2,tau1,residual2,power1"
+    assert found.column("tau1") == pytest.approx([0.0, 3.12], rel=1e-15)
+    assert found.column("residual2") == pytest.approx([0.0, 2.32], rel=1e-15)
+
+
+def test_a_motion_that_simulate_wrote_of_fewer_actuators_than_freedoms(robodyn: Run) -> None:
+    """A cart-pole pushed by 1 N: its residual is what rounding of the rows leaves."""
+    options = ("--q", "0,80deg", "--tau", "1", "--time", "1", "--quiet")
+    motion = robodyn("simulate", "robots/cart-pole.yaml", *options).succeeds().out
+    found = robodyn("torque", "robots/cart-pole.yaml", "-", stdin=motion).succeeds()
+    assert "residual2" not in found.out
+    assert found.column("tau1") == pytest.approx([1.0] * len(found.rows), rel=1e-14)
+    found = robodyn("torque", "robots/cart-pole.yaml", "-", "--residual", stdin=motion).succeeds()
+    assert len(found.rows) == 1001
+    assert np.abs(found.column("residual2")).max() < 1e-15
+    # the pole's own equation, 0.025 + 0.1/12 kg m^2: 1e-6 rad/s^2 more are refused
+    changed = motion.splitlines()
+    row = changed[500].split(",")
+    row[6] = repr(float(row[6]) + 1e-6)
+    changed[500] = ",".join(row)
+    failed = robodyn("torque", "robots/cart-pole.yaml", "-", stdin="\n".join(changed))
+    failed.fails(1, "line 501", "residual2 = 3.33333e-08 N m", "pole")
+    assert len(failed.rows) == 499
+
+
+def test_motors_of_fewer_actuators_than_freedoms(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    """Volts that drive a cart come back from its motion."""
+    motor = "motor: {ratio: 30, inertia: 1e-5, torque_constant: 0.05, resistance: 2}"
+    text = Path("robots/cart-pole.yaml").read_text().replace("I: 0,", f"I: 0, {motor},")
+    path = scene(text)
+    options = ("--q", "0,80deg", "--volt", "6*sin(3*t)", "--time", "1", "--every", "0.1")
+    motion = robodyn("simulate", path, *options, "--quiet").succeeds().out
+    found = robodyn("torque", path, "-", stdin=motion).succeeds()
+    volts = [6 * math.sin(3 * t) for t in found.column("t")]
+    assert found.column("volt1") == pytest.approx(volts, abs=1e-12)
+
+
+def test_residuals_need_a_free_joint(robodyn: Run) -> None:
+    told = "--residual", "no joint is free"
+    robodyn("torque", "robots/2r.yaml", "--q", "1,1", "--residual").fails(2, *told)
+    robodyn("torque", "robots/four-bar.yaml", "--q", "1", "--residual").fails(2, *told)
 
 
 def test_too_many_actuators_get_the_least_torque_and_a_warning(

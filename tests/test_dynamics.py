@@ -3,6 +3,7 @@
 M qdd + C qd + D qd + G = S^T tau_act + Q + Psi^T lambda      Psi qdd + Psidot qd = 0    (1)
 """
 
+import dataclasses
 import re
 import warnings
 
@@ -31,7 +32,8 @@ from robodyn.dynamics import closed_form as cf
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics import dynamics as dyn
 from robodyn.engines import formulas
-from robodyn.errors import InputError, RobodynError, SingularError
+from robodyn.errors import InputError, ResidualError, RobodynError, SingularError
+from robodyn.loops import closing, loop_rates
 
 SEEDS = range(8)
 EACH_LOOP = each("name", LOOPS)
@@ -498,13 +500,87 @@ class TestActuation:
         scene = seeded_scene(2, self.driven(LOOPS["five-bar"], 0, 2))
         mech = mechanism(scene.text.replace("actuated: [link0, link2]", "actuated: [link0]"))
         states = [np.tile(state, (count, 1)) for state in scene.states]
-        text = r"fewer actuators \(1\) than freedoms \(2\): joint q[234] \(link"
-        with pytest.raises(RobodynError, match=text):
+        with pytest.raises(ResidualError, match=r"residual[234] = .* as joint link[123] is free"):
             dyn.inverse_dynamics(mech, *states)
+
+    @pytest.mark.parametrize("count", [1, 250])
+    def test_a_motion_of_fewer_actuators_than_freedoms(self, count):
+        """A five-bar driven at one crank: torques come back from the accelerations they cause."""
+        scene = seeded_scene(2, self.driven(LOOPS["five-bar"], 0, 2))
+        mech = mechanism(scene.text.replace("actuated: [link0, link2]", "actuated: [link0]"))
+        q, qd, _ = (np.tile(state, (count, 1)) for state in scene.states)
+        tau = np.random.default_rng(1).normal(size=(len(q), 1))
+        caused = dyn.forward_dynamics_and_forces(mech, q, qd, tau)
+        found = dyn.inverse_dynamics_and_forces(mech, q, qd, caused.qdd)
+        size = np.abs(dyn.required_load(mech, q, qd, caused.qdd)).max()
+        assert_close(found.tau[:, :1], tau, size, 1e-11)
+        assert not found.tau[:, 1:].any()
+        assert_close(found.multipliers, caused.multipliers, size, 1e-10)
+        left = dyn.inverse_dynamics(mech, q, qd, caused.qdd, residual=True)[:, 1:]
+        assert np.abs(left).max() < 1e-11 * size
+
+    def test_the_residual_of_a_loop_on_a_free_cart(self):
+        """It is the horizontal force that the rail would have to give: the sum of m xdd."""
+        mech = mechanism(
+            """
+gravity: 9.81
+links:
+  - {name: cart, joint: prismatic, axis: [1, 0], m: 2, l: 0, r: 0, I: 0}
+  - {name: crank, m: 0.5, l: 0.35, r: 0.15, I: 0.01, from: cart}
+  - {name: coupler, m: 0.8, l: 0.95, r: [0.4, 0.1], I: 0.06}
+  - {name: rocker, m: 0.6, l: 0.8, r: 0.35, I: 0.03, from: "cart@1.1,0"}
+closures: [[coupler, rocker]]
+actuated: [crank]
+"""
+        )
+        both = dataclasses.replace(mech, actuated=(0, 1))
+        q = closing.close_positions(mech, np.array([0.2, 1.0, -0.7, 1.2]))
+        qd = loop_rates.loop_velocities(both, q, [0.5, 2.0])
+        qdd = loop_rates.loop_accelerations(both, q, qd, [1.5, -3.0])
+        of = ["cart@0,0", "crank@0.15,0", "coupler@0.4,0.1", "rocker@0.35,0"]
+        across = robodyn.points(mech, q, qd, qdd, of).acceleration[:, 0]
+        tau = dyn.inverse_dynamics(mech, q, qd, qdd, residual=True)
+        assert tau[0] == pytest.approx(across @ [2.0, 0.5, 0.8, 0.6], rel=1e-12)
+        assert not tau[2:].any()
+        with pytest.raises(ResidualError, match=rf"residual1 = {tau[0]:.6g} N: .*joint cart"):
+            dyn.inverse_dynamics(mech, q, qd, qdd)
+
+    @pytest.mark.parametrize(
+        ("friction", "q", "holds"),
+        [
+            ("friction: {torque: 1, static: 2}", -1.2, True),  # 4.905 cos 1.2 = 1.78 N m
+            ("friction: {torque: 1, static: 1.5}", -1.2, False),
+            ("limits: {min: -1.2, restitution: 0}", -1.2, True),
+            ("limits: {max: -1.2, restitution: 0}", -1.2, False),
+            ("limits: {min: -1.3, restitution: 0}", -1.2, False),
+        ],
+    )
+    def test_what_holds_a_free_joint_at_rest_is_no_residual(self, friction, q, holds):
+        links = f"links: [{{name: a, m: 1, l: 1, r: 0.5, I: 0.1, {friction}}}]\n"
+        mech = mechanism(f"gravity: 9.81\n{links}actuated: []\n")
+        if holds:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of friction at rest
+                assert dyn.inverse_dynamics(mech, [q], [0.0], [0.0]) == [0.0]
+            return
+        with pytest.raises(ResidualError, match=r"residual1 = 1\.77"):
+            dyn.inverse_dynamics(mech, [q], [0.0], [0.0])
+
+    def test_the_slopes_of_a_motion_of_fewer_actuators(self):
+        """Those of the actuated joint's torque with the free joint's motion given as well."""
+        mech = mechanism(TWO_LINK_YAML + "actuated: [upper arm]")
+        state = [0.1, 0.2], [1.0, 2.0]
+        qdd = dyn.forward_dynamics(mech, *state, [3.0])
+        found = robodyn.inverse_dynamics_derivatives(mech, *state, qdd)
+        whole = robodyn.inverse_dynamics_derivatives(mechanism(TWO_LINK_YAML), *state, qdd)
+        assert found.tau == pytest.approx([3.0, 0.0], rel=1e-12)
+        for few, every in zip(found[1:4], whole[1:4], strict=True):
+            assert few[0] == pytest.approx(every[0], rel=1e-14)
+            assert not few[1].any()
 
     def test_an_arm_with_a_passive_shoulder_names_it(self):
         mech = mechanism(TWO_LINK_YAML + "actuated: [forearm]")
-        with pytest.raises(RobodynError, match=r"joint q1 \(upper arm\) is free"):
+        with pytest.raises(ResidualError, match=r"residual1 = .* joint upper arm is free"):
             dyn.inverse_dynamics(mech, [0.1, 0.2], [0.0, 0.0], [0.0, 0.0])
 
     def test_a_pendulum_on_a_loop_with_too_many_actuators_is_still_free(self):

@@ -6,6 +6,7 @@ forms of textbook mechanisms, and against the identities that every mechanism mu
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 import random
@@ -517,6 +518,50 @@ loads:
     none = np.zeros(0)
     assert robodyn.shaking_force(mech, still, still, still) == pytest.approx([0.0, 0.0, 1.5])
     assert robodyn.slide_moments(mech, still, still, still, none) == pytest.approx([-1.5])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_potential_energy_of_loads_counts_from_where_the_guide_says(seed):
+    """A torque's is zero where its link points along +X, a force's where its point is at [0, 0]."""
+    rng = np.random.default_rng(seed)
+    joints, parents = (("PRPPR", (None, 0, 1, 2, 3)), ("RPRPP", (None, 0, 1, None, 3)))[seed % 2]
+    tree, gamma = random_tree(seed, joints, parents), complex(*rng.uniform(-10, 10, 2))
+    for each in tree:  # no link turns by more than half a turn
+        if "axis" in each:
+            each["axis"] = cmath.exp(1j * rng.uniform(-0.6, 0.6))
+    q, torques = rng.uniform(-0.6, 0.6, len(tree)), rng.uniform(-2.0, 2.0, len(tree))
+    forces = [complex(*pair) for pair in rng.uniform(-2.0, 2.0, (len(tree), 2))]
+    loads = ["loads:"]
+    for each, torque, force in zip(tree, torques, forces, strict=True):
+        loads.append(f"  - {{link: {each['name']}, torque: {torque}}}")
+        loads.append(
+            f"  - {{link: {each['name']}, at: [0.3, -0.2], force: [{force.real}, {force.imag}]}}"
+        )
+    PE = 0.0
+    frames = []  # origin and direction of each link
+    for each, way, torque, force in zip(tree, q.tolist(), torques.tolist(), forces, strict=True):
+        origin, along = (0j, 1 + 0j) if each["parent"] is None else frames[each["parent"]]
+        origin, along = origin + along * each["at"], along * each.get("axis", 1.0)
+        if "axis" in each:
+            origin += along * way
+        else:
+            along *= cmath.exp(1j * way)
+        frames.append((origin, along))
+        PE -= each["m"] * (gamma.conjugate() * (origin + along * each["r"])).real
+        PE -= (force.conjugate() * (origin + along * (0.3 - 0.2j))).real
+        PE -= torque * cmath.phase(along)
+    mech = mechanism(text_of(tree, gamma) + "\n".join(loads) + "\n")
+    assert closed_form.potential_energy(mech, q) == pytest.approx(PE, rel=1e-13, abs=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("axis", "angle"), [("[1, 0]", 0.0), ("[0, 1]", 0.5), ("[1, -1]", -0.25), ("[-3, 0]", 1.0)]
+)
+def test_potential_energy_of_a_torque_on_a_link_that_cannot_turn(axis, angle):
+    scene = f"links: [{{name: a, joint: prismatic, axis: {axis}, m: 1, l: 1, r: 0, I: 0}}]\n"
+    mech = mechanism(f"{scene}loads: [{{link: a, torque: 2}}]\n")
+    found = closed_form.potential_energy(mech, [0.3])
+    assert found == pytest.approx(-2.0 * angle * math.pi, rel=1e-15, abs=0.0)
 
 
 def test_a_block_that_stands_half_a_turn_off_is_open():

@@ -13,6 +13,7 @@ from conftest import ROOT, Outcome
 from engine_cases import KINDS, ROBOTS, Case, random_case, robot_cases
 
 import robodyn as rd
+from robodyn.dynamics.free_joints import balanced_joints
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import build
 from robodyn.parameters.base_parameters import (
@@ -22,7 +23,7 @@ from robodyn.parameters.base_parameters import (
     random_states,
 )
 from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import _rows, balanced_joints
+from robodyn.parameters.regression_matrix import _rows
 from robodyn.scene.description import from_text
 
 Run = Callable[..., Outcome]

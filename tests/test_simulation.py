@@ -34,7 +34,7 @@ from scipy.integrate import solve_ivp
 
 import oracles
 from random_mechanisms import mechanism
-from robodyn import assemble, closure_gap, closure_jacobian, load, simulate
+from robodyn import assemble, closure_gap, closure_jacobian, load, simulate, voltages
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics import actuation
@@ -935,16 +935,59 @@ class TestOutcomes:
     def test_singular(self):
         """Where the equations have no unique solution, said by whatever computes them."""
 
-        def law(t, q, qd):
+        def law(t):
             if t > 0.5:
                 raise SingularError("no way on")
             return [0.0, 0.0]
 
-        motion = simulate(scene("2r"), *START, 1.0, tau=law)
+        tau = Actuation(None, ("tau0, tau1, = _law(t)",), {"_law": law})
+        motion = simulate(scene("2r"), *START, 1.0, tau=tau)
         assert motion.outcome is Outcome.SINGULAR
         assert "singular" in motion.outcome.advice
         assert motion.t[-1] <= 0.5
         assert np.isfinite(motion.q).all()
+
+    @pytest.mark.parametrize("name", ["2r", "four-bar"])
+    @EACH_METHOD
+    def test_an_exception_of_a_torque_function_comes_as_itself(self, method, name):
+        """At the start, in a trial stage, and far along; whatever handles numerical errors."""
+        mech = scene(name)
+        q = np.zeros(2) if name == "2r" else assemble(mech, [1.0])
+        for error in (ValueError("v"), ZeroDivisionError("z"), SingularError("s"), OSError("o")):
+            for last in (1, 2, 30):
+                calls = iter(range(last))
+                raised = error.with_traceback(None)
+
+                def law(t, q, qd, calls=calls, raised=raised):
+                    if next(calls, None) is None:
+                        raise raised
+                    return [0.1 * t] * len(mech.actuated)
+
+                with pytest.raises(type(error)) as caught:
+                    simulate(mech, q, 0 * q, 1.0, law, method)
+                assert caught.value is error
+                assert error.__cause__ is None
+
+    def test_an_exception_of_a_voltage_function_comes_as_itself(self):
+        mech = mechanism(
+            "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1, motor: "
+            "{ratio: 10, inertia: 1e-5, torque_constant: 0.1, resistance: 1}}]"
+        )
+
+        def volt(t, q, qd):
+            return [math.sqrt(0.3 - t)]
+
+        with pytest.raises(ValueError, match=r"math domain error|nonnegative input"):
+            simulate(mech, [0.0], [0.0], 1.0, voltages(mech, volt))
+
+    @pytest.mark.parametrize("method", EXPLICIT)
+    def test_a_torque_function_asks_for_a_shorter_step_by_nan(self, method):
+        def law(t, q, qd):
+            return [1.0, math.nan if t > 0.5 else 0.0]
+
+        motion = simulate(scene("2r"), *START, 1.0, law, method, rtol=1e-6, atol=1e-6)
+        assert motion.outcome is Outcome.STEP_TOO_SMALL
+        assert motion.report.t_reached == pytest.approx(0.5, abs=1e-3)
 
     @pytest.mark.parametrize("method", EXPLICIT)
     def test_a_motion_that_cannot_go_on(self, method):

@@ -230,7 +230,7 @@ def read_motion(
     Raises InputError for gaps, for columns of another mechanism, for times that do not rise, for
     angles that jump unless `unwrap`, and for a cutoff where no rates are to be found.
     """
-    from robodyn.parameters.regression_matrix import balanced_mechanism
+    from robodyn.dynamics.free_joints import balanced_mechanism
 
     moving = balanced_mechanism(mechanism) if mechanism.rows else mechanism
     wanted = [Quantity("q", None, True), Quantity("qd", None), Quantity("qdd", None)]

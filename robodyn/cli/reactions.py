@@ -11,7 +11,7 @@ from robodyn.cli.options import Force, Model, Qdd, Text, load_with, option
 from robodyn.cli.states import Quantity, TableOptions, evaluate, overflow
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.state_columns import reaction_columns, reaction_values
-from robodyn.errors import InputError
+from robodyn.errors import InputError, ResidualError
 from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism
 
@@ -89,7 +89,11 @@ class _Reactions:
                 qdd, multipliers = solution.qdd, solution.multipliers
             else:
                 qdd = given["qdd"]
-                inverse = dynamics.inverse_dynamics_and_forces(mechanism, q, qd, qdd, t)
+                try:
+                    inverse = dynamics.inverse_dynamics_and_forces(mechanism, q, qd, qdd, t)
+                except ResidualError as error:
+                    error.limit += f", or give --tau {','.join(['0'] * mechanism.n)}"
+                    raise
                 multipliers = inverse.multipliers
         if not np.isfinite(qdd).all():
             raise overflow()

@@ -7,11 +7,11 @@ import numpy as np
 from robodyn.cli.options import Model, Qdd, switch
 from robodyn.cli.output import Grid, write_structure
 from robodyn.cli.states import Quantity, TableOptions, evaluate, remarks
+from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.base_parameters import base_parameters, excited, structural
 from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import balanced_joints, balanced_mechanism
 from robodyn.parameters.regression_matrix import regressor as matrix
 
 

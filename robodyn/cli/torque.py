@@ -10,7 +10,7 @@ from contextlib import suppress
 from robodyn.cli.options import Force, Model, Number, Qdd, load_with, option, switch
 from robodyn.cli.states import Quantity, TableOptions, evaluate, option_source, overflow
 from robodyn.engines.formulas import MAX_GENERATED
-from robodyn.errors import InputError
+from robodyn.errors import InputError, ResidualError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.mechanics.parts import met_ends
@@ -22,6 +22,7 @@ def torque(
     qdd: Qdd = None,
     force: Force = None,
     power: bool = switch("The power of each actuated joint's torque."),
+    residual: bool = switch("What is left at free joints, as columns, instead of an error."),
     fluctuation: Number = option(
         "In place of the rows, which are a turn of the one actuated joint: its mean torque and the "
         "flywheel that holds this fluctuation of speed, such as 0.02.",
@@ -40,6 +41,11 @@ def torque(
     (A) and watt1 (W).  Rows of STATES pass through with these columns added.  --power adds power1..
     (W) = tau1 qd1 of the actuated joints.
 
+    With fewer actuators than freedoms the motion must be one that the mechanism makes: a torque
+    that is left at a free joint, residual2 (N m, or N), refuses its row unless it is below 1e-9 of
+    the largest of M qdd, C qd, D qd, G and Q in that joint's equation (in a loop: along the motion
+    of that joint alone, actuated ones held).  --residual writes residual2.. instead.
+
     --fluctuation DELTA takes whole turns of a machine with one actuated joint, the last row as the
     first, and tells mean_torque (N m), energy_fluctuation dE (J): the greatest less the least of
     the work about the mean torque, mean_speed w (rad/s): by t, else by the rates, and the inertia
@@ -54,6 +60,7 @@ def torque(
       robodyn trajectory 2r --from 0,0 --to 1,2 --time 1 | cut -d, -f1-3 | \\
         robodyn torque 2r - --differentiate
       robodyn torque 2r --q 30deg,45deg --force tip2=0,-20
+      robodyn simulate cart-pole --q 0,80deg --time 1 | robodyn torque cart-pole - --residual
       robodyn trajectory four-bar --speed 60rpm --turns 1 --points 361 | \\
         robodyn torque four-bar - --fluctuation 0.02
     """
@@ -62,8 +69,9 @@ def torque(
     if fluctuation is not None:
         from robodyn.cli.turns import tell_flywheel
 
-        if power:
-            raise InputError("--power and --fluctuation", limit="exclude each other")
+        for name, wanted in (("--power", power), ("--residual", residual)):
+            if wanted:
+                raise InputError(f"{name} and --fluctuation", limit="exclude each other")
         tell_flywheel(mechanism, given, quantities, fluctuation)
         return
 
@@ -71,7 +79,8 @@ def torque(
     loops = mechanism.rows or mechanism.passive or mechanism.switches
     motors = motor_columns(mechanism)
     powers = [f"power{k + 1}" for k in mechanism.actuated if power]
-    plain = given.states is None and not (loops or given.differentiate or given.unwrap)
+    rows = given.differentiate or given.unwrap
+    plain = given.states is None and not (loops or rows or residual)
     if plain and mechanism.n <= MAX_GENERATED:
         tau, rates = _single_state(mechanism, quantities)
         row = [*tau, *motor_values(mechanism, tau, rates)]
@@ -84,15 +93,31 @@ def torque(
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces
     from robodyn.dynamics.state_columns import power_values, torque_columns, torque_values
 
-    def compute(**motion: np.ndarray) -> np.ndarray:
-        tau, multipliers, _ = inverse_dynamics_and_forces(mechanism, **motion)
-        q, qd = motion["q"], motion["qd"]
-        found = torque_values(mechanism, q, qd, tau, multipliers)
-        if not power:
-            return found
-        return np.concatenate([found, power_values(mechanism, qd, tau)], axis=-1)
+    free: list[int] = []
+    if residual:
+        from robodyn.dynamics.free_joints import free_joints
 
-    evaluate(mechanism, given, quantities, torque_columns(mechanism) + powers, compute)
+        free = free_joints(mechanism)
+        if not free:
+            limit = "no joint is free: the mechanism has as many actuators as freedoms"
+            raise InputError("--residual", where=mechanism.source, limit=limit)
+
+    def compute(
+        q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, t: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        try:
+            solved = inverse_dynamics_and_forces(mechanism, q, qd, qdd, t, residual=residual)
+        except ResidualError as error:
+            error.limit += ", or let --residual write it"
+            raise
+        tau = solved.tau
+        found = [torque_values(mechanism, q, qd, tau, solved.multipliers), tau[..., free]]
+        if power:
+            found.append(power_values(mechanism, qd, tau))
+        return np.concatenate(found, axis=-1)
+
+    columns = [*torque_columns(mechanism), *(f"residual{k + 1}" for k in free), *powers]
+    evaluate(mechanism, given, quantities, columns, compute)
 
 
 def _single_state(

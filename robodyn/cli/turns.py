@@ -33,8 +33,8 @@ def tell_flywheel(
         limit = "must be > 0 and < 2: greatest less least speed, by their mean"
         raise InputError(FLYWHEEL, value=f"{delta:g}", limit=limit)
 
-    def compute(q: Array, qd: Array, **motion: Array) -> Array:
-        tau = inverse_dynamics(mechanism, q, qd, **motion)
+    def compute(q: Array, qd: Array, qdd: Array, t: Array | float = 0.0) -> Array:
+        tau = inverse_dynamics(mechanism, q, qd, qdd, t)
         return np.stack([q[:, k], qd[:, k], tau[:, k]], axis=-1)
 
     def told(header: Sequence[str], rows: Array, own: Array) -> tuple[Sequence[str], Rows]:

@@ -239,7 +239,10 @@ def _feedback(mechanism: Mechanism, given: StateFeedback, law: RecordedLaw) -> l
     law.scope = {"remainder": math.remainder, "turn": math.tau}
     state = [*law.variables("d", count), *(qd[k] for k in given.coordinates)]
     wanted: list[Value] = []
-    for tau, row in zip(given.tau, given.gain, strict=True):
+    torques = given.tau
+    if len(torques) == mechanism.n:
+        torques = [torques[k] for k in mechanism.actuated]
+    for tau, row in zip(torques, given.gain, strict=True):
         total: Value = float(tau)
         for K, x in zip(row, state, strict=True):
             total = total - float(K) * x

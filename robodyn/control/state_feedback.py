@@ -23,7 +23,7 @@ from robodyn.tables.short_repr import short_repr
 class StateFeedback:
     """A gain and its pose: `gain` (actuated, 2f) of f `coordinates` (joints from 0), then rates.
 
-    q (n) in rad and m; tau (actuated) in N m, N for joints that slide.
+    q (n) in rad and m; tau of the actuated joints or of all in N m, N for joints that slide.
     """
 
     coordinates: tuple[int, ...]

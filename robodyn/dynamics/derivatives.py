@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.dense_dynamics import RANK_CUT, elimination_is_safe
-from robodyn.dynamics.dynamics import PIVOT_CUT, times_of, together
-from robodyn.dynamics.placed import absolute_rates, check_directions, finite
+from robodyn.dynamics.dynamics import PIVOT_CUT
+from robodyn.dynamics.placed import absolute_rates, check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
 from robodyn.engines import formulas, straightline
 from robodyn.engines.derivative_formulas import (
@@ -71,10 +71,10 @@ def forward_dynamics_derivatives(
 ) -> ForwardDerivatives:
     """The accelerations of `forward_dynamics`, and their derivatives.
 
-    q, qd, tau are (..., n) and broadcast.  Where joints stick or rest at their ends they are those
-    of the others.  `numbers` are names such as `links.forearm.m`, as sweeps vary them, of the
-    file that the mechanism was loaded from; q and qd are held.  Raises as `forward_dynamics` does,
-    and InputError for a name that is none.
+    q, qd, tau are (..., n) and broadcast, tau of all joints or of the actuated ones.  Where joints
+    stick or rest at their ends they are those of the others.  `numbers` are names such as
+    `links.forearm.m`, as sweeps vary them, of the file that the mechanism was loaded from; q and qd
+    are held.  Raises as `forward_dynamics` does, and InputError for a name that is none.
     """
     return ForwardDerivatives(*_each(mechanism, "forward", t, numbers, q=q, qd=qd, tau=tau))
 
@@ -92,7 +92,17 @@ def inverse_dynamics_derivatives(
     q, qd, qdd are (..., n) and broadcast; for `numbers` see `forward_dynamics_derivatives`.  Raises
     as `inverse_dynamics` does.
     """
-    return InverseDerivatives(*_each(mechanism, "inverse", t, numbers, q=q, qd=qd, qdd=qdd))
+    solved = mechanism
+    if len(mechanism.actuated) < mechanism.n - len(mechanism.rows):
+        from robodyn.dynamics.free_joints import balanced_mechanism  # which asks for slopes itself
+
+        solved = balanced_mechanism(mechanism)
+    found = InverseDerivatives(*_each(solved, "inverse", t, numbers, q=q, qd=qd, qdd=qdd))
+    if solved is mechanism:
+        return found
+    for each in found[1:]:
+        each[..., list(mechanism.passive), :] = 0.0
+    return found._replace(tau=dynamics.inverse_dynamics(mechanism, q, qd, qdd, t))
 
 
 def _each(

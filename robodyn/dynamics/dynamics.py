@@ -13,7 +13,7 @@ the constrained system is not, and where closures depend on one another.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -25,12 +25,11 @@ from robodyn.dynamics.dense_dynamics import (
     MASS_CUT,
     Accelerations,
     Torques,
-    check_actuators,
     decompose,
     elimination_is_safe,
     required_load,
 )
-from robodyn.dynamics.placed import check_directions, finite, matvec, n_wide, placed
+from robodyn.dynamics.placed import check_directions, finite, matvec, placed, times_of, together
 from robodyn.engines import formulas
 from robodyn.engines.formulas import Formula
 from robodyn.errors import InputError, SingularError
@@ -52,25 +51,38 @@ class RobodynWarning(UserWarning):
 
 
 def inverse_dynamics(
-    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, t: ArrayLike = 0.0
+    mechanism: Mechanism,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    t: ArrayLike = 0.0,
+    *,
+    residual: bool = False,
 ) -> Array:
     """The joint torques tau that the motion needs, (..., n), N m.
 
     tau = M qdd + C qd + D qd + G - Q - Psi^T lambda, zero at passive joints.
     q, qd, qdd are (..., n) and broadcast; a closed mechanism's must keep its closures (see
     `assembly`).  Loads that vary are those at the times t (...), s.  Passive joints get zero.  With
-    more actuators than freedoms tau is the one of least norm, with a RobodynWarning.  Raises
-    InputError for arrays that do not fit, RobodynError where the mechanism has fewer actuators than
-    freedoms, SingularError where no torque at the actuated joints can make the motion.
+    more actuators than freedoms tau is the one of least norm, with a RobodynWarning.  With fewer
+    the motion must be one of the mechanism: a torque that is left at a free joint is its residual,
+    and raises ResidualError, or with `residual` stands in tau at that joint.  Raises InputError for
+    arrays that do not fit, SingularError where no torque at these joints can make the motion.
     """
-    return _batch(mechanism, "inverse", 1, t, q=q, qd=qd, qdd=qdd)[0]
+    return _batch(mechanism, "inverse", 1, t, residual, q=q, qd=qd, qdd=qdd)[0]
 
 
 def inverse_dynamics_and_forces(
-    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, t: ArrayLike = 0.0
+    mechanism: Mechanism,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    t: ArrayLike = 0.0,
+    *,
+    residual: bool = False,
 ) -> Torques:
     """`inverse_dynamics` and the multipliers of the closures; see there."""
-    return Torques(*_batch(mechanism, "inverse", 2, t, q=q, qd=qd, qdd=qdd))
+    return Torques(*_batch(mechanism, "inverse", 2, t, residual, q=q, qd=qd, qdd=qdd))
 
 
 def forward_dynamics(
@@ -79,7 +91,8 @@ def forward_dynamics(
     """The accelerations qdd that the joint torques tau cause, (..., n), rad/s^2.
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with the closures Psi qdd + Psidot qd = 0.
-    q, qd, tau are (..., n) and broadcast; a closed mechanism's q and qd must keep its closures.
+    q, qd, tau are (..., n) and broadcast, tau of all joints or of the actuated ones; a closed
+    mechanism's q and qd must keep its closures.
     Loads that vary are those at the times t (...), s.  Raises InputError for arrays that do
     not fit, SingularError where a freedom has no inertia.
     """
@@ -100,18 +113,13 @@ def motion_dynamics(
     return Accelerations(*_batch(mechanism, "motion", 2, t, q=q, qd=qd, tau=tau))
 
 
-def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Values (..., n) of joints, broadcast to one another; InputError where they do not fit."""
-    each = [n_wide(mechanism, name, value) for name, value in given.items()]
-    try:
-        return dict(zip(given, np.broadcast_arrays(*each), strict=True))
-    except ValueError:
-        shapes = ", ".join(str(array.shape) for array in each)
-        raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
-
-
 def _batch(
-    mechanism: Mechanism, kind: str, wanted: int, t: ArrayLike, **given: ArrayLike
+    mechanism: Mechanism,
+    kind: str,
+    wanted: int,
+    t: ArrayLike,
+    residual: bool = True,
+    **given: ArrayLike,
 ) -> tuple[Array, Array, str]:
     """Joint values (..., n), multipliers (..., r) where two arrays are `wanted`, and a remark."""
     states = together(mechanism, given)
@@ -120,12 +128,19 @@ def _batch(
     else:
         check_directions(mechanism, states["q"])
     times = times_of(t, states["q"]) if mechanism.timed else np.zeros(())
+    solved = mechanism
+    if kind == "inverse" and len(mechanism.actuated) < mechanism.n - len(mechanism.rows):
+        from robodyn.dynamics import free_joints  # which asks for torques itself
+
+        solved = free_joints.balanced_mechanism(mechanism)
     if mechanism.switches:
         from robodyn.dynamics.switching import by_modes  # which asks for accelerations itself
 
-        joints, forces, remark = by_modes(mechanism, kind, states, times, _smooth)
+        joints, forces, remark = by_modes(solved, kind, states, times, _smooth)
     else:
-        joints, forces, remark = _smooth(mechanism, kind, wanted, states, times)
+        joints, forces, remark = _smooth(solved, kind, wanted, states, times)
+    if solved is not mechanism and not residual:
+        joints = free_joints.without_residual(mechanism, states, times, joints)
     if remark:
         warnings.warn(remark, RobodynWarning, stacklevel=3)
     return joints, forces, remark
@@ -142,8 +157,6 @@ def _smooth(
 
     dense = _inverse if kind == "inverse" else _forward
     q = states["q"]
-    if kind == "inverse":
-        check_actuators(mechanism, q)
     rows: FormulaRows | None = None
     if q.size >= BATCH * mechanism.n and mechanism.n <= formulas.MAX_GENERATED:
         rows = _generated(kind, mechanism)
@@ -167,16 +180,6 @@ def _smooth(
         if wanted > 1:
             forces = forces.reshape(*q.shape[:-1], forces.shape[1])
     return joints, forces, remark
-
-
-def times_of(t: ArrayLike, q: Array) -> Array:
-    """The times of states q (..., n), (...)."""
-    try:
-        times = np.broadcast_to(finite("t", np.asarray(t, float)), q.shape[:-1])
-    except ValueError:
-        limit = f"must broadcast to {q.shape[:-1]}, one a state"
-        raise InputError("t.shape", value=np.shape(t), limit=limit) from None
-    return np.array(times)
 
 
 @lru_cache(maxsize=64)

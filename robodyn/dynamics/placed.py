@@ -8,7 +8,7 @@ accelerations are written here, once, and T = dX/dx is in `columns`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -32,12 +32,22 @@ def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
 
 
 def n_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
-    """`values` as floats (..., n); InputError unless they are n wide."""
-    array, n = numbers(name, values), mechanism.n
-    if array.ndim == 0 or array.shape[-1] != n:
-        limit = f"must have {n} values along the last axis, one a joint"
-        raise InputError(f"{name}.shape", value=array.shape, limit=limit)
-    return array
+    """`values` as floats (..., n); InputError unless they are n wide.
+
+    Torques, `tau`, may be those of the actuated joints alone: passive joints get zero.
+    """
+    array, n, driven = numbers(name, values), mechanism.n, list(mechanism.actuated)
+    wide = array.shape[-1] if array.ndim else None
+    if wide == n:
+        return array
+    if name == "tau" and wide == len(driven):
+        torques = np.zeros((*array.shape[:-1], n))
+        torques[..., driven] = array
+        return torques
+    limit = f"must have {n} values along the last axis, one a joint"
+    if name == "tau" and len(driven) < n:
+        limit += f", or {len(driven)}, one an actuated joint"
+    raise InputError(f"{name}.shape", value=array.shape, limit=limit)
 
 
 def numbers(name: str, values: ArrayLike) -> Array:
@@ -71,6 +81,26 @@ def check_directions(mechanism: Mechanism, q: Array) -> None:
     for spring, states in met.items():
         if np.any(states):
             raise parts.no_direction(mechanism, spring)
+
+
+def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Values (..., n) of joints, broadcast to one another; InputError where they do not fit."""
+    each = [n_wide(mechanism, name, value) for name, value in given.items()]
+    try:
+        return dict(zip(given, np.broadcast_arrays(*each), strict=True))
+    except ValueError:
+        shapes = ", ".join(str(array.shape) for array in each)
+        raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
+
+
+def times_of(t: ArrayLike, q: Array) -> Array:
+    """The times of states q (..., n), (...)."""
+    try:
+        times = np.broadcast_to(finite("t", np.asarray(t, float)), q.shape[:-1])
+    except ValueError:
+        limit = f"must broadcast to {q.shape[:-1]}, one a state"
+        raise InputError("t.shape", value=np.shape(t), limit=limit) from None
+    return np.array(times)
 
 
 def within_floats(

@@ -56,9 +56,10 @@ def torque_values(mechanism: Mechanism, q: Array, qd: Array, tau: Array, forces:
 def motor_loads(mechanism: Mechanism, tau: ArrayLike, qd: ArrayLike) -> dict[str, Array]:
     """Torque N m, speed rad/s, voltage V, current A and power W of motors, by columns' names.
 
-    Each is (...), of joint torques and rates (..., n), which broadcast.  There are those of the
-    actuated joints: `motor1`, `motor_speed1`, and `volt1`, `amp1`, `watt1` of a motor with its
-    constants.  Raises InputError for arrays that are not n wide.
+    Each is (...), of rates (..., n) and torques of all joints or of the actuated ones, which
+    broadcast.  There are those of the actuated joints: `motor1`, `motor_speed1`, and `volt1`,
+    `amp1`, `watt1` of a motor with its constants.  Raises InputError for arrays that are not so
+    wide.
     """
     given = [n_wide(mechanism, name, x) for name, x in (("tau", tau), ("qd", qd))]
     torques, rates = (list(np.moveaxis(x, -1, 0)) for x in np.broadcast_arrays(*given))

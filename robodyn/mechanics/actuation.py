@@ -27,6 +27,14 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
+class CallerError(Exception):
+    """Carries an exception of a caller's function past the handlers of numerical errors."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(error)
+        self.error = error
+
+
 @short_repr
 @dataclass(frozen=True, eq=False, repr=False)
 class Actuation:
@@ -194,11 +202,18 @@ def table(
 def callback(
     mechanism: Mechanism, function: Callable[[float, list[float], list[float]], Sequence[float]]
 ) -> Actuation:
-    """Torques from a Python function of t, q (n), qd (n): all joints, or the actuated ones."""
+    """Torques from a Python function of t, q (n), qd (n): all joints, or the actuated ones.
+
+    An exception of the function comes as a CallerError.
+    """
     n = mechanism.n
 
     def torques(t: float, state: tuple[float, ...]) -> Sequence[float]:
-        values = values_given(function(t, list(state[:n]), list(state[n:])), "tau(t, q, qd)")
+        try:
+            given = function(t, list(state[:n]), list(state[n:]))
+        except Exception as error:
+            raise CallerError(error) from None
+        values = values_given(given, "tau(t, q, qd)")
         return _each_joint(mechanism, values, (0.0,), "values", "tau(t, q, qd)")
 
     targets = "".join(f"tau{k}, " for k in range(n))

@@ -67,9 +67,10 @@ def build(description: Description) -> Mechanism:
     """
     try:
         mechanism = constants(description)
-        if mechanism.slides and any(mechanism.moments):
-            phases = Tree(description.links).phases  # PE is zero where a link points along +X
-            turned = sum(x * cmath.phase(p) for x, p in zip(mechanism.moments, phases, strict=True))
+        moments = [x for x in description.loads if isinstance(x, Moment)]
+        if mechanism.slides and moments:  # their PE is zero where the link points along +X
+            phases = Tree(description.links).phases
+            turned = sum(x.torque * cmath.phase(phases[x.link]) for x in moments)
             mechanism = replace(mechanism, energy_offset=mechanism.energy_offset - turned)
         if description.couplings:
             rows = mechanism.rows + tuple(coupling_rows(description))

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn.dynamics.free_joints import balanced_joints
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters import scene_numbers
@@ -35,7 +36,7 @@ from robodyn.parameters.base_parameters import (
     structural,
 )
 from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import Regressor, balanced_joints, regressor, rows_at_rest
+from robodyn.parameters.regression_matrix import Regressor, regressor, rows_at_rest
 from robodyn.scene.scene import Description
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
@@ -97,17 +98,21 @@ def identify(
 ) -> Identification:
     """Parameters from the torques tau (T, a) of the actuated joints along q, qd, qdd (T, n).
 
-    Free joints of an open chain have none, which tells something too.  Base parameters are found,
-    or the numbers `of` these names, such as `links.forearm.m`.  A joint with static friction whose
-    rate is `rest` (rad/s, m/s) at most is at rest, and its equation left out of that row; None:
-    0.001 of the joint's largest rate.  Raises InputError for arrays that do not fit, too few rows,
-    and a motion that tells nothing.
+    tau may be that of all joints, (T, n), zero at passive ones.  Free joints of an open chain have
+    none, which tells something too.  Base parameters are found, or the numbers `of` these names,
+    such as `links.forearm.m`.  A joint with static friction whose rate is `rest` (rad/s, m/s) at
+    most is at rest, and its equation left out of that row; None: 0.001 of the joint's largest rate.
+    Raises InputError for arrays that do not fit, too few rows, and a motion that tells nothing.
     """
     states = [np.asarray(x, float) for x in (q, qd, qdd)]
     given = np.asarray(tau, float)
-    a = len(mechanism.actuated)
+    n, a = mechanism.n, len(mechanism.actuated)
+    if given.shape == (len(states[0]), n) and not given[:, list(mechanism.passive)].any():
+        given = given[:, list(mechanism.actuated)]
     if given.shape != (len(states[0]), a):
         limit = f"must be ({len(states[0])}, {a}): a row a state, a column an actuated joint"
+        if a < n:
+            limit += f"; or ({len(states[0])}, {n}), zero at passive joints"
         raise InputError("tau.shape", value=given.shape, limit=limit)
     if len(given) and not np.abs(given).max(initial=0.0) <= LARGEST:
         limit = f"must be finite, and {LARGEST:g} N m at most"

@@ -8,24 +8,22 @@ formula eliminates the pins' forces, the columns are loads that actuators and pi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
-from itertools import combinations, islice
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.dense_dynamics import balanced, check_actuators
-from robodyn.dynamics.dynamics import PIVOT_CUT, times_of, together
-from robodyn.dynamics.placed import check_directions, finite
+from robodyn.dynamics.dense_dynamics import balanced
+from robodyn.dynamics.dynamics import PIVOT_CUT
+from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
+from robodyn.dynamics.placed import check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formula_rows import FormulaRows
 from robodyn.engines.formulas import Formula, Recorded, balance, cheapest, inverse_of
 from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import SingularError
-from robodyn.loops.closing import closed_jacobians, loop_size, regular_rank
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.parameters.linear_parameters import linear_parameters, with_parameters
@@ -34,9 +32,7 @@ from robodyn.tables.short_repr import short_repr
 
 RATES = ("qd", "qdd")
 BLOCK = 4096  # states whose pins are balanced at once
-CHOICES = 1000  # of joints that count as free
 RESTS = 1e-3  # of a joint's largest rate: below it the joint is at rest
-TINY = 1e-12  # a singular value that is none
 
 
 @short_repr
@@ -54,7 +50,7 @@ def regressor(
 ) -> Regressor:
     """Y and what is known, so that the actuated joints' torques are Y @ values + known.
 
-    Free joints count as actuated, see `balanced_joints`.  q, qd, qdd are (..., n) and broadcast.
+    Free joints count as actuated, see `free_joints.py`.  q, qd, qdd are (..., n) and broadcast.
     Raises as `inverse_dynamics` does.
     """
     mechanism = balanced_mechanism(mechanism)
@@ -62,7 +58,6 @@ def regressor(
     for name, array in states.items():
         finite(name, array)
     shape, times = states["q"].shape[:-1], times_of(t, states["q"]).ravel()
-    check_actuators(mechanism, states["q"])
     flat = {name: array.reshape(-1, mechanism.n) for name, array in states.items()}
     parameters = linear_parameters(mechanism.description)
     a, p = len(mechanism.actuated), len(parameters)
@@ -75,37 +70,6 @@ def regressor(
         Y, known = _smooth(mechanism, list(flat.values()), times)
     names, values = (tuple(x.name for x in parameters), np.array([x.value for x in parameters]))
     return Regressor(Y.reshape(*shape, a, p), known.reshape(*shape, a), names, values)
-
-
-@lru_cache(maxsize=64)
-def balanced_joints(mechanism: Mechanism) -> tuple[int, ...]:
-    """The joints whose torques are known: the actuated ones, and free ones (0).
-
-    With N (n, f) whose columns keep the loops closed, N^T Y pi = N^T tau; so of a closed mechanism
-    as many joints count as free as rates are that actuated joints and loops leave open: those that
-    tell the others' rates best, in the mean of some poses.
-    """
-    n, driven = mechanism.n, mechanism.actuated
-    if not mechanism.rows:
-        return tuple(range(n))
-    free = n - regular_rank(mechanism) - len(driven)
-    if free <= 0:
-        return driven
-    Psi = closed_jacobians(mechanism) / loop_size(mechanism)
-    every = combinations([k for k in range(n) if k not in driven], free)
-
-    def told(chosen: tuple[int, ...]) -> float:
-        """How far from singular Psi is for the others' rates."""
-        others = [k for k in range(n) if k not in (*driven, *chosen)]
-        least = np.linalg.svd(Psi[..., others], compute_uv=False).min(axis=-1, initial=1.0)
-        return float(np.log(least + TINY).mean())
-
-    return tuple(sorted((*driven, *max(islice(every, CHOICES), key=told))))
-
-
-def balanced_mechanism(mechanism: Mechanism) -> Mechanism:
-    """The mechanism with these as its actuated joints."""
-    return replace(mechanism, actuated=balanced_joints(mechanism))
 
 
 def rows_at_rest(

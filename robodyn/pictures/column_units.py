@@ -23,7 +23,7 @@ _COLUMNS = {
     "rad": "q e angle transmission",
     "rad/s": "qd motor_speed w mean_speed",
     "rad/s²": "qdd wd",
-    "N m": "tau tc rm mz shake_m motor mean_torque",
+    "N m": "tau tc rm mz shake_m motor mean_torque residual",
     "N": "fx fy rx ry shake_fx shake_fy",
     "J": "KE PE energy energy_fluctuation",
     "V": "volt",
@@ -37,7 +37,7 @@ UNITS = {name: unit for unit, names in _COLUMNS.items() for name in names.split(
 _OF_POINT = "_([va]?[xy]|J[xy][0-9]+)$"
 # by the letter after the name of a point
 POINTS = {"x": "m", "y": "m", "v": "m/s", "a": "m/s²", "J": "m/rad"}
-ANGULAR = ("q", "e", "qd", "qdd", "tau")  # of joints
+ANGULAR = ("q", "e", "qd", "qdd", "tau", "residual")  # of joints
 SLIDING = {"rad": "m", "rad/s": "m/s", "rad/s²": "m/s²", "N m": "N", "N m s/rad": "N s/m"}
 DEGREES = {"rad": "°", "rad/s": "°/s", "rad/s²": "°/s²"}
 TURNING: Mapping[str, str] = {}  # the units of columns of joints that turn need not be told

@@ -71,12 +71,13 @@ class LinearModel(NamedTuple):
 def linearize(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike | None = None, tau: ArrayLike | None = None
 ) -> LinearModel:
-    """The linear model at the closed state q, qd (n,) under torques tau (n,), loads those of t = 0.
+    """The linear model at the closed state q, qd (n,) under torques tau, loads those of t = 0.
 
-    qd is zero by default, tau what holds the mechanism there (z'' = 0), as far as the actuated
-    joints can.  Dry friction of joints at rest, and hard stops, are left out.  Raises InputError
-    for a state that does not fit or is open, RobodynError where nothing moves, SingularError at a
-    change point and where a freedom has no inertia.
+    tau is that of all joints or of the actuated ones.  qd is zero by default, tau what holds the
+    mechanism there (z'' = 0), as far as the actuated joints can.  Dry friction of joints at rest,
+    and hard stops, are left out.  Raises InputError for a state that does not fit or is open,
+    RobodynError where nothing moves, SingularError at a change point and where a freedom has no
+    inertia.
     """
     pose, rates, torques = (
         single(mechanism, name, x) for name, x in (("q", q), ("qd", qd), ("tau", tau))

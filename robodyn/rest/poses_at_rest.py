@@ -74,7 +74,8 @@ def equilibrium(
 ) -> Rest:
     """A pose at rest near the closed pose `near` (n,), by default the scene's start or any other.
 
-    N^T (tau - h) = 0 with gap(q) = 0 (`balance.py`), under the torques tau (n,), by default zero.
+    N^T (tau - h) = 0 with gap(q) = 0 (`balance.py`), under the torques tau of all joints or of the
+    actuated ones, by default zero.
     Joints of the links named in `hold` stay where they are, and their torques are found.  Dry
     friction is left out.  Raises InputError for values that do not fit and a pose that does not
     close, RobodynError where no pose at rest is found, or it is beyond the end of a joint.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from numbers import Real
 from operator import index
@@ -10,6 +11,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from robodyn.errors import InputError
+from robodyn.simulation.even_times import EvenTimes
+from robodyn.tables.arrays import Array
 
 MAX_EVALUATIONS = 2_000_000
 MOST = 2**62  # that are counted
@@ -88,3 +91,30 @@ class Settings:
             raise InputError("max_evals", value=self.max_evaluations, limit="must be >= 1")
         self.order = None if self.order is None else index(self.order)  # no number of numpy's
         self.max_evaluations = int(min(self.max_evaluations, MOST))  # of 1e6 and inf too
+
+
+def check_run(settings: Settings, t_end: float, times: Array | EvenTimes | None) -> None:
+    """Raise InputError if the settings, the end or the times of the rows make no run."""
+    settings.check()
+    if not math.isfinite(t_end):
+        raise InputError("time", value=t_end, limit="must be finite")
+    if abs(t_end) > settings.max_step * settings.max_evaluations:
+        limit = f"{t_end:g} s would take more steps than max_evals, {settings.max_evaluations}"
+        raise InputError("max_step", value=settings.max_step, limit=limit)
+    if isinstance(times, np.ndarray):
+        _check_times(times, t_end)
+
+
+def _check_times(times: Array, t_end: float) -> None:
+    if times.ndim != 1:
+        raise InputError("t_eval", limit="must be a list of finite times")
+    if not len(times):
+        return
+    direction = -1.0 if t_end < 0.0 else 1.0
+    first, last = float(times[0]) * direction, float(times[-1]) * direction
+    ordered = len(times) < 2 or (np.diff(times) * direction > 0.0).all()
+    if ordered and first >= 0.0 and last <= t_end * direction:  # so all are finite
+        return
+    if not np.isfinite(times).all():
+        raise InputError("t_eval", limit="must be a list of finite times")
+    raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")

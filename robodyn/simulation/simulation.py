@@ -7,7 +7,6 @@ statistics leave the run in batches, so its memory does not grow with its length
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError, SingularError, printable
-from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.actuation import Actuation, CallerError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.recording import Recorder, Sink, joined
@@ -33,7 +32,7 @@ from robodyn.simulation.run_torques import (
     no_hold,
     over_run,
 )
-from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
+from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings, check_run
 from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
 from robodyn.tables.arrays import Array
 from robodyn.tables.columns import Columns
@@ -41,6 +40,7 @@ from robodyn.tables.columns import Columns
 if TYPE_CHECKING:
     from robodyn.events.told import Event
     from robodyn.events.watch import EventWatch
+    from robodyn.simulation.sensitivity import Sensitivities
 
 TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
 UNTIL = "until"  # the name of the event that ends a run
@@ -139,9 +139,11 @@ def simulate(
 ) -> Motion:
     """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
-    tau: constants, an expression such as "2*sin(3*t)", a function tau(t, q, qd), or None.  The
-    motion is given at `t_eval`, or at the accepted steps where that is None.  A run that does not
-    finish is no exception: `motion.outcome` tells, and the motion holds what was computed.
+    tau: constants, an expression such as "2*sin(3*t)", a function tau(t, q, qd), or None; values
+    are those of all joints or of the actuated ones.  An exception of the function ends the run and
+    is raised as it is; where it returns nan a shorter step is tried.  The motion is given at
+    `t_eval`, or at the accepted steps where that is None.  Otherwise a run that does not finish is
+    no exception: `motion.outcome` tells, and the motion holds what was computed.
     `method` is one of scipy's, or "taylor", whose `order` follows from the tolerance unless given,
     and whose `engine` is "python", "compiled" (machine code, with the extra `fast`), or "auto":
     compiled where a run takes, or this process took, many steps of the mechanism.
@@ -168,26 +170,47 @@ def simulate(
         from robodyn.simulation.sensitivity import with_sensitivities
 
         carried = with_sensitivities(mechanism, actuation, state, sensitivity, method)
-    rows: list[tuple[Array, Array, Mechanism]] = []
     times = None if t_eval is None else np.asarray(t_eval, float)
     watch = watched_events(mechanism, events or {}, until, float(t_end))
+    settings = Settings(
+        method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step
+    )
+    try:
+        return _motion(mechanism, state, float(t_end), actuation, settings, times, watch, carried)
+    except CallerError as failed:
+        error = failed.error
+    raise error
+
+
+def _motion(
+    mechanism: Mechanism,
+    state: Array,
+    t_end: float,
+    actuation: Actuation,
+    settings: Settings,
+    times: Array | None,
+    watch: EventWatch | None,
+    carried: Sensitivities | None,
+) -> Motion:
+    """Run from `state` (2n,) to t_end and gather the rows."""
+    rows: list[tuple[Array, Array, Mechanism]] = []
     outcome, recorder = run(
         mechanism,
         state,
-        float(t_end),
+        t_end,
         carried.actuation if carried else actuation,
-        Settings(method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step),
+        settings,
         lambda *row: rows.append(row),
         times,
         events=watch,
     )
     n = mechanism.n
-
     happened: Sequence[Event] = [] if watch is None else watch.found
     if recorder.contacts:
         happened = sorted([*happened, *recorder.contacts], key=lambda event: abs(event.t))
     phases = [(len(t), moving) for t, _, moving in rows]
-    none = np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity or ()))))
+    wide = len(state) * (1 if carried is None else 1 + len(carried.names))
+    none = np.zeros(0), np.zeros((0, wide))
     t, y = joined([(t, y) for t, y, _ in rows] or [none])
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
@@ -245,7 +268,8 @@ def run(
     the run as interrupted when it returns True; `events` finds events, and may end it as well.
     The recorder has the report, and its statistics once it is settled.
     """
-    _check(actuation, settings, t_end, times)
+    check_run(settings, t_end, times)
+    check_span(actuation, t_end)
     actuation = over_run(mechanism, actuation, state, t_end, settings.atol)
     report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
     report.hint = "" if actuation.told_by_leaves else TOO_FAST
@@ -297,21 +321,6 @@ def run(
     return outcome, recorder
 
 
-def _check(
-    actuation: Actuation, settings: Settings, t_end: float, times: Array | EvenTimes | None
-) -> None:
-    """Raise InputError for what makes no run."""
-    settings.check()
-    if not math.isfinite(t_end):
-        raise InputError("time", value=t_end, limit="must be finite")
-    if abs(t_end) > settings.max_step * settings.max_evaluations:
-        limit = f"{t_end:g} s would take more steps than max_evals, {settings.max_evaluations}"
-        raise InputError("max_step", value=settings.max_step, limit=limit)
-    if isinstance(times, np.ndarray):
-        _check_times(times, t_end)
-    check_span(actuation, t_end)
-
-
 def _begun(
     mechanism: Mechanism, actuation: Actuation, y: Array, t_end: float, projects: bool
 ) -> Array:
@@ -333,18 +342,3 @@ def _begun(
 
         rows_of(parts.acting, mechanism).check_tables(y[:n], y[n : 2 * n])
     return y
-
-
-def _check_times(times: Array, t_end: float) -> None:
-    if times.ndim != 1:
-        raise InputError("t_eval", limit="must be a list of finite times")
-    if not len(times):
-        return
-    direction = -1.0 if t_end < 0.0 else 1.0
-    first, last = float(times[0]) * direction, float(times[-1]) * direction
-    ordered = len(times) < 2 or (np.diff(times) * direction > 0.0).all()
-    if ordered and first >= 0.0 and last <= t_end * direction:  # so all are finite
-        return
-    if not np.isfinite(times).all():
-        raise InputError("t_eval", limit="must be a list of finite times")
-    raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")
