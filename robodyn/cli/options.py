@@ -173,7 +173,7 @@ _UNWRAP = (
 Unwrap = Annotated[bool, Option("--unwrap", help=_UNWRAP)]
 _EXTREMES = (
     "In place of the rows, of each column but t: min, max and the t and q1 there, mean, rms; "
-    "rows count equally."
+    "both over t where t is there and never falls, else rows count equally."
 )
 Extremes = Annotated[bool, Option("--extremes", help=_EXTREMES)]
 _PARTS = "Default: table on a terminal, json in a pipe."

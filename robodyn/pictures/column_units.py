@@ -106,7 +106,7 @@ def in_degrees(name: str, units: Mapping[str, str] = TURNING) -> tuple[str, floa
 
 def structure_in_degrees(content: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
     """A result with parts: values of angles in degrees, of `q` one by one as of q1, q2, ..."""
-    units = OF_PARTS | units
+    units = {**OF_PARTS, **units}
 
     def told(value: Any, name: str) -> Any:
         match value:
