@@ -131,20 +131,21 @@ def with_unit(name: str, units: Mapping[str, str] = TURNING) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
+def joint_units(mechanism: Mechanism, count: int, kind: str) -> list[str]:
+    """The units of so many q, qd, qdd or tau (`kind`), of all joints or of the actuated ones."""
+    joints = [*range(mechanism.n)] if count == mechanism.n else [*mechanism.actuated]
+    known = scene_units(mechanism)
+    each = [unit_of(f"{kind}{k + 1}", known) for k in joints]
+    return [*each, *[""] * count][:count]
+
+
 def joint_values(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[float]:
     """The q, qd, qdd or tau (`kind`) that an option's text has of joints, by their units.
 
     They are of all joints, of the actuated ones or the first of these.
     """
-
-    def units(count: int) -> list[str]:
-        joints = [*range(mechanism.n)] if count == mechanism.n else [*mechanism.actuated]
-        known = scene_units(mechanism)
-        each = [unit_of(f"{kind}{k + 1}", known) for k in joints]
-        return [*each, *[""] * count][:count]
-
     try:
-        return parse_vector(text, where=flag, unit=units)
+        return parse_vector(text, where=flag, unit=lambda n: joint_units(mechanism, n, kind))
     except InputError as error:
         if mechanism.slides:
             sliding = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.slides)
