@@ -46,11 +46,12 @@ longest = [3600.0 if FRESH else 50.0]
 
 # the files that take the longest, the longest first; the others follow by their number of tests
 LONGEST = (
-    "hard_cases", "readme", "sensitivity", "engines", "cli_simulate", "near_misses", "accuracy",
-    "simulation", "sweep", "contacts", "pipes", "cli_sweep", "sweep_columns", "task_space", "lanes",
-    "torque_times", "extended", "fit", "prismatic", "time_scaling", "right_hand_side", "equations",
-    "taylor_steps", "cli_draw", "derivatives", "identify", "equations_latex", "shown_text",
-    "motors", "regressor", "contacts_mixed", "assembly", "signals", "feedback", "cli_bench",
+    "hard_cases", "readme", "every_format", "sensitivity", "engines", "cli_simulate",
+    "near_misses", "accuracy", "simulation", "sweep", "contacts", "pipes", "cli_sweep",
+    "sweep_columns", "task_space", "lanes", "torque_times", "extended", "fit", "prismatic",
+    "time_scaling", "right_hand_side", "equations", "taylor_steps", "cli_draw", "derivatives",
+    "identify", "equations_latex", "shown_text", "motors", "regressor", "contacts_mixed",
+    "assembly", "signals", "feedback", "cli_bench",
 )  # fmt: skip
 
 # the scenes of robots/ as the oracles take them

@@ -82,6 +82,16 @@ def test_units(robodyn: Run, text: str, value: float) -> None:
     assert given.column("t")[-1] == pytest.approx(value, abs=1e-14)
 
 
+def test_a_sum_of_a_plain_number_and_a_mass_is_refused(robodyn: Run) -> None:
+    """A unit over its like is a plain number; other options and scenes refuse the sum as well."""
+    text = "3 m/mm + 4 kg"
+    for more in (("--event", f"x={text} - q1"), ("--until", f"{text} > q1")):
+        robodyn(*ARM, *more).fails(2, more[0], "a sum of a plain number and kg")
+    robodyn(*ARM, "--tau", f"{text},0").fails(2, "--tau", "a sum of a plain number and kg")
+    robodyn(*ARM, "--tau", "min(4 kg, 3 m/mm),0").fails(2, "--tau", "kg and a plain number")
+    robodyn(*ARM, "--time", text).fails(2, "--time", "adds a plain number and what is in kg")
+
+
 def test_a_run_that_fails_keeps_an_earlier_file_of_events(robodyn: Run, tmp_path: Path) -> None:
     """What it found goes where its rows would go: beside it, under the first free name."""
     events = tmp_path / "events.csv"

@@ -17,6 +17,7 @@ from robodyn.cli import figures
 from robodyn.pictures import chart_figure
 
 Run = Callable[..., Outcome]
+TWO = "robots/2r.yaml"
 FIRST = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF", ".txt": b" "}
 ROWS = "t,q1,q2,tau1,note\n0,0,1,5,a\n1,1,0,5,b\n2,2,-1,5,c\n"
 
@@ -102,7 +103,7 @@ def test_size_and_colours_of_the_picture(robodyn: Run, motion: Path, tmp_path: P
 
 
 def test_panels_by_units(robodyn: Run, motion: Path, tmp_path: Path, drawn: list) -> None:
-    robodyn("plot", motion, "-o", tmp_path / "x.svg").succeeds()
+    robodyn("plot", motion, "--model", TWO, "-o", tmp_path / "x.svg").succeeds()
     (figure,) = drawn
     assert [axes.get_ylabel() for axes in figure.axes] == ["q [rad]", "tau1 [N m]"]
     assert figure.axes[-1].get_xlabel() == "t [s]"
@@ -159,7 +160,8 @@ def test_files_are_overlaid(robodyn: Run, motion: Path, tmp_path: Path, drawn: l
 def test_columns_against_each_other(
     robodyn: Run, motion: Path, tmp_path: Path, drawn: list
 ) -> None:
-    robodyn("plot", motion, "--x", "q1", "--y", "q2", "-o", tmp_path / "x.svg").succeeds()
+    given = ("--model", TWO, "--x", "q1", "--y", "q2")
+    robodyn("plot", motion, *given, "-o", tmp_path / "x.svg").succeeds()
     (axes,) = drawn[0].axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("q1 [rad]", "q2 [rad]")
     assert axes.lines[0].get_xydata().tolist() == [[0, 1], [1, 0], [2, -1]]
@@ -186,7 +188,7 @@ def test_text_in_a_pipe(robodyn: Run, motion: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("LINES", "20")
     given = robodyn("plot", motion, "--format", "text").succeeds()
     lines = given.out.splitlines()
-    assert lines[0].strip() == "q [rad]"
+    assert lines[0].strip() == "q [rad or m]"
     assert lines[-1].strip() == "t [s]"
     assert max(map(len, lines)) <= 59
     assert len(lines) <= 20
@@ -213,7 +215,7 @@ def test_on_a_terminal(motion: Path) -> None:
     plain = re.sub(r"\x1b\[\d*m", "", shown)
     assert max(map(len, plain.splitlines())) <= 70
     assert max(map(len, plain.splitlines())) > 60
-    assert "q [rad]" in plain
+    assert "q [rad or m]" in plain
 
 
 def test_no_color(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -279,8 +281,8 @@ def test_units_of_joints_that_slide(robodyn: Run) -> None:
     given = ("plot", "-", "--format", "text", "--ascii")
     plain = robodyn(*given, stdin=rows).succeeds().out
     told = robodyn(*given, "--model", "robots/rp-arm.yaml", stdin=rows).succeeds().out
-    assert "q [rad]" in plain
-    assert "[m]" not in plain
+    assert "q [rad or m]" in plain
+    assert "tau2 [N m or N]" in plain
     for part in ("q1 [rad]", "q2 [m]", "tau2 [N]"):
         assert part in told
     mapped = ("--x", "q1", "--y", "q2", "--colour", "tau2", "--model", "robots/rp-arm.yaml")
@@ -289,18 +291,37 @@ def test_units_of_joints_that_slide(robodyn: Run) -> None:
         assert part in found
 
 
+def test_units_of_a_users_own_columns_are_not_invented(robodyn: Run) -> None:
+    """No command writes these names; `energy2` and `t2` neither, as energy and t have no number."""
+    names = "x,y,w,wd,angle,q,tau,power,volt,energy2,t2"
+    rows = f"t,{names}\n" + "0" + ",1" * 11 + "\n1" + ",2" * 11 + "\n"
+    for more in (), ("--degrees",), ("--model", TWO, "--degrees"):
+        line = ("plot", "-", "--format", "text", "--y", names, *more)
+        shown = robodyn(*line, stdin=rows).succeeds().out
+        assert re.findall(r"\S+ \[.*\]", shown) == ["t [s]"]
+    given = ("torque", TWO, "-", "--degrees")
+    row = robodyn(*given, stdin="q1,q2,w,angle,x\n0,0,1,2,3\n").succeeds().row
+    assert (row["w"], row["angle"], row["x"]) == (1, 2, 3)
+
+
 def test_degrees_and_a_title(robodyn: Run, tmp_path: Path) -> None:
     """Angles are drawn times 180/pi; what slides, or is no angle, as it is."""
     rows = "t,q1,q2,tau1\n0,0,0.5,1\n1,3.141592653589793,0.7,2\n"
     line = ("plot", "-", "--format", "text", "--degrees", "--title", "A [turn]")
-    shown = robodyn(*line, stdin=rows).succeeds().out
+    robodyn(*line, stdin=rows).fails(2, "--degrees = q1", "rad or in m", "--model MODEL")
+    mapped = ("--x", "t", "--y", "tau1", "--colour", "q2")
+    robodyn(*line, *mapped, stdin=rows).fails(2, "--degrees = q2", "--model MODEL")
+    shown = robodyn(*line, "--y", "angle1", stdin="angle1\n0\n3.14\n").succeeds().out
+    assert "angle1_deg [°]" in shown
+    shown = robodyn(*line, "--model", TWO, stdin=rows).succeeds().out
     assert shown.startswith("  A [turn]\n")
     assert "q [°]" in shown
     assert "150 ┤" in shown
     shown = robodyn(*line, "--model", "robots/rp-arm.yaml", "--y", "q*", stdin=rows).succeeds().out
     assert "q1_deg [°]" in shown
     assert "q2 [m]" in shown
-    shown = robodyn(*line, "--x", "q1", "--y", "q2", "--colour", "tau1", stdin=rows).succeeds().out
+    mapped = ("--model", TWO, "--x", "q1", "--y", "q2", "--colour", "tau1")
+    shown = robodyn(*line, *mapped, stdin=rows).succeeds().out
     assert shown.startswith("  A [turn]\n")
     assert "q1_deg [°]" in shown
     for size in (100, 300):

@@ -111,7 +111,8 @@ def test_the_longer_side_of_a_map_of_points_is_always_as_long(flat: float | None
 
 
 def test_labels_units_bar_and_none(robodyn: Run, sweep: Path, tmp_path: Path, drawn: list) -> None:
-    robodyn("plot", sweep, *MAP, "flip", "--log", "-o", tmp_path / "x.png").succeeds()
+    given = ("plot", sweep, "--model", "robots/2r.yaml", *MAP)
+    robodyn(*given, "flip", "--log", "-o", tmp_path / "x.png").succeeds()
     axes = drawn[0].axes[0]
     bar, none = axes.child_axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("q1 [rad]", "q2 [rad]")
@@ -122,7 +123,7 @@ def test_labels_units_bar_and_none(robodyn: Run, sweep: Path, tmp_path: Path, dr
     for place, text in ticks:
         assert place == pytest.approx(math.log10(float(text.get_text())) / 2.0)
     assert [text.get_text() for text in none.texts] == ["none"]
-    robodyn("plot", sweep, *MAP, "q1", "-o", tmp_path / "x.png").succeeds()
+    robodyn(*given, "q1", "-o", tmp_path / "x.png").succeeds()
     (bar,) = drawn[1].axes[0].child_axes
     assert bar.get_ylabel() == "q1 [rad]"
 

@@ -108,13 +108,75 @@ def test_scenes_with_units_are_the_same_numbers(robodyn: Run, tmp_path: Path) ->
     assert outputs[0] == outputs[1]
 
 
-def test_large_angles_of_springs_without_a_unit_are_told(robodyn: Run, tmp_path: Path) -> None:
+LARGE = [  # a scene's line or a command, and the angle that is told
+    ("torque 2r.yaml --q 30,45", "30"),
+    ("torque 2r.yaml --q 2*45,0 --qd 90,90 --qdd 90,90", "2*45"),
+    ("accel 2r.yaml --q -30,45", "-30"),
+    ("trajectory 2r.yaml --from 0,0 --to 90,-45 --time 1 --points 2", "90"),
+    ("trajectory 2r.yaml --from 0,-45 --to 90deg,0 --time 1 --points 2", "-45"),
+    (
+        "trajectory 2r.yaml --profile sweep --from 0,0 --amplitude 10 --frequencies 1,2 --time 1 "
+        "--points 2",
+        "10",
+    ),
+    ("linearize 2r.yaml --q 0,90", "90"),
+    ("simulate 2r.yaml --q 0,0 --until q1<-90 --time 0.01 --points 2", "90"),
+    ("simulate 2r.yaml --q 0,0 --until 45>abs(q2) --time 0.01 --points 2", "45"),
+    ("simulate 2r.yaml --q 0,0 --event up=q1-q2-90 --time 0.01 --points 2", "90"),
+    ("sweep 2r.yaml --vary q1=0:90:3 --time 0.01 --result final", "90"),
+    ("sweep 2r.yaml --vary q1=1,30 --time 0.01 --result final", "30"),
+]
+SMALL = [
+    "torque 2r.yaml --q 6.28,-6.28 --qd 90,90",
+    "torque 2r.yaml --q 30rad,720deg",
+    "torque 2r.yaml --q 7pi,-9*pi/2",
+    "torque rp-arm.yaml --q 1,45",
+    "sweep 2r.yaml --vary q1=0:1:9 --vary links.forearm.m=7,8 --time 0.01 --result final --quiet",
+    "simulate 2r.yaml --q 30,45 --time 0.01 --points 2 --quiet",
+    "simulate 2r.yaml --q 0,0 --until qd1>90 --event x=q1-90deg --time 0.01 --points 2 --quiet",
+    "simulate rp-arm.yaml --q 0,0.1 --until q2>90 --time 0.01 --points 2 --quiet",
+    "equilibrium 2r.yaml --q 0,0 --hold forearm",
+]
+IN_SCENES = [  # what is added to the 2R, and what is told of it
+    ("springs: [{joint: forearm, stiffness: 2, angle: ANGLE}]", "springs[0].angle = ANGLE"),
+    ("start: {forearm: ANGLE}", "start.forearm = ANGLE"),
+    ("couplings: q2 = -2 q1 + ANGLE", "q2 = -2 q1 + ANGLE"),
+    ('couplings: ["q2 = ANGLE - q1"]', "q2 = ANGLE - q1"),
+]
+
+
+def test_large_angles_without_a_unit_are_told_once(robodyn: Run) -> None:
+    """Never of joints that slide, rates, values with a unit or pi, nor with --quiet."""
+    for line, text in LARGE:
+        with case(line):
+            given = robodyn(*words(line))
+            assert given.code == 0
+            told = f"an angle without a unit is in rad; write {text}deg"
+            notes = [x for x in given.err.splitlines() if "without a unit" in x]
+            assert [x.endswith(f"{told} for degrees") for x in notes] == [True]
+    for line in SMALL:
+        with case(line):
+            given = robodyn(*words(line))
+            assert (given.code, "without a unit" in given.err) == (0, False)
+
+
+def test_rows_of_tables_may_run_over_many_turns(robodyn: Run) -> None:
+    robodyn("torque", "robots/2r.yaml", "-", stdin="q1,q2\n30,45\n").succeeds()
+
+
+def test_large_angles_of_scenes_without_a_unit_are_told(robodyn: Run, tmp_path: Path) -> None:
     text = (ROOT / "robots/2r.yaml").read_text()
-    for angle, told in (("30", True), ("-30", True), ("720deg", False), ("30 rad", False)):
-        path = tmp_path / "my.yaml"
-        path.write_text(f"{text}springs: [{{joint: forearm, stiffness: 2, angle: {angle}}}]\n")
-        result = robodyn("torque", path, "--q", "0,0")
-        assert result.code == 0
-        expected = f"{path}: springs[0].angle = {angle} is in rad; write {angle}deg"
-        assert (expected in result.err) == told
-        assert bool(result.err) == told
+    path = tmp_path / "my.yaml"
+    for line, place in IN_SCENES:
+        for angle, told in (("30", True), ("110.5", True), ("720deg", False), ("9 rad", False)):
+            with case(line, angle):
+                path.write_text(f"{text}{line.replace('ANGLE', angle)}\n")
+                given = robodyn("check", path, "--format", "json")
+                assert given.code == 0
+                expected = f"Note: {path}: {place.replace('ANGLE', angle)}: an angle without"
+                assert (expected in given.err) == told
+                assert ("without a unit" in given.err) == told
+    path.write_text(text.replace("I: 0.082", "I: 0.082, limits: {min: -90, max: 1}"))
+    assert "links.upper arm.limits.min = -90" in robodyn("torque", path, "--q", "0,0").err
+    given = robodyn("torque", path, "--q", "0,0", "--set", "links.upper arm.limits.min=-1")
+    given.succeeds()

@@ -22,6 +22,7 @@ from robodyn.tables.table_writer import WRITERS, Writer
 
 Run = Callable[..., Outcome]
 ARM = "robots/2r.yaml"
+EQUALLY = "Note: there is no column t of numbers: rows count equally in mean and rms\n"
 
 
 def known(rows: list[dict[str, str]]) -> dict[str, list[float | None]]:
@@ -42,8 +43,12 @@ def known(rows: list[dict[str, str]]) -> dict[str, list[float | None]]:
         for row in (int(np.argmin(values)), int(np.argmax(values))):
             there = (columns[x][row] if x in columns else None for x in ("t", "q1"))
             found += [float(values[row]), *(None if x is None else float(x) for x in there)]
-        mean = math.fsum(values) / len(values)
-        told[name] = [*found, mean, math.sqrt(math.fsum(values**2) / len(values))]
+        weights = np.ones(len(values))
+        if "t" in columns and len(values) > 1:  # of trapezoids
+            steps = np.diff(columns["t"])
+            weights = np.append(steps, 0.0) + np.append(0.0, steps)
+        mean, square = (math.fsum(weights * x) / math.fsum(weights) for x in (values, values**2))
+        told[name] = [*found, mean, math.sqrt(square)]
     return told
 
 
@@ -126,7 +131,42 @@ def test_as_json_and_as_a_table(robodyn: Run, tmp_path: Path) -> None:
 )
 def test_of_what_has_no_input(robodyn: Run, command: str) -> None:
     rows = robodyn(*command.split()).succeeds().rows
-    assert_tells([dict(x) for x in robodyn(*command.split(), "--extremes").succeeds().rows], rows)
+    told = robodyn(*command.split(), "--extremes")
+    assert (told.code, told.err) == (0, "" if len(rows) == 1 or "t" in rows[0] else EQUALLY)
+    assert_tells([dict(x) for x in told.rows], rows)
+
+
+def test_a_closed_turn_counts_its_first_row_once(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    """The mean rate of a rocker that ends as it began is zero; its rms is that of the period."""
+    names = {"crank": (0.04, ""), "rod": (0.12, ""), "rocker": (0.08, ", from: [0.1, 0]")}
+    links = [f"{{name: {x}, m: 1, l: {l}, r: 0, I: 1{at}}}" for x, (l, at) in names.items()]
+    path = scene(f"links: [{', '.join(links)}]\nclosures: [[rod, rocker]]\n")
+    given = ("trajectory", path, "--speed", "60rpm", "--turns", 1, "--points", 361)
+    rates = np.array(robodyn(*given).succeeds().column("qd3"))
+    rows = robodyn(*given, "--extremes").succeeds().rows
+    told = next(row for row in rows if row["column"] == "qd3")
+    assert float(told["mean"]) == pytest.approx(0.0, abs=1e-13)
+    assert float(told["rms"]) == pytest.approx(np.sqrt(np.mean(rates[:-1] ** 2)), rel=1e-13)
+    assert math.degrees(float(told["rms"])) == pytest.approx(172.004, abs=5e-4)
+
+
+@pytest.mark.parametrize("t", [(0, 1, 0, 1), (1, 1, 1, 1)])
+def test_rows_of_several_runs_count_equally(robodyn: Run, t: tuple[int, ...]) -> None:
+    given = "t,q1,q2,qd1,qd2\n" + "".join(f"{x},{k * k},0,0,0\n" for k, x in enumerate(t))
+    told = robodyn("energy", ARM, "-", "--extremes", stdin=given)
+    assert told.code == 0
+    assert told.err == "Note: t does not rise: rows count equally in mean and rms\n"
+    assert told.rows[0]["mean"] == "3.5"
+    assert float(told.rows[0]["rms"]) == pytest.approx(math.sqrt(98 / 4))
+
+
+def test_times_need_not_be_even_and_may_repeat(robodyn: Run) -> None:
+    """At an impact two rows have one time: 1 for 3 s, then 5 for 1 s."""
+    given = "t,q1,q2,qd1,qd2\n" + "".join(f"{x},0,0,0\n" for x in ("0,1", "3,1", "3,5", "4,5"))
+    row = robodyn("energy", ARM, "-", "--extremes", stdin=given).succeeds().rows[0]
+    assert (float(row["mean"]), float(row["rms"])) == (2.0, math.sqrt(7.0))
 
 
 def test_every_command_that_writes_rows_of_numbers_tells_them() -> None:
@@ -163,7 +203,7 @@ def test_where_there_is_no_t_fields_are_empty(robodyn: Run) -> None:
 
 def test_numbers_of_every_size(robodyn: Run) -> None:
     huge = "q1,q2,x,y\n1,2,1.5e308,5e-324\n1,3,1.6e308,5e-324\n"
-    told = robodyn("torque", ARM, "-", "--extremes", stdin=huge).succeeds().rows
+    told = robodyn("torque", ARM, "-", "--extremes", stdin=huge).rows
     by = {row["column"]: [float(row[x]) for x in ("mean", "rms")] for row in told}
     assert by["x"] == pytest.approx([1.55e308, math.sqrt(2.405) * 1e308], rel=1e-15)
     assert by["y"] == [5e-324, 5e-324]
@@ -214,7 +254,7 @@ def test_a_sweep_whose_points_have_not_all_a_value(robodyn: Run) -> None:
     """Of columns with empty fields the rows that have one count."""
     given = ("sweep", ARM, "--vary", "q1=0:2:5", "--time", 0.8, "--result", "flip", "--quiet")
     rows = list(csv.DictReader(io.StringIO(robodyn(*given).succeeds().out)))
-    told = {row["column"]: row for row in robodyn(*given, "--extremes").succeeds().rows}
+    told = {row["column"]: row for row in robodyn(*given, "--extremes").fails(0, EQUALLY).rows}
     assert list(told) == ["q1", "flip"]
     there = [(float(row["flip"]), float(row["q1"])) for row in rows if row["flip"]]
     assert 0 < len(there) < len(rows)
@@ -225,5 +265,5 @@ def test_a_sweep_whose_points_have_not_all_a_value(robodyn: Run) -> None:
 
 def test_a_sweep_whose_points_have_no_value(robodyn: Run) -> None:
     given = ("sweep", ARM, "--vary", "q1=0:2:3", "--time", 0.01, "--result", "flip", "--quiet")
-    row = robodyn(*given, "--extremes").succeeds().rows[1]
+    row = robodyn(*given, "--extremes").fails(0, EQUALLY).rows[1]
     assert row == {"column": "flip"} | dict.fromkeys(EXTREMES[1:], "")

@@ -296,7 +296,8 @@ def test_plot_draws_the_columns(motion: package.Motion, figures: None) -> None:
     np.testing.assert_array_equal(curves["q2"].get_ydata(), motion.q[:, 1])
     np.testing.assert_array_equal(curves["q2"].get_xdata(), motion.t)
     assert figure.axes[0].get_title() == "a $ b"
-    degrees = package.plot({"q1": [0.0, np.pi]}, degrees=True).axes[0]
+    turn = {"q1": [0.0, np.pi]}
+    degrees = package.plot(turn, degrees=True, mechanism=motion.mechanism).axes[0]
     assert degrees.get_lines()[0].get_ydata().tolist() == [0.0, 180.0]
     assert package.plot(motion, motion, y=["q1"]).axes[0].get_lines()[1].get_label() == "q1 2"
     assert figure._repr_png_().startswith(b"\x89PNG")
@@ -306,7 +307,7 @@ def test_plot_draws_maps(figures: None) -> None:
     x, y = (part.ravel() for part in np.meshgrid(np.arange(4.0), np.arange(3.0)))
     for colour in (x + y, ["ab"[int(v) % 2] for v in x], np.where(x > 1, np.nan, y)):
         figure = package.plot({"q1": x, "q2": y, "c": colour}, x="q1", y="q2", colour="c")
-        assert figure.axes[0].get_xlabel() == "q1 [rad]"
+        assert figure.axes[0].get_xlabel() == "q1 [rad or m]"
 
 
 def test_draw_is_what_the_command_draws(

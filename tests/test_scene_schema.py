@@ -18,7 +18,7 @@ from named_case import case
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn.errors import DescriptionError
 from robodyn.scene.description import from_text
-from robodyn.scene.grammar import FORMS, NUMBERS, OR_VECTOR
+from robodyn.scene.grammar import FORMS, MAPPINGS, NUMBERS, OR_VECTOR
 from robodyn.scene.scene_schema import scene_schema
 
 SCHEMA = scene_schema()
@@ -137,6 +137,43 @@ def test_odd_but_good_scenes_obey() -> None:
             assert obeys(text.replace(old, new))
 
 
+OF_JOINTS = [
+    "limits: {min: 0}",
+    "limits: {min: 0, stiffness: 9}",
+    "limits: {max: 0.5, stiffness: 9, damping: 2}",
+    "limits: {min: 0, max: 0.5, restitution: 0.5}",
+    "limits: {min: 0, restitution: 0}",
+    "friction: {TORQUE: 1, speed: 0.1}",
+    "friction: {TORQUE: 1, static: 2}",
+    "friction: {TORQUE: 1, static: 2, stribeck: 0.1}",
+    "friction: {TORQUE: 0, static: 0}",
+]
+AT_JOINTS = [
+    "limits: {min: 0, stiffness: 9, restitution: 0.5}",
+    "limits: {min: 0, restitution: 2}",
+    "limits: {min: 0, stiffness: 0}",
+    "friction: {TORQUE: 1}",
+    "friction: {TORQUE: 1, static: 2, speed: 0.1}",
+    "friction: {TORQUE: 1, static: -2}",
+    "friction: {static: 2}",
+]
+
+
+def test_every_way_to_write_friction_and_limits() -> None:
+    """Each excludes the keys of the others, at joints that turn and at those that slide."""
+    for joint, torque in ("", "torque"), ("joint: prismatic, axis: [1, 0], ", "force"):
+        for text in OF_JOINTS + AT_JOINTS:
+            part = text.replace("TORQUE", torque)
+            text_of = f"links: [{{name: a, {joint}m: 1, l: 1, r: 0, I: 1, {part}}}]"
+            with case(text_of):
+                if text in OF_JOINTS:
+                    from_text(text_of, "my.yaml")
+                else:
+                    with pytest.raises(DescriptionError):
+                        from_text(text_of, "my.yaml")
+                assert obeys(text_of) == (text in OF_JOINTS)
+
+
 FAULTS = [
     (ARM, "name: arm\n", "nmae: arm\n"),
     (ARM, "links:", "limbs:"),
@@ -223,7 +260,8 @@ def test_what_is_no_scene_does_not(text: str) -> None:
 
 def test_the_schema_knows_the_keys_of_the_grammar() -> None:
     for kind, form in FORMS.items():
-        mapping = SCHEMA if kind == "scene" else SCHEMA["$defs"][kind]
+        place = f"plain_{kind}" if kind in MAPPINGS else kind
+        mapping = SCHEMA if kind == "scene" else SCHEMA["$defs"][place]
         assert set(mapping["properties"]) == set(form.keys)
         assert mapping["required"] == form.named(needed=True)
 

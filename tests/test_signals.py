@@ -368,6 +368,8 @@ FAULTS = [
     (SPRING.format('law: "x.real"'), "springs[0].law", "has `x.real`"),
     (SPRING.format('law: "3 N*x"'), "springs[0].law", "must be in N m, not in N"),
     (SPRING.format('law: "3 N m*x + 2 N"'), "springs[0].law", "a sum of N m and N"),
+    (SPRING.format('law: "3 m/mm + 4 kg + x"'), "springs[0].law", "a plain number and kg"),
+    (SPRING.format('law: "4 kg + 3 m/mm + x"'), "springs[0].law", "kg and a plain number"),
     (TORQUE.format('"3 N m*sin(2 s*t)"'), "loads[0].torque", "sin of s^2, at character 7"),
     (TORQUE.format('"3 N*q1"'), "loads[0].torque", "must be in N m, not in N"),
     (SPRING.format("table: none.csv"), "springs[0].table", "cannot be read"),

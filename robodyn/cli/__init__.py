@@ -190,7 +190,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
 
     A parameter that is a dataclass stands for its fields, one option each.
     """
-    from robodyn.cli import files
+    from robodyn.cli import files, large_angles
     from robodyn.cli.options import Degrees
 
     groups: dict[str, Any] = {}
@@ -216,6 +216,8 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         numbers_overflow_in_silence()
         files.delimiter.set(given.pop("delimiter", ","))
         degrees.set(tells_angles and given.pop("degrees"))
+        named = {name.strip("_"): value for name, value in given.items()}
+        large_angles.options.set(None if named.get("quiet") else named)
         made = {
             name: group(**{field.name: given.pop(field.name) for field in fields(group)})
             for name, group in groups.items()

@@ -24,7 +24,7 @@ from robodyn.errors import AssemblyError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
-from robodyn.pictures.column_units import in_degrees, scene_units, with_unit
+from robodyn.pictures.column_units import OF_PARTS, in_degrees, scene_units, with_unit
 from robodyn.scene.point_names import PARTS
 from robodyn.trajectories.joint_ranges import joint_ranges
 
@@ -167,7 +167,7 @@ def _tables(branch: dict[str, Any], slides: Sequence[int]) -> list[Grid]:
         for k, link in enumerate(links)
     ]
     places = [[link["name"], part, *link[part].values()] for link in links for part in PARTS]
-    angles = ["joint", *map(with_unit, keys)]
+    angles = ["joint", *(with_unit(key, OF_PARTS) for key in keys)]
     ways = ["joint", "q [m]", "qd [m/s]", "qdd [m/s²]"]
     where = ["link", "point", "x [m]", "y [m]", "vx [m/s]", "vy [m/s]"]
     turning = [row for k, row in enumerate(joints) if k not in slides]

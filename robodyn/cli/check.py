@@ -263,7 +263,8 @@ def _cell(form: Form, name: str, value: Any, with_unit: bool) -> str:
         case None:
             return ""
         case Mapping():
-            inner = form_of(form.keys[name].kind, [x.removesuffix(IN_DEGREES) for x in value])
+            kind = form.keys[name].kind.removesuffix("_vector")  # of an entry that is a table
+            inner = form_of(kind, [x.removesuffix(IN_DEGREES) for x in value])
             needed = [x for x, key in inner.keys.items() if key.default != "0"]
             return ", ".join(
                 f"{x.removesuffix(IN_DEGREES).replace('_', ' ')} {_cell(inner, x, part, True)}"

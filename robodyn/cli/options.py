@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from typer import Option
 
 from robodyn.cli.files import model_argument, output_file, read_scene, rows_argument
+from robodyn.cli.large_angles import tell_large_angles
 from robodyn.errors import DescriptionError, InputError
-from robodyn.scene.quantities import is_plain, parse_vector
+from robodyn.scene.quantities import parse_vector
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -64,22 +64,8 @@ class Model:
         from robodyn.mechanics.mechanism import build
 
         mechanism = build(self.values().base if self.numbers else self._read)
-        self._tell_large_angles(mechanism)
+        tell_large_angles(mechanism, self.values)
         return mechanism
-
-    def _tell_large_angles(self, mechanism: Mechanism) -> None:
-        """A note of springs' angles beyond a turn without a unit, which may be meant as degrees."""
-        springs = mechanism.description.springs
-        angles = {f"springs[{k}].angle": getattr(x, "angle", 0.0) for k, x in enumerate(springs)}
-        large = [name for name, angle in angles.items() if abs(angle) > 2 * math.pi]
-        if not large:
-            return
-        from robodyn.cli.output import note
-
-        values = self.values()
-        for name in large:
-            if name in values and is_plain(text := values.text(name)):
-                note(f"{self.model}: {name} = {text} is in rad; write {text}deg for degrees")
 
     def values(self) -> SceneValues:
         """The numbers of the scene, those of --set in place of its own."""
@@ -173,7 +159,7 @@ _UNWRAP = (
 Unwrap = Annotated[bool, Option("--unwrap", help=_UNWRAP)]
 _EXTREMES = (
     "In place of the rows, of each column but t: min, max and the t and q1 there, mean, rms; "
-    "rows count equally."
+    "both over t where t is there and never falls, else rows count equally."
 )
 Extremes = Annotated[bool, Option("--extremes", help=_EXTREMES)]
 _PARTS = "Default: table on a terminal, json in a pipe."

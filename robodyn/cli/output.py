@@ -99,7 +99,9 @@ def extremes_writer(make: MakeWriter, columns: Sequence[str], header: Sequence[s
     """A writer of the columns' extremes; costs nothing where it is not asked for."""
     from robodyn.tables.summaries import Extremes
 
-    return Extremes(make, columns, header)
+    writer = Extremes(make, columns, header)
+    writer.note = note
+    return writer
 
 
 def told(

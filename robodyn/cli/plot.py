@@ -14,12 +14,12 @@ from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError
 from robodyn.pictures import chart_figure
 from robodyn.pictures.chart import read_chart
-from robodyn.pictures.column_units import TURNING, scene_units
+from robodyn.pictures.column_units import ANY_SCENE, scene_units
 from robodyn.pictures.value_map import read_map
 from robodyn.tables.csv_fields import shown
 
 _Y = "Separated by commas; q* is q1, q2, ... Default: q*,tau*, else all."
-_MODEL = "Scene of the rows: units of joints that slide."
+_MODEL = "Scene of the rows, which tells whether a joint turns or slides."
 _COLOUR = "Draw a map: this column as colours over --x and --y."
 Colour = Annotated[Text, Option("--colour", "--color", metavar="COLUMN", help=_COLOUR)]
 
@@ -43,8 +43,9 @@ def plot(
     With --colour points over --x and --y have the colour of that column: cells where they fill a
     grid, as rows of a sweep do.  It may hold numbers or words; where it is empty they are grey.
 
-    --model tells which joints slide, whose columns have m and N in place of rad and N m.
-    --degrees draws angles, their rates and accelerations in degrees.
+    --model tells which joints slide, whose columns have m and N in place of rad and N m; without
+    it they are labelled `rad or m`.  --degrees draws angles, their rates and accelerations in
+    degrees; those of joints need --model.
 
     Without --out a terminal gets a chart of characters, as wide as it is; in a pipe it takes
     --format text.
@@ -52,11 +53,11 @@ def plot(
     \b
     Examples:
       robodyn plot motion.csv --y "q*,energy"
-      robodyn simulate 2r --q 0,0 --time 3 | robodyn plot - -o motion.svg
-      robodyn plot one.csv two.csv --x q1 --y qd1 -o phase.png
+      robodyn simulate 2r --q 0,0 --time 3 | robodyn plot - --model 2r -o motion.svg
+      robodyn plot one.csv two.csv --model 2r --x q1 --y qd1 -o phase.png
       robodyn simulate rp-arm --q 0,0.2 --time 1 | \\
         robodyn plot - --model rp-arm -o motion.svg
-      robodyn plot sweep.csv --x q1 --y q2 --colour flip --log -o flips.png
+      robodyn plot sweep.csv --model 2r --x q1 --y q2 --colour flip --log -o flips.png
     """
     picture.checked()
     if files.count("-") > 1:
@@ -68,7 +69,7 @@ def plot(
         raise InputError("--colour", value=shown(colour), limit="needs --x and --y")
     if log and colour is None:
         raise InputError("--log", limit="is a scale of colours: give --colour")
-    units = TURNING if model is None else scene_units(load_scene(model))
+    units = ANY_SCENE if model is None else scene_units(load_scene(model))
     opened, above = map(open_input, files), [f"  {shown(title)}"] if title else []
     if colour is not None:
         mapped = read_map(opened, x or "", patterns or [], colour, log, units, degrees, note)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from robodyn.cli.files import named, output_file
+from robodyn.cli.large_angles import tell_large_angles
 from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, option, refuse, switch
 from robodyn.cli.output import RowOptions, note, told
 from robodyn.cli.progress import progress
@@ -103,6 +104,7 @@ def sweep(
     if extremes and correlations:
         raise InputError("--extremes and --correlations", limit="exclude each other")
     check(plan)
+    tell_large_angles(plan.mechanism, model.values)
     units, values = dict(scene_units(plan.mechanism)), model.values()
     units |= {x.name: values.unit(x.name) for x in plan.variation.axes if x.name in values}
     lines = _Lines(plan.columns(), units)

@@ -22,7 +22,7 @@ from robodyn.pictures import animation_files
 from robodyn.pictures.animation_files import check_animation, check_programs
 from robodyn.pictures.chart import read_chart
 from robodyn.pictures.chart_figure import chart_figure
-from robodyn.pictures.column_units import TURNING, scene_units
+from robodyn.pictures.column_units import ANY_SCENE, scene_units
 from robodyn.pictures.drawing import drawing, even_rows, first_pose, traced
 from robodyn.pictures.motion_frames import frames
 from robodyn.pictures.value_map import read_map
@@ -52,14 +52,14 @@ def plot(
     """Columns of motions, or of other tables, as a chart; with `colour` a map over x and y.
 
     A table has columns (T,) by name: a dict, a data frame, what `sweep` gives.  `y` names columns,
-    "q*,energy" or a list; by default q and tau over t.  `mechanism` tells which joints slide; a
-    motion knows.  Raises InputError for columns that are not there, RobodynError without
-    matplotlib (the extra `plot`).
+    "q*,energy" or a list; by default q and tau over t.  `mechanism` tells which joints slide, which
+    a motion knows; `degrees` of columns of joints needs it.  Raises InputError for columns that are
+    not there, RobodynError without matplotlib (the extra `plot`).
     """
     if not tables:
         raise InputError("plot", limit="needs a motion, or a table of columns")
     known = mechanism or next((x.mechanism for x in tables if isinstance(x, Motion)), None)
-    units = TURNING if known is None else scene_units(known)
+    units = ANY_SCENE if known is None else scene_units(known)
     names = y.split(",") if isinstance(y, str) else y
     patterns = None if names is None else [name.strip() for name in names if name.strip()]
     if colour is not None and (x is None or not patterns):

@@ -15,7 +15,14 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from robodyn.errors import InputError
-from robodyn.pictures.column_units import TURNING, in_degrees, quantity_of, unit_of, with_unit
+from robodyn.pictures.column_units import (
+    TURNING,
+    check_degrees,
+    in_degrees,
+    quantity_of,
+    unit_of,
+    with_unit,
+)
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.delimited import columns_told
@@ -187,6 +194,7 @@ def read_chart(
         values = np.concatenate([np.zeros((0, len(columns))), *blocks])
         read.append(dict(zip(columns, values.T, strict=True)))
     if degrees:
+        check_degrees((name for columns_of in read for name in columns_of), units)
         along = [name and in_degrees(name, units)[0] for name in along]
         for k, columns_of in enumerate(read):
             told = {name: in_degrees(name, units) for name in columns_of}

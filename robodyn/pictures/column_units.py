@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from robodyn.errors import InputError
@@ -34,6 +34,10 @@ _COLUMNS = {
     "m/s": "joint_vx joint_vy tip_vx tip_vy centre_vx centre_vy",
 }
 UNITS = {name: unit for unit, names in _COLUMNS.items() for name in names.split()}
+# columns without a number at the end of their name; without one, another name is a user's own
+_WHOLE = "t flip flip_time mean_speed mean_torque shake_fx shake_fy shake_m KE PE energy "
+_WHOLE += "energy_fluctuation flywheel gap"
+WHOLE = frozenset(_WHOLE.split())
 _OF_POINT = "_([va]?[xy]|J[xy][0-9]+)$"
 # by the letter after the name of a point
 POINTS = {"x": "m", "y": "m", "v": "m/s", "a": "m/s²", "J": "m/rad"}
@@ -41,6 +45,9 @@ ANGULAR = ("q", "e", "qd", "qdd", "tau", "residual")  # of joints
 SLIDING = {"rad": "m", "rad/s": "m/s", "rad/s²": "m/s²", "N m": "N", "N m s/rad": "N s/m"}
 DEGREES = {"rad": "°", "rad/s": "°/s", "rad/s²": "°/s²"}
 TURNING: Mapping[str, str] = {}  # the units of columns of joints that turn need not be told
+# where no scene tells which joints slide: 0 stands for any joint
+ANY_SCENE = {f"{x}0": f"{UNITS[x]} or {SLIDING[UNITS[x]]}" for x in (*ANGULAR, "tc")}
+OF_PARTS = {x: UNITS[x] for x in (*ANGULAR, "angle")}  # keys of results with parts
 
 
 def quantity_of(name: str) -> str:
@@ -59,18 +66,34 @@ def scene_units(mechanism: Mechanism) -> Mapping[str, str]:
 def unit_of(name: str, units: Mapping[str, str] = TURNING) -> str:
     """The unit of a column, also of its end, least or largest value; "" where none is known.
 
-    `units` are those of the scene, where it is known.
+    `units` are those of the scene, or `ANY_SCENE`, by which q1 is in `rad or m`.
     """
-    known = "" if name.endswith(IN_DEGREES) else units.get(name) or UNITS.get(quantity_of(name))
-    if known:
+    if known := _unit_by_name(name, units):
         return known
     name = re.sub(r"^[a-z]+\((.*)\)$", r"\1", name)  # max(q1)
-    if name.endswith(IN_DEGREES):
-        return DEGREES.get(unit_of(name.removesuffix(IN_DEGREES), units), "")
+    if name.endswith(IN_DEGREES):  # no displacement is
+        own = TURNING if units is ANY_SCENE else units
+        return DEGREES.get(unit_of(name.removesuffix(IN_DEGREES), own), "")
     column = re.sub("^(min|max)_(?=t$|q1$)|_(end|min|max|residual)$", "", name)
     of_point = re.search(_OF_POINT, column)
-    unit = units.get(column) or UNITS.get(quantity_of(column), "")
-    return unit or (POINTS[of_point[1][0]] if of_point else "")
+    return _unit_by_name(column, units) or (POINTS[of_point[1][0]] if of_point else "")
+
+
+def _unit_by_name(name: str, units: Mapping[str, str]) -> str:
+    """The unit of a name as it is, "" if no column of robodyn's has it."""
+    quantity = quantity_of(name)
+    if name in units or name.endswith(IN_DEGREES) or (name == quantity) != (quantity in WHOLE):
+        return units.get(name, "")
+    return units.get(f"{quantity}0") or UNITS.get(quantity, "")
+
+
+def check_degrees(names: Iterable[str], units: Mapping[str, str]) -> None:
+    """Raise InputError where --degrees would take what may be a displacement for an angle."""
+    for name in names:
+        turning, _, sliding = unit_of(name, units).partition(" or ")
+        if turning in DEGREES and sliding:
+            limit = f"may be in {turning} or in {sliding}: --model MODEL tells whether joints slide"
+            raise InputError("--degrees", value=shown(name), limit=limit)
 
 
 def in_degrees(name: str, units: Mapping[str, str] = TURNING) -> tuple[str, float]:
@@ -83,6 +106,7 @@ def in_degrees(name: str, units: Mapping[str, str] = TURNING) -> tuple[str, floa
 
 def structure_in_degrees(content: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
     """A result with parts: values of angles in degrees, of `q` one by one as of q1, q2, ..."""
+    units = {**OF_PARTS, **units}
 
     def told(value: Any, name: str) -> Any:
         match value:
@@ -107,20 +131,21 @@ def with_unit(name: str, units: Mapping[str, str] = TURNING) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
+def joint_units(mechanism: Mechanism, count: int, kind: str) -> list[str]:
+    """The units of so many q, qd, qdd or tau (`kind`), of all joints or of the actuated ones."""
+    joints = [*range(mechanism.n)] if count == mechanism.n else [*mechanism.actuated]
+    known = scene_units(mechanism)
+    each = [unit_of(f"{kind}{k + 1}", known) for k in joints]
+    return [*each, *[""] * count][:count]
+
+
 def joint_values(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[float]:
     """The q, qd, qdd or tau (`kind`) that an option's text has of joints, by their units.
 
     They are of all joints, of the actuated ones or the first of these.
     """
-
-    def units(count: int) -> list[str]:
-        joints = [*range(mechanism.n)] if count == mechanism.n else [*mechanism.actuated]
-        known = scene_units(mechanism)
-        each = [unit_of(f"{kind}{k + 1}", known) for k in joints]
-        return [*each, *[""] * count][:count]
-
     try:
-        return parse_vector(text, where=flag, unit=units)
+        return parse_vector(text, where=flag, unit=lambda n: joint_units(mechanism, n, kind))
     except InputError as error:
         if mechanism.slides:
             sliding = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.slides)

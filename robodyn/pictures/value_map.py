@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robodyn.errors import InputError, at_place
 from robodyn.pictures.chart import Opened, choose_columns, choose_x, drawable, limits, place_of
 from robodyn.pictures.colour_scale import ColourScale, colour_scale
-from robodyn.pictures.column_units import TURNING, in_degrees, unit_of
+from robodyn.pictures.column_units import TURNING, check_degrees, in_degrees, unit_of
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import finite, shown, split_fields, unquoted
 from robodyn.tables.table import Reader
@@ -160,6 +160,8 @@ def read_map(
         limit = "needs a column of numbers; this one holds words"
         raise InputError("--log", value=shown(colour), limit=limit)
     columns, names = np.concatenate(blocks).T, (x, ys[0], colour)
+    if degrees:
+        check_degrees(names, units)
     scaled = [in_degrees(name, units) if degrees else (name, 1.0) for name in names]
     (x_name, across), (y_name, up), (name, factor) = scaled
     shades = values if words else factor * values

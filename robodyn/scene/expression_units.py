@@ -158,7 +158,8 @@ def _same(node: ast.expr, what: str, a: Measure | None, b: Measure | None) -> Me
     if a is None or b is None or not (a.sure or b.sure):
         return a if a == b else next((x for x in (a, b) if x is not None and x.sure), None)
     sure, other = (a, b) if a.sure else (b, a)
-    alike = _bare(a.of) == _bare(b.of) or (other.of and fits(sure.of, other.of))
+    fit = other.of and (sure.of or not other.sure) and fits(sure.of, other.of)
+    alike = fit or _bare(a.of) == _bare(b.of)
     if not alike:
         raise ValueError(f"{what} of {_told(a.of)} and {_told(b.of)}", node)
     return sure

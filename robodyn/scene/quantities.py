@@ -100,10 +100,10 @@ def parse_vector(
 
     `unit`: that of all entries, or what tells those of so many.
     """
-    entries = _entries(plain_text(text), where, example or EXAMPLES[""])
-    units = [unit] * len(entries) if isinstance(unit, str) else unit(len(entries))
+    parts = entries(plain_text(text), where, example or EXAMPLES[""])
+    units = [unit] * len(parts) if isinstance(unit, str) else unit(len(parts))
     values = []
-    for k, (entry, own) in enumerate(zip(entries, units, strict=True), start=1):
+    for k, (entry, own) in enumerate(zip(parts, units, strict=True), start=1):
         try:
             values.append(parse_quantity(entry, own))
         except ValueError as error:
@@ -112,7 +112,7 @@ def parse_vector(
     return values
 
 
-def _entries(text: str, where: str, example: str) -> list[str]:
+def entries(text: str, where: str, example: str) -> list[str]:
     """What stands between commas, or between blanks that cannot be within one value."""
     found: list[str] = []
     parts = _at_commas(text)

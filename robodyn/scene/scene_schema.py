@@ -31,14 +31,19 @@ def scene_schema() -> Schema:
     }
     kinds |= {kind: {"enum": list(words)} for kind, words in WORDS.items()}
     kinds |= {kind: _any(plain, "vector") for kind, plain in OR_VECTOR.items()}
-    kinds |= {kind: _any(*forms) for kind, forms in MAPPINGS.items() if len(forms) > 1}
-    kinds |= {kind: _mapping(form) for kind, form in FORMS.items()}
+    kinds |= {x: _any(*map(_place, forms)) for x, forms in MAPPINGS.items() if len(forms) > 1}
+    kinds |= {_place(name): _mapping(form) for name, form in FORMS.items()}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "robodyn scene",
         **kinds.pop("scene"),
         "$defs": kinds | _other_kinds(),
     }
+
+
+def _place(form: str) -> str:
+    """Where the schema has a form: not where it has all forms of the kind of this name."""
+    return f"plain_{form}" if form in MAPPINGS else form
 
 
 def _other_kinds() -> dict[str, Schema]:

@@ -117,9 +117,12 @@ class KeptRows(SummaryWriter):
 class Extremes(SummaryWriter):
     """Of each column but t: least and greatest, the t and q1 of that row, mean and rms.
 
-    Rows count equally, but for those in which a column has no value (NaN); of equal values the
-    first is told.
+    Mean and rms are integrals over t by the trapezoidal rule; where t is missing or falls, rows
+    count equally, which `note` is told.  A row in which a column has no value (NaN) does not count
+    in that column.  Of equal values the first is told.
     """
+
+    note: Callable[[str], object] = staticmethod(lambda text: None)
 
     def _begin(self) -> None:
         width = len(self._header)
@@ -127,6 +130,9 @@ class Extremes(SummaryWriter):
         self._ends = np.full((2, 3, width), np.nan)  # least and greatest: the value, its t, its q1
         self._ends[:, 0] = [[np.inf], [-np.inf]]
         self._sums = np.zeros((2, width), np.longdouble)  # of values, and of their squares
+        self._last = np.zeros((0, width))  # the last row
+        self._rises, self._spans = True, np.zeros(width, np.longdouble)  # times with a value, s
+        self._integrals = np.zeros((2, width), np.longdouble)  # of values, and of their squares
 
     @property
     def _q1(self) -> int | None:
@@ -148,11 +154,29 @@ class Extremes(SummaryWriter):
         # whose range holds the squares of all floats
         wide = np.where(known, values, 0.0).astype(np.longdouble)
         self._sums += [wide.sum(axis=0), np.square(wide).sum(axis=0)]
+        if (t := self.numeric("t")) is not None:
+            self._integrate(t, np.concatenate([self._last, values]))
+        self._last = values[-1:]
+
+    def _integrate(self, t: int, values: Array) -> None:
+        """Add the integrals between these rows, whose time is column `t`."""
+        steps, known = np.diff(values[:, t]), ~np.isnan(values)
+        self._rises &= not (steps < 0.0).any()
+        wide = np.where(known, values, 0.0).astype(np.longdouble)
+        spans = np.where(known[1:] & known[:-1], steps[:, None], 0.0)
+        for total, power in zip(self._integrals, (wide, np.square(wide)), strict=True):
+            total += (0.5 * spans * (power[1:] + power[:-1])).sum(axis=0)
+        self._spans += spans.sum(axis=0)
 
     def tell(self) -> tuple[Sequence[str], Rows]:
         rows: Rows = []
         mean, square = self._sums / np.maximum(self._count, 1)
         t, q1 = self.numeric("t"), self._q1
+        over = (self._spans > 0.0) & (t is not None and self._rises)
+        mean[over], square[over] = self._integrals[:, over] / self._spans[over]
+        if not over.any() and self._count.max(initial=0) > 1:
+            why = "there is no column t of numbers" if t is None else "t does not rise"
+            self.note(f"Note: {why}: rows count equally in mean and rms")
         for name in self._header:
             if name == "t" or (k := self.numeric(name)) is None:
                 continue

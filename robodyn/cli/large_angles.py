@@ -1,0 +1,137 @@
+"""A note on angles beyond a turn that have no unit: 30 is in rad, and may be meant as degrees.
+
+Options and the scene file are looked at, never the rows of tables, which may run over many turns.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any
+
+from robodyn.errors import InputError
+from robodyn.pictures.column_units import joint_units
+from robodyn.scene.quantities import entries
+from robodyn.scene.scene import JointSpring
+from robodyn.scene.unit_arithmetic import plain_text, read_value
+from robodyn.tables.csv_fields import shown
+
+if TYPE_CHECKING:
+    from robodyn.mechanics.mechanism import Mechanism
+    from robodyn.scene.scene_values import SceneValues
+
+VECTORS = ("q", "from", "to", "hold", "at", "amplitude")  # options with angles of joints
+# the command's options by the words of their flags; None with --quiet
+options: ContextVar[Mapping[str, Any] | None] = ContextVar("options", default=None)
+MOST = 3  # places that are named
+
+
+def tell_large_angles(mechanism: Mechanism, values: Callable[[], SceneValues]) -> None:
+    """Write the note, one line, if an option or the scene has such an angle."""
+    given = options.get()
+    if given is None:
+        return
+    found = [*_in_options(mechanism, given, values), *_in_scene(mechanism, values)]
+    if found:
+        from robodyn.cli.output import note
+
+        places = [shown(place) for place, _ in found[:MOST]] + ["..."] * (len(found) > MOST)
+        text = found[0][1].strip()
+        degrees = f"{text}deg" if text[-1:].isdigit() else f"({text}) deg"
+        told = f"{', '.join(places)}: an angle without a unit is in rad"
+        note(f"Note: {told}; write {degrees} for degrees")
+
+
+def is_large(text: str, joints: bool = False) -> bool:
+    """Whether a value has no unit and no pi, and is beyond a turn in rad, its `joints` apart."""
+    with suppress(ValueError):
+        value = read_value(text, joints)
+        return not value.of and "pi" not in plain_text(text) and abs(value.total) > math.tau
+    return False
+
+
+def _in_options(
+    mechanism: Mechanism, given: Mapping[str, Any], values: Callable[[], SceneValues]
+) -> Iterator[tuple[str, str]]:
+    """Yield options with large angles, and the angle's text."""
+    for name in VECTORS:
+        text = given.get(name)
+        if not isinstance(text, str):  # --hold of `equilibrium` names links
+            continue
+        with suppress(InputError):  # which the command tells
+            parts = entries(plain_text(text), "", "")
+            units = joint_units(mechanism, len(parts), "q")
+            large = [x for x, u in zip(parts, units, strict=True) if u == "rad" and is_large(x)]
+            yield from ((f"--{name} {text}", x) for x in large[:1])
+    for text in given.get("vary") or ():
+        name, _, value = (part.strip() for part in text.partition("="))
+        parts = value.split(":")[:2] if ":" in value else value.split(",")
+        large = [x for x in parts if is_large(x)]
+        if large and (name in _turning(mechanism) or _is_angle(values(), name)):
+            yield f"--vary {text}", large[0]
+    expressions = [("--until", given["until"])] if given.get("until") else []
+    expressions += [("--event", text) for text in given.get("event") or ()]
+    for flag, text in expressions:
+        whole = text.partition("=")[2] if flag == "--event" else text
+        yield from ((f"{flag} {text}", x) for x in _compared(mechanism, whole)[:1])
+
+
+def _in_scene(mechanism: Mechanism, values: Callable[[], SceneValues]) -> Iterator[tuple[str, str]]:
+    """Yield keys of the scene with large angles, and the angle's text."""
+    scene = mechanism.description
+    angles = [x.aligned for x in scene.closures]
+    angles += [x.angle for x in scene.springs if isinstance(x, JointSpring)]
+    angles += [end for x in scene.links if x.limits for end in (x.limits.low, x.limits.high)]
+    angles += scene.start or ()
+    if any(abs(x) > math.tau for x in angles if x is not None):
+        numbers = values()
+        for name in numbers.names:
+            if _is_angle(numbers, name) and is_large(text := numbers.text(name)):
+                yield f"{mechanism.source}: {name} = {text}", text
+    large = {x.joint for x in scene.couplings if abs(x.angle) > math.tau}
+    if large - set(mechanism.slides):
+        node = next(node for key, node in scene.written.tree.pairs if key.text == "couplings")
+        for item, x in zip(getattr(node, "items", [node]), scene.couplings, strict=True):
+            text = item.text.partition("=")[2]
+            if x.joint not in mechanism.slides and is_large(text, joints=True):
+                yield f"{mechanism.source}: {item.text}", f"{abs(x.angle):g}"
+
+
+def _is_angle(values: SceneValues, name: str) -> bool:
+    return name in values and values.unit(name) == "rad"
+
+
+def _turning(mechanism: Mechanism) -> set[str]:
+    """The angles among q1, q2, ..."""
+    return {f"q{k + 1}" for k in range(mechanism.n) if k not in mechanism.slides}
+
+
+def _compared(mechanism: Mechanism, text: str) -> list[str]:
+    """Large numbers that an expression compares with, or takes from, angles of joints."""
+    from robodyn.scene.expression_units import marked
+
+    turning, found = _turning(mechanism), []
+
+    def is_angle(side: ast.expr) -> bool:
+        nodes = [*ast.walk(side)]
+        names = {x.id for x in nodes if isinstance(x, ast.Name)} - {"abs", "min", "max"}
+        scaled = any(isinstance(x, ast.Mult | ast.Div | ast.Pow | ast.Mod) for x in nodes)
+        return bool(names) and names <= turning and not scaled
+
+    with suppress(SyntaxError, ValueError):  # which the command tells
+        for node in ast.walk(ast.parse(marked(text).text.strip(), mode="eval")):
+            match node:
+                case ast.Compare(left=left, comparators=[right]):
+                    pass
+                case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
+                    pass
+                case _:
+                    continue
+            for side, other in ((left, right), (right, left)):
+                number = ast.unparse(other)
+                if is_angle(side) and is_large(number):
+                    found.append(number.lstrip("-"))
+    return found
