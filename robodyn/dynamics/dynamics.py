@@ -146,7 +146,7 @@ def _smooth(
         every = [*flat, np.reshape(times, (-1, 1))] if mechanism.timed else flat
         found, doubtful = rows.run(every, wanted, check)
         if doubtful.size:
-            at = np.ravel(times)[doubtful] if mechanism.timed else 0.0
+            at = np.ravel(times)[doubtful] if mechanism.timed else np.zeros(())
             some = flat[0][doubtful], flat[1][doubtful], flat[2][doubtful]
             *solution, remark = dense(mechanism, *some, at)
             for array, values in zip(found, solution, strict=False):
@@ -170,7 +170,7 @@ def _dense(
     if not (formulas.streams.get() and len(states[0]) == 1):
         return solve(mechanism, *motion)
     twice = [np.repeat(x, 2, axis=0) for x in states]
-    joints, forces, remark = solve(mechanism, *twice, np.repeat(t, 2))
+    joints, forces, remark = solve(mechanism, *twice, np.resize(t, 2))
     return joints[:1], forces[:1], remark
 
 
