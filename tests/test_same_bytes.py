@@ -123,8 +123,9 @@ def test_a_run_does_not_depend_on_those_before(method: str, scene: Callable[[str
 
 def test_a_run_by_series_does_not_depend_on_long_ones_before() -> None:
     arm = rd.load(ROOT / "robots/2r.yaml")
-    short, _, again = (
-        rd.simulate(arm, [0.3, 1.4], [0.0, 0.0], t_end, method="taylor") for t_end in (1, 500, 1)
+    short, *_, again = (
+        rd.simulate(arm, [0.3, 1.4], [0.0, 0.0], t_end, method="taylor")
+        for t_end in (1, *[30] * 15, 1)
     )
     assert short.t.tolist() == again.t.tolist()
     assert short.q.tolist() == again.q.tolist()

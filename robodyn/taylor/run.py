@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 
 
 KEPT = 32768  # steps whose series are kept at a time, of one link
-MOST_LOOKED_AT = 1024  # steps that events are looked for in at a time: a run can be interrupted between
+MOST_LOOKED_AT = (
+    1024  # steps that events are looked for in at a time: a run can be interrupted between
+)
 AHEAD = 4  # where an event ends the run, or a phase of it, at first
 MOST_IDLE = 8  # rounds without a step, after which there is none
 LEAD = 8  # steps of DOP853 away from where a torque has no series
