@@ -263,10 +263,11 @@ def robodyn(
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(cli, "_command", _command_made_once)
 
-    def run(*arguments: object, stdin: str | bytes = b"") -> Outcome:
+    def run(*arguments: object, stdin: str | bytes | io.BytesIO = b"") -> Outcome:
         data = stdin.encode() if isinstance(stdin, str) else stdin
+        pipe = data if isinstance(data, io.BytesIO) else io.BytesIO(data)
         begin = time.process_time()
-        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(pipe))
         capfd.readouterr()
         code = cli.run([str(argument) for argument in arguments])
         sys.stdout.flush()

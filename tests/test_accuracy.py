@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from functools import cache, lru_cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import FIRST_SEED, FRESH, ROOT
 
-from random_mechanisms import LOOPS, mechanism, seeded, seeded_scene, seeded_tree
+from random_mechanisms import LOOPS, Shape, mechanism, seeded, seeded_scene, seeded_tree
 from robodyn import load, simulate
 from robodyn.engines import formulas
 from robodyn.errors import InputError
@@ -81,7 +82,7 @@ def random_motion(name, tau):
 def tightest(mech, start, times, torques):
     """States by the tightest series; test_engines.py holds series and motions against others."""
     rows = []
-    settings = Settings("taylor", 1e-14, 1e-14)
+    settings = Settings("taylor", 1e-14, 1e-14, engine="python")
     run(mech, start, times[-1], torques, settings, lambda t, y, _: rows.append(y), times)
     return np.concatenate(rows)
 
@@ -120,6 +121,31 @@ def test_random_mechanisms(name):
             true = error(mech, start, times, exact, torques, settings)
             estimate = error_estimate(mech, start, times[-1], torques, settings)
             assert true / 10 < estimate < 10 * true, method
+
+
+@pytest.mark.parametrize("method", ["taylor", "DOP853"])
+def test_an_estimate_is_at_least_half_the_error(method):
+    """On 20 random scenes of four shapes, against a run at the tightest tolerances."""
+    shapes = [Shape((None,)), Shape((None, 0)), LOOPS["four-bar"], LOOPS["five-bar"]]
+    times = np.linspace(0.0, 1.0, 101)[1:]
+    for seed in range(20):
+        drawn = seeded_scene(seed, shapes[seed % 4])
+        mech, start = drawn.mechanism, np.concatenate([drawn.q, drawn.qd])
+        given = mech, start, 1.0, at_rest(mech.n), Settings(method, 1e-9, 1e-9)
+        estimate = error_estimate(*given)
+        exact = tightest(mech, start, times, at_rest(mech.n))
+        assert estimate >= 0.5 * error(mech, start, times, exact, *given[3:]), seed
+
+
+def test_the_estimate_is_of_the_run_that_is_written(robodyn, scene):
+    """Of a run with many rows, by the same engine."""
+    path = scene("gravity: 9.81\nlinks: [{name: a, m: 1, l: 1, r: 0.5, I: 0.05, damping: 0.02}]")
+    line = ("simulate", path, "--q", "0.3", "--time", 30, "--points", 2001, "--method", "taylor")
+    run = robodyn(*line, "--rtol", 1e-9, "--atol", 1e-9, "--estimate-error")
+    (estimate,) = re.findall("error of q and qd: about ([^,]+)", run.err)
+    exact = tightest(load(path), np.array([0.3, 0.0]), np.array(run.column("t")), at_rest(1))
+    true = np.abs(np.transpose([run.column("q1"), run.column("qd1")]) - exact).max()
+    assert 0.5 * true <= float(estimate) <= 5.0 * true
 
 
 def drawn_run(seed):

@@ -13,7 +13,7 @@ from hard_cases import near_misses
 from hard_cases.cases import n_four_bar
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.engines import machine
-from robodyn.loops.change_points import known, nearest_singular
+from robodyn.loops.change_points import nearest_singular
 from robodyn.loops.closing import BITS, HALF_PI, _cos_sin, singular_size
 from robodyn.simulation.simulation import simulate
 from robodyn.trajectories.reference import reference_motion
@@ -99,7 +99,6 @@ def test_what_is_a_change_point(factor, crosses):
     found = nearest_singular(mechanism, robodyn.assemble(mechanism, [0.02]))
     assert found is not None
     assert found.crosses is crosses
-    assert len(known(mechanism)) == 1
     qd = robodyn.loop_velocities(mechanism, robodyn.assemble(mechanism, [0.5]), [-5.0])
     q = robodyn.assemble(mechanism, [0.5])
     motion = simulate(mechanism, q, qd, 0.2, method="taylor", engine="python")

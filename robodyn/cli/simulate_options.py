@@ -91,7 +91,7 @@ def _check_unwrap(options: ControlOptions) -> None:
 _STEP = "No step is longer, s. Default: none."
 _ACCURACY = "Largest error of q and qd over the whole run; chooses method and tolerance."
 _SENSITIVITY = "Adds dq1/NAME.., dqd1/NAME..: derivatives by numbers of the scene, start values."
-_ENGINE = "Of the Taylor series; auto compiles runs of over a second."
+_ENGINE = "Of the Taylor series; auto compiles, with the extra `fast`, what has machine code."
 
 
 @dataclass(eq=False, repr=False)

@@ -155,10 +155,11 @@ def _smooth(
         for name, array in states.items():
             finite(name, array)
 
-    dense = _inverse if kind == "inverse" else _forward
+    dense = partial(_dense, _inverse if kind == "inverse" else _forward)
     q = states["q"]
     rows: FormulaRows | None = None
-    if q.size >= BATCH * mechanism.n and mechanism.n <= formulas.MAX_GENERATED:
+    many = formulas.streams.get() or q.size >= BATCH * mechanism.n
+    if many and mechanism.n <= formulas.MAX_GENERATED:
         rows = _generated(kind, mechanism)
     if rows is None:
         check()
@@ -169,17 +170,32 @@ def _smooth(
         every = [*flat, np.reshape(times, (-1, 1))] if mechanism.timed else flat
         found, doubtful = rows.run(every, wanted, check)
         if doubtful.size:
-            at = np.ravel(times)[doubtful] if mechanism.timed else 0.0
+            at = np.ravel(times)[doubtful] if mechanism.timed else np.zeros(())
             some = flat[0][doubtful], flat[1][doubtful], flat[2][doubtful]
-            solution = dense(mechanism, *some, at)
-            for array, values in zip(found, solution[:2], strict=False):
+            *solution, remark = dense(mechanism, *some, at)
+            for array, values in zip(found, solution, strict=False):
                 array[doubtful] = values
-            remark = solution.remark
         joints, forces, *_ = (*found, np.zeros((0, 0)))
         joints = joints.reshape(*q.shape[:-1], -1)
         if wanted > 1:
             forces = forces.reshape(*q.shape[:-1], forces.shape[1])
     return joints, forces, remark
+
+
+def _dense(
+    solve: Callable[..., Torques | Accelerations], mechanism: Mechanism, *motion: Array
+) -> tuple[Array, Array, str]:
+    """Solve for states (..., n) at their times by dense algebra: joint values, multipliers, remark.
+
+    BLAS adds up a single state in another order.  Of a stream, which may bring any number of states
+    at a time, a single one is solved twice at once.
+    """
+    *states, t = motion
+    if not (formulas.streams.get() and len(states[0]) == 1):
+        return solve(mechanism, *motion)
+    twice = [np.repeat(x, 2, axis=0) for x in states]
+    joints, forces, remark = solve(mechanism, *twice, np.resize(t, 2))
+    return joints[:1], forces[:1], remark
 
 
 @lru_cache(maxsize=64)

@@ -1,4 +1,8 @@
-"""A recorded formula over many states: by machine code where that is the faster, else by numpy."""
+"""A recorded formula over many states: by machine code where that is the faster, else by numpy.
+
+Which of the two is decided by the formula and the size of the call alone: their last digits differ,
+and the same call must give the same bytes whatever the process did before.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.engines import array_blocks, expression, straightline
-from robodyn.engines.formulas import Formula
+from robodyn.engines.formulas import Formula, streams
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
@@ -18,8 +22,8 @@ if TYPE_CHECKING:
 
 Found = tuple[list[Array], NDArray[np.int64]]
 
-# States times additions of a formula after which machine code has paid for loading llvmlite and
-# making it, which take as long as numpy needs for these.
+# States times additions of a formula from which on machine code pays within one call: loading
+# llvmlite and making the code take as long as numpy needs for these.
 WORTH = 1e8
 
 
@@ -41,7 +45,6 @@ class FormulaRows:
         self.formula = formula
         self.record, self.widths, self.least = record, widths, least
         self.cost = expression.cost(self.formula.outputs + self.formula.pivots)
-        self.seen = 0  # states
         self._array: tuple[straightline.ArrayFunction, int] | None = None
         self._machine: dict[int, Evaluate | None] = {}
 
@@ -51,8 +54,7 @@ class FormulaRows:
         States are (T, n).  `check` raises where one is not finite; machine code sees that itself.
         """
         total = len(states[0])
-        self.seen += total
-        if self.seen * self.cost >= WORTH:
+        if total * self.cost >= WORTH and not streams.get():
             function = self.machine(wanted)
             if function is not None:
                 outputs = _side_by_side(total, self.widths[:wanted])

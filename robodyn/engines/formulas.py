@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from functools import lru_cache
 
 from robodyn.engines import expression
@@ -24,6 +25,10 @@ from robodyn.mechanics.program import Given, Program
 from robodyn.tables.records import Record
 
 MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
+
+# Whether calls are parts of a stream of states.  Nobody knows how many there will be, and a pipe
+# may cut it anywhere: parts of any size are evaluated in one way, by the formula and numpy.
+streams: ContextVar[bool] = ContextVar("streams", default=False)
 
 
 def anything(i: int) -> float:

@@ -25,7 +25,6 @@ import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,10 +60,10 @@ LOST = 1e-7  # s/L below which a singular value is none, in a configuration so f
 FEW = 12  # rows of Psi up to which singular values cost no more than their squares
 COARSE = 1e-5  # s/L from which these tell it to 1e-6
 REACH = 1.0  # rad, how far a singular configuration may be from a state that is near it
-SAME = 0.3  # rad, from a known one within which no other is looked for
+SAME = 0.3  # rad, from one that a run has met within which no other is looked for
 STEPS_TO_FIND = 10
-REPEATED = 0.05  # rad, from the start of a search within which none is made again
-MOST_SEARCHED = 500  # searches that are kept
+CELL = 0.05  # rad, between the points that searches begin at
+KEPT = 1024  # points whose searches are kept
 MISSES = "misses a change point by"
 LOOKED_AT = 32  # states of a batch, the nearest to singular ones, of which a miss is told
 
@@ -119,13 +118,28 @@ def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
             return regular, math.sqrt(least) / singular_size(mechanism)
     s = np.linalg.svd(Psi, compute_uv=False)
     if s[regular - 1] <= FOUND * size:
-        if mechanism not in _branch_ranks:  # of the first that is asked for
-            _branch_ranks[mechanism] = max(1, rank_beside(mechanism, q, 1e-2, 8))
-        regular = _branch_ranks[mechanism]
+        regular = _branch_rank(mechanism, _cell(mechanism, q))
     return regular, float(s[regular - 1] / singular_size(mechanism))
 
 
-_branch_ranks: WeakKeyDictionary[Mechanism, int] = WeakKeyDictionary()
+def _cell(mechanism: Mechanism, q: Array) -> tuple[float, ...]:
+    """Return the nearest point to q (n,) of a grid of CELL rad, in steps of the grid.
+
+    What is found from a point of the grid may be kept for the process: it is the same whichever
+    state near the point asked first.
+    """
+    return tuple(np.rint(q / (CELL * mechanism.arrays.units)).tolist())
+
+
+def _at_cell(mechanism: Mechanism, cell: tuple[float, ...]) -> Array:
+    """Return the configuration (n,) of a point of the grid."""
+    return np.array(cell) * CELL * mechanism.arrays.units
+
+
+@lru_cache(maxsize=KEPT)
+def _branch_rank(mechanism: Mechanism, cell: tuple[float, ...]) -> int:
+    """Return the rank that Psi has on the branch beside a singular configuration near the point."""
+    return max(1, rank_beside(mechanism, _at_cell(mechanism, cell), 1e-2, 8))
 
 
 def rank_beside(mechanism: Mechanism, q: Array, away: float, count: int) -> int:
@@ -146,43 +160,33 @@ def rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
 # -- the nearest singular configuration ------------------------------------------------------------
 
 
-@lru_cache(maxsize=64)
-def known(mechanism: Mechanism) -> list[Singular]:
-    """The singular configurations of a mechanism that were found, turns not counted."""
-    return []
+def nearest_singular(
+    mechanism: Mechanism, q: Array, met: list[Singular] | None = None
+) -> Singular | None:
+    """The singular configuration that q (n,) is near; None where it is near none.
 
-
-@lru_cache(maxsize=64)
-def _searched(mechanism: Mechanism) -> tuple[Array, list[Singular | None]]:
-    """Where the searches of a mechanism began (rows of an array), and what each found."""
-    return np.zeros((MOST_SEARCHED, mechanism.n)), []
-
-
-def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
-    """The singular configuration that q (n,) is near; None where it is near none."""
+    `met` are those that a run has met: one of them within SAME rad is taken, a new one is added.
+    """
     if not np.isfinite(q).all():
         return None
     regular, near = _measured(mechanism, q)
     if near > NEAR:
         return None
-    if (old := known_near(mechanism, q, SAME)) is not None:
+    if met and (old := nearest_of(mechanism, met, q, SAME)) is not None:
         return old
-    starts, ends = _searched(mechanism)
-    if ends:
-        from_there = apart(mechanism, starts[: len(ends)], q)
-        nearest = int(np.argmin(from_there))
-        if from_there[nearest] <= REPEATED:
-            return ends[nearest]
-    found = _search(mechanism, q, regular)
-    if found is not None:
-        old = known_near(mechanism, found.q, 1e-6)
+    found = _found_near(mechanism, _cell(mechanism, q), regular)
+    if met is not None and found is not None:
+        old = nearest_of(mechanism, met, found.q, 1e-6)
         if old is None:
-            known(mechanism).append(found)
+            met.append(found)
         found = old or found
-    if len(ends) < MOST_SEARCHED:
-        starts[len(ends)] = q
-        ends.append(found)
     return found
+
+
+@lru_cache(maxsize=KEPT)
+def _found_near(mechanism: Mechanism, cell: tuple[float, ...], usual: int) -> Singular | None:
+    """Return the singular configuration near a point of the grid; None if the search fails."""
+    return _search(mechanism, _at_cell(mechanism, cell), usual)
 
 
 def apart(mechanism: Mechanism, q: Array, other: Array) -> Array:
@@ -195,10 +199,11 @@ def apart(mechanism: Mechanism, q: Array, other: Array) -> Array:
     return np.asarray(np.abs(way).max(axis=-1))
 
 
-def known_near(mechanism: Mechanism, q: Array, within: float) -> Singular | None:
-    """The nearest of those that were found, within so many rad of q (n,)."""
-    found = known(mechanism)
-    nearest = min(found, key=lambda x: float(apart(mechanism, q, x.q)), default=None)
+def nearest_of(
+    mechanism: Mechanism, met: list[Singular], q: Array, within: float
+) -> Singular | None:
+    """Return the nearest of `met` to q (n,); None if none is within so many rad."""
+    nearest = min(met, key=lambda x: float(apart(mechanism, q, x.q)), default=None)
     return nearest if nearest and apart(mechanism, q, nearest.q) <= within else None
 
 

@@ -20,9 +20,9 @@ from robodyn.dynamics.placed import Placed, placed
 from robodyn.loops.change_points import (
     EPS,
     SAME,
+    Singular,
     apart,
-    known,
-    known_near,
+    nearest_of,
     nearest_singular,
     nearness,
 )
@@ -99,15 +99,24 @@ def sparse_rows(mechanism: Mechanism, at: Placed) -> list[dict[int, Value]]:
 
 
 class Misses:
-    """The missed change points of a mechanism, and what they allow an integrator."""
+    """The change points, missed or not, that one run of a mechanism has met.
+
+    They tell how long the steps of an integrator may be.  Another run starts without any: what it
+    does must not depend on runs before it.
+    """
 
     def __init__(self, mechanism: Mechanism) -> None:
-        self.mechanism, self._known = mechanism, known(mechanism)
+        self.mechanism = mechanism
+        self.met: list[Singular] = []
         self._guards = regular_rank(mechanism) == len(mechanism.rows)
+
+    def nearest(self, q: Array) -> Singular | None:
+        """Return the singular configuration that q (n,) is near, and count it as met, or None."""
+        return nearest_singular(self.mechanism, q, self.met)
 
     def distance(self, q: Array | Sequence[float]) -> float:
         """To the nearest known one, rad; infinite where none is known."""
-        missed = [each for each in self._known if not each.crosses]
+        missed = [each for each in self.met if not each.crosses]
         least = min(
             (float(apart(self.mechanism, np.asarray(q), each.q)) for each in missed), default=np.inf
         )
@@ -120,7 +129,7 @@ class Misses:
         """
         n = self.mechanism.n
         fastest = max(*map(abs, y[n : 2 * n]), SLOWEST)
-        if not self._known:
+        if not self.met:
             return TURN / fastest, math.inf, 0.0
         distance = self.distance(y[:n])
         longest = min(SHARE * distance, TURN) / fastest
@@ -128,12 +137,12 @@ class Misses:
 
     def near(self, q: Array) -> bool:
         """Whether the nearest configuration that is known, if q is near one, is a miss."""
-        found = known_near(self.mechanism, q, SAME)
+        found = nearest_of(self.mechanism, self.met, q, SAME)
         return found is not None and not found.crosses
 
     def crosses(self, q: Array) -> bool:
         """Whether a state of suspect quality is near a change point, not near a miss of one."""
-        found = nearest_singular(self.mechanism, q)
+        found = self.nearest(q)
         if found is None:  # what it is near to is not known
             Psi = closed_form.scaled_jacobian(self.mechanism, q)
             return bool(nearness(self.mechanism, Psi) < NEAR_SINGULAR)
@@ -166,11 +175,11 @@ class Misses:
     def _between(self, begin: Array, end: Array) -> bool:
         """Whether what lies between two states is a missed change point."""
         way = begin + np.linspace(0.0, 1.0, 33)[:, None] * (end - begin)
-        far = [(float(apart(self.mechanism, way, x.q).min()), x.crosses) for x in self._known]
+        far = [(float(apart(self.mechanism, way, x.q).min()), x.crosses) for x in self.met]
         nearest, crosses = min(far, default=(np.inf, False))
         if nearest <= SAME:
             return not crosses
         way = close_positions(self.mechanism, way)
         near = nearness(self.mechanism, closed_form.scaled_jacobian(self.mechanism, way))
-        found = nearest_singular(self.mechanism, way[int(np.argmin(near))])
+        found = self.nearest(way[int(np.argmin(near))])
         return found is not None and not found.crosses

@@ -132,18 +132,21 @@ def state_led_across(
 class Projection:
     """The nearest closed state; next to a change point that of the branch which leads across.
 
-    `misses` are the change points that the mechanism only nearly has, and hold an integrator.
+    `misses` are the change points that the run has met; those that the mechanism only nearly has
+    hold an integrator.
     """
 
-    def __init__(self, mechanism: Mechanism, closing: Closing) -> None:
+    def __init__(
+        self, mechanism: Mechanism, closing: Closing, misses: Misses | None = None
+    ) -> None:
         self.mechanism, self.closing = mechanism, closing
-        self.misses = Misses(mechanism)
+        self.misses = misses or Misses(mechanism)
 
     def __call__(self, y: Array) -> Array:
         closed, quality = self.closing(y)
         if quality > SUSPECT:
             return closed
-        near = nearest_singular(self.mechanism, y[: self.mechanism.n])
+        near = self.misses.nearest(y[: self.mechanism.n])
         if near is None or not near.crosses:
             return closed
         led = lead_across(self.mechanism, self.closing, y, near, lambda states: states)

@@ -32,8 +32,9 @@ from robodyn.dynamics.closed_form import other_forces
 from robodyn.engines import straightline
 from robodyn.engines.row_values import TableLeftError
 from robodyn.errors import RobodynError
-from robodyn.loops.change_points import SUSPECT, Singular, lead_across, nearest_singular
+from robodyn.loops.change_points import SUSPECT, Singular, lead_across
 from robodyn.loops.closing import regular_rank
+from robodyn.loops.misses import Misses
 from robodyn.loops.projection import Projection, best_closing, dense_closing, written_out
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -70,8 +71,12 @@ def right_hand_side(
     work: bool = False,
     baumgarte: float = 0.0,
     kind: str | None = None,
+    misses: Misses | None = None,
 ) -> RightHandSide:
-    """The evaluator of the given kind, or of the kind that is fastest for this mechanism."""
+    """The evaluator of the given kind, or of the kind that is fastest for this mechanism.
+
+    `misses` are the change points that its run has met so far; None: none.
+    """
     kind = kind or _best_kind(mechanism)
     straight = partial(straightline.compile_rates, mechanism, work=work, baumgarte=baumgarte)
 
@@ -85,7 +90,8 @@ def right_hand_side(
     solved = solving(actuation)
     if not mechanism.rows:
         return RightHandSide(solved, None, kind)
-    project = Projection(mechanism, (dense_closing if kind == "dense" else best_closing)(mechanism))
+    closing = (dense_closing if kind == "dense" else best_closing)(mechanism)
+    project = Projection(mechanism, closing, misses)
     if baumgarte:  # its restoring terms need the gap: no state is projected
         return RightHandSide(solved, project, kind)
     careful = _projecting(project, actuation, solving, solved, kind == "dense")
@@ -140,7 +146,7 @@ def _projecting(
             closed, quality = closing(y)
             if quality > SUSPECT:
                 return solved(t, closed)
-        near = nearest_singular(mechanism, q)
+        near = project.misses.nearest(q)
         if near is not None and near.crosses and actuation.alone is not None:
             limit = "is of motions that pass no change point"
             raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=limit)

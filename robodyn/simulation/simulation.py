@@ -146,7 +146,7 @@ def simulate(
     no exception: `motion.outcome` tells, and the motion holds what was computed.
     `method` is one of scipy's, or "taylor", whose `order` follows from the tolerance unless given,
     and whose `engine` is "python", "compiled" (machine code, with the extra `fast`), or "auto":
-    compiled where a run takes, or this process took, many steps of the mechanism.
+    compiled where that serves the mechanism and its torques, else python.
     `events` are expressions by name, {"apex": "qd1", "high": "q1 > 90deg"}: `motion.events` tells
     when each passes zero, or becomes true; the run ends where `until` does.  `sensitivity` names
     numbers of the scene and start values, ["links.forearm.m", "q1"]: `motion.sensitivity`.

@@ -18,6 +18,7 @@ from robodyn.simulation.settings import Settings
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
+    from robodyn.loops.misses import Misses
     from robodyn.simulation.phases import Phases
     from robodyn.simulation.right_hand_side import RightHandSide
 
@@ -33,6 +34,15 @@ class SmoothMotions:
         self.actuation, self.settings, self.t_end, self.work = actuation, settings, t_end, work
         self._sides: dict[Mechanism, RightHandSide] = {}
         self._engines: dict[tuple[Mechanism, str], Any] = {}  # of the Taylor series
+        self._misses: dict[Mechanism, Misses] = {}  # the change points that the run has met
+
+    def misses(self, mechanism: Mechanism) -> Misses | None:
+        """The change points of the mechanism that the run has met; None: it has no closures."""
+        if mechanism.rows and mechanism not in self._misses:
+            from robodyn.loops.misses import Misses
+
+            self._misses[mechanism] = Misses(mechanism)
+        return self._misses.get(mechanism)
 
     def side(self, mechanism: Mechanism) -> RightHandSide:
         """The rates of the mechanism."""
@@ -45,6 +55,7 @@ class SmoothMotions:
                 self.actuation,
                 work=self.work,
                 baumgarte=self.settings.baumgarte if baumgarte else 0.0,
+                misses=self.misses(mechanism),
             )
         return self._sides[mechanism]
 
@@ -86,6 +97,7 @@ class SmoothMotions:
                 max_step=float(settings.max_step),
                 side=lambda: self.side(mechanism),
                 engines=self._engines,
+                met=self.misses(mechanism),
                 t=t,
             ).run()
         except StopRun as stop:

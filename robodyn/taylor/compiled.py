@@ -30,6 +30,8 @@ from robodyn.taylor.step_boxes import Kept, terms_of
 from robodyn.taylor.watched_code import looks
 from robodyn.taylor.zero_code import FOUND, ROOM, WATCH, ZERO
 
+MOST_STEPS = 4096  # of a call
+WORK = 200_000  # links times orders times steps of a call, which takes some 20 ms
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 _BEGUN, _ASKED = Struct("5d").pack_into, Struct("6q").pack_into  # faster than a slice of an array
 NONE, NO_LOOKS = np.zeros((0, 0)), (0, 0)
@@ -96,7 +98,8 @@ class CompiledEngine:
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
         self._views: tuple[Any, ...] = ((),)
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
-        self.keeps, self.most = False, STEPS
+        self.keeps = False
+        self.most = max(STEPS, min(MOST_STEPS, WORK // (mechanism.n * self.order)))
         self.forms: Forms | None = None
         self._functions: Sequence[Any] = ()  # those that `_watch` tells of
         self._tables: tuple[Any, ...] = ()

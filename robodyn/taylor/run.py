@@ -8,7 +8,6 @@ where they can; where they cannot, or a run starts there, a few steps of DOP853,
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -30,16 +29,16 @@ from robodyn.taylor.steps import SteppingEngine
 
 if TYPE_CHECKING:
     from robodyn.events.told import Stop
+    from robodyn.loops.misses import Misses
     from robodyn.simulation.right_hand_side import RightHandSide
     from robodyn.taylor.variations import Variations
 
 
-COMPILED_STEPS = 4096
-TOGETHER = 8 * STEPS  # of those in Python: looks for events or leaps cost as many calls
 KEPT = 32768  # steps whose series are kept at a time, of one link
+MOST_LOOKED_AT = (
+    1024  # steps that events are looked for in at a time: a run can be interrupted between
+)
 AHEAD = 4  # where an event ends the run, or a phase of it, at first
-CALL = 0.1  # s that a call of compiled code may take, and about what a look for events may
-ROWS_A_STEP = 4  # rows at times that cost what a step does
 MOST_IDLE = 8  # rounds without a step, after which there is none
 LEAD = 8  # steps of DOP853 away from where a torque has no series
 SMALLEST_RTOL = 3e-14  # of scipy's methods
@@ -49,7 +48,8 @@ SMALLEST_RTOL = 3e-14  # of scipy's methods
 class TaylorRun:
     """A run from (t, y) to t_end; `side` makes what DOP853 needs, where it is needed.
 
-    `engine` is what `EngineChoice` takes; `engines` keeps those made for the next phase.
+    `engine` is what `EngineChoice` takes; `engines` keeps those made for the next phase.  `met` are
+    the change points that the run has met so far.
     """
 
     mechanism: Mechanism
@@ -65,6 +65,7 @@ class TaylorRun:
     max_step: float
     side: Callable[[], RightHandSide]
     engines: dict[tuple[Mechanism, str], Any]
+    met: Misses | None
     t: float = 0.0
 
     def __post_init__(self) -> None:
@@ -79,10 +80,10 @@ class TaylorRun:
         self.closing, self.misses, self.suspect = None, None, 0.0
         if self.project and mechanism.rows:
             from robodyn.loops.change_points import suspect_quality
-            from robodyn.loops.misses import FAR, Misses
+            from robodyn.loops.misses import FAR
             from robodyn.loops.projection import float_closing
 
-            self.closing, self.misses = float_closing(mechanism), Misses(mechanism)
+            self.closing, self.misses = float_closing(mechanism), self.met
             self.suspect, self.far = suspect_quality(mechanism), FAR
         self.recent: list[Chunk] = []  # steps in a row not yet known to be held by stability
         self.crosses = False  # whether only the motion that leads across a change point leads on
@@ -90,12 +91,13 @@ class TaylorRun:
         self.idle = 0  # times in a row that nothing led on
         self.held = False  # whether steps may leap, or start too near: Python's engine holds them
         events = self.recorder.events
-        self.most_ahead = max(1, min(COMPILED_STEPS, KEPT // mechanism.n))
+        self.most_ahead = max(1, min(MOST_LOOKED_AT, KEPT // mechanism.n))
         # of steps at a time, those beyond the end are lost
         self.ahead = AHEAD if events is not None and events.may_end else self.most_ahead
         chosen = self.engine, mechanism, self.actuation, self.rtol, self.atol, self.order
         work = len(self.y) > 2 * mechanism.n
-        self.choice = EngineChoice(*chosen, self.project, work, self.recorder, self.engines)
+        rest = self.project, work, self.recorder, self.engines, self.misses
+        self.choice = EngineChoice(*chosen, *rest)
 
     def run(self) -> Outcome:
         """To the end; an event raises StopRun."""
@@ -107,7 +109,7 @@ class TaylorRun:
             before, bound = self.t, self._bound()
             kind = type(self.choice.now).__name__
             self.recorder.report.evaluator = kind.removesuffix("Engine").lower()
-            status, made, outcome = Status.FULL, 0.0, None
+            status, outcome = Status.FULL, None
             if self.crosses or self.stuck:
                 outcome = self._lead(bound)
             else:
@@ -116,16 +118,14 @@ class TaylorRun:
                 except NoCodeError:  # of other torques than those at the start
                     self.choice.give_up()
                     continue
-                status, made = chunk.status, len(chunk.t) + len(chunk.row_t) / ROWS_A_STEP
+                status = chunk.status
                 if self._held_by_stability(chunk):
                     outcome = Outcome.STIFF
             if outcome is None:
                 outcome = self._way_on(before, status)
             if outcome is not None:
+                self.choice.tell()
                 return outcome
-            if self.choice.in_python:
-                left = (self.t_end - self.t) / ((self.t - before) or math.inf)
-                self.choice.count(made, made * abs(left))
 
     def _at_change_point(self) -> bool:
         return self.misses is not None and self.misses.crosses(self.y[: self.mechanism.n])
@@ -185,17 +185,12 @@ class TaylorRun:
         recorder, runner = self.recorder, self._runner()
         python, events = isinstance(runner, SteppingEngine), recorder.events
         left = recorder.max_evaluations - recorder.report.evaluations
-        most = TOGETHER if python and not self.choice.waits else runner.most
-        steps = max(1, min(most, left + 1)) if self.max_step == math.inf else 1
+        steps = max(1, min(runner.most, left + 1)) if self.max_step == math.inf else 1
         runner.keeps = events is not None
         steps = min(steps, self.ahead) if events is not None else steps
-        called = time.perf_counter()
         if not python:
             runner.forms = events.forms() if events else None
         chunk = runner.advance(self.t, self.y, bound, recorder.times_until(bound), steps)
-        if not python:  # nothing halts it within a call
-            took = max(1e-9, time.perf_counter() - called)
-            runner.most = max(1, min(COMPILED_STEPS, int(CALL / took * len(chunk.t))))
         self.held = False
         if self.misses is not None and python:  # machine code looks too
             times, ends = np.append(self.t, chunk.t), np.concatenate([self.y[None], chunk.y])
@@ -212,10 +207,7 @@ class TaylorRun:
             from robodyn.taylor.watched_steps import with_events
 
             given = events, self.mechanism, chunk, self.t, self.y, runner
-            begun = time.perf_counter()
             chunk, within, stop = with_events(*given)
-            took = max(1e-9, time.perf_counter() - begun)
-            self.ahead = max(1, min(self.ahead, int(CALL / took * len(chunk.t))))
         told = chunk
         if variations is not None:
             told, within = variations.along(self.t, self.y, chunk, runner, within)
@@ -244,7 +236,6 @@ class TaylorRun:
         """How it goes on after steps from `before`; the outcome where it does not."""
         steady = self.actuation.constants is not None
         if self.t == self.t_end:
-            self.choice.spare()
             return Outcome.FINISHED
         self.idle = self.idle + 1 if self.t == before else 0
         self.stuck = status in (Status.STUCK, Status.NOT_FINITE)

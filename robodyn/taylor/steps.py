@@ -20,6 +20,7 @@ from robodyn.tables.arrays import Array
 from robodyn.taylor import PARTS, STEPS, Chunk, Forms, Status
 
 if TYPE_CHECKING:
+    from robodyn.loops.misses import Misses
     from robodyn.loops.projection import FloatClosing
     from robodyn.taylor.step_boxes import Kept
 
@@ -69,23 +70,24 @@ class SteppingEngine:
         atol: float,
         actuation: Actuation,
         work: bool,
+        misses: Misses | None = None,
     ) -> None:
         self.mechanism, self.closing, self.actuation = mechanism, closing, actuation
-        self.suspect, self.misses = 0.0, None
+        self.suspect, self.misses = 0.0, misses
         self._met: Sequence[object] = ()  # change points, or misses of one, that hold steps
         if closing is not None:
-            from robodyn.loops.change_points import known, suspect_quality
+            from robodyn.loops.change_points import suspect_quality
             from robodyn.loops.misses import Misses
 
-            self.suspect, self.misses = suspect_quality(mechanism), Misses(mechanism)
-            self._met = known(mechanism)
+            self.suspect, self.misses = suspect_quality(mechanism), misses or Misses(mechanism)
+            self._met = self.misses.met
         self.order, self.work = order, work
         self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
         self._given = self.tolerances  # near a missed change point they are tighter
         self.lightest = min(mechanism.inertias.values())
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.halts: Callable[[float], bool] | None = None  # asked after each step
-        self.keeps, self.most = False, STEPS
+        self.keeps, self.most = False, 8 * STEPS  # looks for events or leaps cost as many calls
         self.forms: Forms | None = None  # not looked at
         self._made: dict[tuple[float, ...] | None, Steps] = {}
         self._torques = actuation.function(mechanism.n)
