@@ -53,25 +53,30 @@ class Bounces:
         own = [limits[joint].restitution or 0.0 for joint, _ in ends]
         p, jumps = impulses(self.mechanism, q, qd, ends, own)
         after = _settled(qd, jumps @ p)
-        # of ends that are tied to one another the largest restitution is that of all
-        e = [max(x for j, x in enumerate(own) if _tied(jumps, [j], k)) for k in range(len(ends))]
         leaving = [-side * float(after[joint]) for joint, side in ends]
-        qdd = np.zeros_like(qd)
-        kept: list[float | None] = [
-            None if end in over else x for end, x in zip(ends, own, strict=True)
+        tied = [
+            [j for j in range(len(ends)) if j == k or (leaving[j] > 0.0 and _tied(jumps, [j], k))]
+            for k in range(len(ends))
         ]
+        qdd = np.zeros_like(qd)
         if max(leaving) > 0.0:
             on = [end for end in ends if not after[end[0]]]
             mode = mode_at(self.mechanism, q, after, tau, resting(self.mechanism, after), on, t=t)
             qdd = motion_dynamics(in_mode(self.mechanism, mode.mode), q, after, tau, t).qdd
+        shows = []  # whether a bounce is told from rest: by any steps, and by those of the method
         for k, (joint, side) in enumerate(ends):
-            back, leaves = side * float(qdd[joint]), leaving[k]
-            if leaves > 0.0 and back > 0.0 and kept[k] is not None:
-                brief = leaves < 0.5 * back * (1.0 - e[k]) * ENDLESS * abs(self.t_end)
-                low = leaves**2 < 2.0 * back * LOW * abs(q[joint])
-                if brief or low or not self._resolves(joint, side * qd[joint], back):
-                    kept[k] = None if brief or low else 0.0
+            back, leaves, e = side * float(qdd[joint]), leaving[k], max(own[j] for j in tied[k])
+            brief = leaves < 0.5 * back * (1.0 - e) * ENDLESS * abs(self.t_end)
+            low = leaves**2 < 2.0 * back * LOW * abs(q[joint])
+            resolved = back <= 0.0 or self._resolves(joint, side * qd[joint], back)
+            shows.append((not (brief or low), resolved) if leaves > 0.0 else (True, True))
             self.thrown[joint] = leaves
+        kept: list[float | None] = list(own)
+        for k, end in enumerate(ends):  # of ends that are tied to one another any may tell
+            if end in over or not any(shows[j][0] for j in tied[k]):
+                kept[k] = None
+            elif not any(all(shows[j]) for j in tied[k]):
+                kept[k] = 0.0
         changed = [k for k, part in enumerate(kept) if part != own[k]]
         if changed:
             least = None if any(kept[k] is None for k in changed) else 0.0
