@@ -85,7 +85,7 @@ def required_load(
     load: Array = _loads(mechanism, at, bent) @ mechanism.arrays.J
     if mechanism.rotors:
         load = load + as_states(mechanism, "qdd", qdd) @ rotor_inertia(mechanism)
-    return load + _joint_loads(mechanism, q, qd, t)
+    return load + joint_loads(mechanism, q, qd, t)
 
 
 def _loads(mechanism: Mechanism, at: Placed, bent: Placed) -> Array:
@@ -96,7 +96,7 @@ def _loads(mechanism: Mechanism, at: Placed, bent: Placed) -> Array:
     return loads
 
 
-def _joint_loads(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) -> Array:
+def joint_loads(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) -> Array:
     """What acts at joints there."""
     loads: Array = mechanism.arrays.damping * qd
     if mechanism.has_state_forces:
@@ -178,7 +178,7 @@ def forward(
     units = mechanism.arrays.units
     M = _whole_inertia(mechanism, at)  # all of this in x, displacements by a length
     bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
-    force = (tau - _joint_loads(mechanism, q, qd, t)) @ relative_matrix(mechanism)
+    force = (tau - joint_loads(mechanism, q, qd, t)) @ relative_matrix(mechanism)
     force = force - _loads(mechanism, at, bent)
     Psi = absolute_jacobian(mechanism, at)
     bend = bias_at(mechanism, at, rates, bent)

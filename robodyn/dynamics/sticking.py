@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics
-from robodyn.dynamics.closed_form import scaled_jacobian
-from robodyn.dynamics.dense_dynamics import responses
+from robodyn.dynamics.closed_form import energies, scaled_jacobian
+from robodyn.dynamics.dense_dynamics import joint_loads, responses
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, Mode, in_mode, moving_mode, pressed
 from robodyn.tables.arrays import Array
@@ -121,18 +121,39 @@ def mode_at(
         limits = {joint: bounds(mechanism, joint, sides.get(joint, ())) for joint in still}
         free = in_mode(mechanism, Mode((), tuple(sorted(slips.items())), pushing))
         qdd = dynamics.motion_dynamics(free, q, qd, tau, t).qdd[still]
-        starts = _starts(mechanism, qdd, responses(mechanism, q, still)[:, still], limits, starts)
+        by = responses(mechanism, q, still)
+        slack = SLACK * np.abs(by) @ load_sizes(free, q, qd, tau, t)
+        starts = _starts(mechanism, qdd, slack, by[:, still], limits, starts)
     slips |= {joint: way for joint, way in starts.items() if joint in dict(mechanism.dry)}
     own = tuple(joint for joint in still if joint not in starts)
     mode = Mode(own, tuple(sorted(slips.items())), pushing)
-    return Standing(_independent(mechanism, mode, q), own)
+    return Standing(mode._replace(held=independent(mechanism, own, q)), own)
+
+
+def load_sizes(moving: Mechanism, q: Array, qd: Array, tau: Array, t: ArrayLike = 0.0) -> Array:
+    """Return the sums of the sizes of what acts in states (..., n), (..., n), N m or N.
+
+    Rounding leaves that much, times a few eps, of a force or torque that is zero.
+    """
+    units, arrays = moving.arrays.units, moving.arrays
+    KE, PE = energies(moving, q, qd)
+    loads = np.abs(tau) + np.abs(joint_loads(moving, q, qd, t))
+    loads = (loads + np.abs(arrays.weights) + np.abs(arrays.moments)) @ units
+    total = loads + 2.0 * KE + np.abs(PE - moving.energy_offset)
+    return np.asarray(total[..., None] / units)
 
 
 def _starts(
-    mechanism: Mechanism, qdd: Array, W: Array, limits: dict[int, Bounds], starting: dict[int, int]
+    mechanism: Mechanism,
+    qdd: Array,
+    slack: Array,
+    W: Array,
+    limits: dict[int, Bounds],
+    starting: dict[int, int],
 ) -> dict[int, int]:
-    """Which joints of `limits` start, and which way; qdd is theirs where nothing holds them.
+    """Return the joints of `limits` that start, and which way.
 
+    qdd (k) are their accelerations if nothing holds them, right but for `slack` (k).
     Friction that falls at once from what holds to what slips may let others start too.
     """
     still, dry, starts = list(limits), dict(mechanism.dry), dict(starting)
@@ -148,11 +169,11 @@ def _starts(
                 low[k] = high[k] = bound
         f = forces_between(qdd, W, low, high)
         a = qdd + W @ f
-        slack = SLACK * (np.abs(qdd) + np.abs(W) @ np.abs(f))
+        least = slack + SLACK * (np.abs(qdd) + np.abs(W) @ np.abs(f))
         found = {
             joint: 1 if a[k] > 0.0 else -1
             for k, joint in enumerate(still)
-            if joint not in starts and abs(a[k]) > slack[k]
+            if joint not in starts and abs(a[k]) > least[k]
         }
         starts |= found
         if not any(dry[j].stribeck is None for j in found if j in dry):
@@ -233,19 +254,19 @@ def held_forces(moving: Mechanism, multipliers: Array) -> Array:
     return np.asarray(multipliers[..., list(moving.held)] * np.array(arms))
 
 
-def _independent(mechanism: Mechanism, mode: Mode, q: Array) -> Mode:
-    """The mode with as many of its held joints as the closures let be held independently."""
-    if not mechanism.rows or not mode.held:
-        return mode
+def independent(mechanism: Mechanism, joints: Sequence[int], q: Array) -> tuple[int, ...]:
+    """Return as many of these joints as the closures let be held independently at q (n)."""
+    if not mechanism.rows or not joints:
+        return tuple(joints)
     kept: list[int] = []
     rows = scaled_jacobian(mechanism, q)
     each = float(np.abs(rows).max()) * np.eye(mechanism.n)  # the rows of what is held
     rank = _rank(rows)
-    for joint in mode.held:
+    for joint in joints:
         tried = np.concatenate([rows, each[joint : joint + 1]])
         if (more := _rank(tried)) > rank:
             kept, rows, rank = [*kept, joint], tried, more
-    return mode._replace(held=tuple(kept))
+    return tuple(kept)
 
 
 def stands(moving: Mechanism, q: Array) -> bool:

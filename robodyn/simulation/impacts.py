@@ -16,7 +16,7 @@ import numpy as np
 
 from robodyn.dynamics.dense_dynamics import responses
 from robodyn.dynamics.dynamics import motion_dynamics
-from robodyn.dynamics.sticking import AT_REST, forces_between, mode_at, resting
+from robodyn.dynamics.sticking import AT_REST, TOGETHER, forces_between, mode_at, resting
 from robodyn.errors import SingularError
 from robodyn.events.signs import ROUNDING
 from robodyn.mechanics.mechanism import Mechanism
@@ -43,37 +43,55 @@ class Bounces:
         self.thrown: dict[int, float] = {}  # how fast a joint left its end last
 
     def after(
-        self, q: Array, qd: Array, tau: Array, t: float, touches: set[End]
+        self, q: Array, qd: Array, tau: Array, t: float, touches: set[End], over: set[End]
     ) -> tuple[Array, list[tuple[End, float]]]:
         """The rates (n) after an impact at the ends that are touched, and the restitution of each.
 
-        Torques are those before it.
+        At those that are `over` joints are at rest.  Torques are those before it.
         """
         ends, limits = sorted(touches), dict(self.mechanism.limits)
-        e = [limits[joint].restitution or 0.0 for joint, _ in ends]
-        after = rates_after(self.mechanism, q, qd, ends, e)
+        own = [limits[joint].restitution or 0.0 for joint, _ in ends]
+        p, jumps = impulses(self.mechanism, q, qd, ends, own)
+        after = _settled(qd, jumps @ p)
         leaving = [-side * float(after[joint]) for joint, side in ends]
-        qdd, kept = np.zeros_like(qd), list[float | None](e)
-        if any(leaves > 0.0 and part < 1.0 for leaves, part in zip(leaving, e, strict=True)):
+        tied = [
+            [j for j in range(len(ends)) if j == k or (leaving[j] > 0.0 and _tied(jumps, [j], k))]
+            for k in range(len(ends))
+        ]
+        qdd = np.zeros_like(qd)
+        if max(leaving) > 0.0:
             on = [end for end in ends if not after[end[0]]]
             mode = mode_at(self.mechanism, q, after, tau, resting(self.mechanism, after), on, t=t)
             qdd = motion_dynamics(in_mode(self.mechanism, mode.mode), q, after, tau, t).qdd
+        shows = []  # whether a bounce is told from rest: by any steps, and by those of the method
         for k, (joint, side) in enumerate(ends):
-            back, leaves = side * float(qdd[joint]), leaving[k]
-            if leaves > 0.0 and e[k] < 1.0 and back > 0.0:
-                brief = leaves < 0.5 * back * (1.0 - e[k]) * ENDLESS * abs(self.t_end)
-                low = leaves**2 < 2.0 * back * LOW * abs(q[joint])
-                if brief or low or not self._resolves(joint, side * qd[joint], back):
-                    kept[k] = None if brief or low else 0.0
+            back, leaves, e = side * float(qdd[joint]), leaving[k], max(own[j] for j in tied[k])
+            brief = leaves < 0.5 * back * (1.0 - e) * ENDLESS * abs(self.t_end)
+            low = leaves**2 < 2.0 * back * LOW * abs(q[joint])
+            resolved = back <= 0.0 or self._resolves(joint, side * qd[joint], back)
+            shows.append((not (brief or low), resolved) if leaves > 0.0 else (True, True))
             self.thrown[joint] = leaves
-        if kept != e:
+        kept: list[float | None] = list(own)
+        for k, end in enumerate(ends):  # of ends that are tied to one another any may tell
+            if end in over or not any(shows[j][0] for j in tied[k]):
+                kept[k] = None
+            elif not any(all(shows[j]) for j in tied[k]):
+                kept[k] = 0.0
+        changed = [k for k, part in enumerate(kept) if part != own[k]]
+        if changed:
+            least = None if any(kept[k] is None for k in changed) else 0.0
+            kept = [least if _tied(jumps, changed, k) else part for k, part in enumerate(kept)]
             after = rates_after(self.mechanism, q, qd, ends, kept)
         return after, [(end, part or 0.0) for end, part in zip(ends, kept, strict=True)]
 
     def _resolves(self, joint: int, v: float, back: float) -> bool:
-        """Whether a joint that meets its end with v was thrown back so far that steps show it."""
+        """Whether a joint that meets its end with v was thrown back so far that steps show it.
+
+        One that was not, and yet comes back faster than from so near, has moved off since.
+        """
         last = self.thrown.get(joint, 0.0)
-        return last**2 >= 2.0 * back * self.small or abs(v - last) <= BLUR * last or not last
+        fast = max(abs(v), last) ** 2 >= 2.0 * back * self.small
+        return fast or abs(v - last) <= BLUR * last or not last
 
 
 def rates_after(
@@ -91,9 +109,22 @@ def rates_after(
     Raises SingularError where no impulses throw all of them back.
     """
     p, jumps = impulses(mechanism, q, qd, touches, restitutions)
-    after = qd + jumps @ p
+    return _settled(qd, jumps @ p)
+
+
+def _settled(qd: Array, jump: Array) -> Array:
+    """Return qd + jump (n), zero where rounding leaves no more."""
+    after = qd + jump
     least = AT_REST * max(np.abs(qd).max(), np.abs(after).max())  # of which rounding leaves less
     return np.where(np.abs(after) <= least, 0.0, after)
+
+
+def _tied(jumps: Array, ends: list[int], k: int) -> bool:
+    """Whether the rate at which end k is left follows from those at `ends`, by jumps (n, ends)."""
+    if k in ends:
+        return True
+    ranks = [np.linalg.matrix_rank(jumps[:, own], rtol=TOGETHER) for own in (ends, [*ends, k])]
+    return bool(ranks[0] == ranks[1])
 
 
 def impulses(

@@ -33,6 +33,8 @@ from robodyn.tables.arrays import Array
 End = tuple[int, int]  # a joint and a side
 
 ONWARD = 10.0  # times what is missed: slower back than so a joint may only seem to turn back
+TURNS = 30  # impacts in turn at one instant, after which they have no end
+LAST = 10  # of them, those whose ends take part in all that would follow
 DOUBTS = 3  # times that a joint is let leave its end
 KINK = 1e-14  # of the time of a run: so much beyond a kink the torques are those that follow it
 
@@ -69,6 +71,7 @@ class Phases:
         self.begun, self.idle = 0.0, 0  # when the phase began, and how many took no time before
         self.bounces = Bounces(mechanism, t_end, small)
         self.hits: list[End]  # the ends met as the phase began
+        self.turns: list[list[End]] = []  # those met before, in turn, without time passing
         self.doubts = 0  # times in a row that a joint which leaves its end was to meet it
         q, qd = self._split(y)
         for joint, side, end in beyond(mechanism, q.tolist()):
@@ -78,12 +81,13 @@ class Phases:
                 value=float(q[joint]),
                 limit=f"is beyond the joint's {end_word(side)}, {end:.9g}",
             )
-        hits = [end for end in sticking.touching(mechanism, q, qd) if end[1] * qd[end[0]] > 0.0]
-        self.given, self.hits = y, hits  # before an impact
-        self.y = self._impact(0.0, y, hits, set()) if hits else y
+        touches = set(sticking.touching(mechanism, q, qd))
+        self.given, self.hits = y, self._run_into(touches, qd)  # before an impact
+        self.y = self._impact(0.0, y, self.hits, touches) if self.hits else y
         q, qd = self._split(self.y)
         pushing = pressed(mechanism, q.tolist(), qd.tolist())
         touches = set(sticking.touching(mechanism, q, qd))
+        touches -= set(self._run_into(touches, qd))  # an impact may drive a joint to its end
         self._enter(0.0, set(sticking.resting(mechanism, qd)), touches, set(pushing))
 
     def _split(self, y: Array) -> tuple[Array, Array]:
@@ -196,7 +200,10 @@ class Phases:
             return np.asarray(np.abs(y[:, n : 2 * n]).sum(axis=1))
         if kind == "holds":
             held = [x for b in self.bounds.values() for x in (b.low, b.high) if math.isfinite(x)]
-            return np.asarray(np.abs(self._forces(t, y)).sum(axis=1) + sum(map(abs, held)))
+            tau = self._torques(t, y)
+            acting = sticking.load_sizes(self.moving, y[:, :n], y[:, n : 2 * n], tau, t)
+            size = np.abs(self._forces(t, y)) + acting[:, list(self.mode.held)]
+            return np.asarray(size.sum(axis=1) + sum(map(abs, held)))
         stop = self.limits[joint]
         reach = np.abs(y[:, joint]) + abs(dict(stop.ends)[side])
         lag = stop.damping / (stop.stiffness or math.inf)
@@ -239,16 +246,18 @@ class Phases:
             pushing.add((guard.joint, guard.side))
         if guard.kind == "slips":
             rests.add(guard.joint)
-        least = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
-        ends = set(sticking.touching(self.mechanism, q, qd)) - touches
-        hits = sorted((joint, side) for joint, side in ends if side * qd[joint] > least)
         inside = guard.kind == "inside"
         meets = inside and guard.side * qd[guard.joint] > 0.0
         # a joint that starts from rest slips at least until its rate is more than is missed
         begins = guard.kind == "slips" and bool(self.idle) and guard.joint in self.started
         self.doubts = self.doubts + 1 if begins or (inside and not meets) else 0
+        ends = set(sticking.touching(self.mechanism, q, qd)) - touches
+        hits = self._run_into(ends, qd)
         if meets:
             hits = sorted({*hits, (guard.joint, guard.side)})
+        self.turns = self.turns if self.idle else []
+        # pressed or not, a joint stands on its end unless it was thrown back at this very instant
+        stands = ends - {*hits, *(end for turn in self.turns for end in turn)} if hits else set()
         # it rests where the method cannot tell how far it is thrown back
         if inside and self.doubts == DOUBTS:
             touches.add((guard.joint, guard.side))
@@ -256,18 +265,24 @@ class Phases:
         for joint, side in hits:  # rounding must not grow from bounce to bounce
             q[joint] = dict(self.limits[joint].ends)[side]
         if hits and self.mechanism.rows:
-            q[:] = close_positions(self.mechanism, q, [joint for joint, _ in hits])
+            # closures may tie some of these joints to one another
+            fixed = sticking.independent(self.mechanism, [joint for joint, _ in hits], q)
+            q[:] = close_positions(self.mechanism, q, fixed)
+            ends = set(sticking.touching(self.mechanism, q, qd)) - touches
+            hits = sorted({*hits, *self._run_into(ends, qd)})
         if standing := sorted(rests | {joint for joint, _ in touches}):
             qd[:], also = sticking.stopped(self.mechanism, q, qd, standing)
             rests |= set(also)
         self.y, self.hits = y, hits
         if hits:
-            self.y = self._impact(t, y, hits, touches)
+            self.turns = [*self.turns, hits]
+            self.y = self._impact(t, y, hits, touches | stands)
             _, qd = self._split(self.y)
         still = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
         rest = {joint for joint, rate in enumerate(qd.tolist()) if abs(rate) <= still}
         if hits:
-            rests, touches = rest & set(self.dry), {x for x in touches | set(hits) if x[0] in rest}
+            met = touches | stands | set(hits)
+            rests, touches = rest & set(self.dry), {x for x in met if x[0] in rest}
         was, stood, rates = self.mode, set(self.still), self.letting_go(guard, t, y)
         starting = {joint: 1 if rate > 0.0 else -1 for joint, rate in rates.items()}
         begun = self.started if self.idle and not hits else set()  # and have not moved since
@@ -290,11 +305,21 @@ class Phases:
         standing = sticking.Standing(self.mode, self.still)
         return sticking.starting_at(self.mechanism, standing, q, forces, self.bounds, guard.joint)
 
+    def _run_into(self, touches: set[End], qd: Array) -> list[End]:
+        """Return the ends of `touches` that the rates qd (n) run into."""
+        least = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
+        return sorted((joint, side) for joint, side in touches if side * qd[joint] > least)
+
     def _impact(self, t: float, y: Array, hits: Sequence[End], touches: set[End]) -> Array:
         """The state after an impact; bounces that would end at once are over."""
         y, n = y.copy(), self.mechanism.n
         tau = self._torque(t, y)
-        after, self.struck = self.bounces.after(*self._split(y), tau, t, {*hits, *touches})
+        # ends that throw joints at one another again and again in no time leave them no rates
+        last = {end for turn in self.turns[-LAST:] for end in turn}
+        endless = any(self.limits[joint].restitution != 1.0 for joint, _ in last)
+        over = last if endless and len(self.turns) > TURNS else set()
+        ends = {*hits, *touches, *over}
+        after, self.struck = self.bounces.after(*self._split(y), tau, t, ends, over)
         y[n : 2 * n] = after
         for joint, side in hits:
             self._tell(t, y, joint, f"hits its {end_word(side)}")

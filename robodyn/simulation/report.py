@@ -44,8 +44,8 @@ class Outcome(Enum):
     )
     CHATTERING = (
         "chattering",
-        "modes of contact follow one another without time passing: the scene's friction and stops "
-        "contradict one another there",
+        "a hundred changes of contact followed one another without time passing: try another "
+        "--method, or other tolerances",
     )
     INTERRUPTED = ("interrupted", "what was computed until then is kept")
     EVENT = ("ended", "by the event that was to end it")
