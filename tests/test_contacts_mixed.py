@@ -480,3 +480,24 @@ def test_a_joint_that_starts_again_does_not_touch_zero(how: tuple[str, str]) -> 
         motion = simulate(mechanism, [0.7], [0.0], 4.0, method=how[0], rtol=tol, atol=tol, **given)
         assert motion.report.events["block starts"] > 10
         assert not [x for x in motion.report.remarks if "touches zero" in x]
+
+
+@pytest.mark.parametrize("method", ["DOP853", "taylor", "Radau"])
+def test_a_loop_on_a_cart_that_sticks_moves_as_on_the_ground(method: str) -> None:
+    links = """
+  - {name: crank, m: 0.6, l: 0.35, r: 0.15, I: 0.008}
+  - {name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102}
+  - {name: rocker, m: 1.0, l: 0.80, r: 0.36, I: 0.061, from: %s}
+closures: [[coupler, rocker]]
+actuated: [crank]
+"""
+    cart = "{name: cart, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0"
+    cart += ", friction: {force: 8e3, static: 9e3}}"
+    ground = scene("gravity: 9.81\nlinks:" + links % "[1.1, 0]")
+    carried = scene(f"gravity: 9.81\nlinks:\n  - {cart}" + links % "'cart@1.1,0'")
+    q = robodyn.assemble(ground, [1.0])
+    given = {"method": method, "rtol": 1e-8, "atol": 1e-8}
+    alone = simulate(ground, q, np.zeros(3), 0.6, **given)
+    held = simulate(carried, [0.0, *q], np.zeros(4), 0.6, **given)
+    assert held.q[-1] == pytest.approx([0.0, *alone.q[-1]], abs=1e-6)
+    assert held.qd[-1] == pytest.approx([0.0, *alone.qd[-1]], abs=1e-6)

@@ -165,7 +165,8 @@ class Misses:
             for part in (slice(1, None), slice(-1))
         ]
         with np.errstate(all="ignore"):
-            turned = np.any([~(x > 0.0) for x in orientation(self.mechanism, *Psi)], axis=0)
+            kept = [np.asarray(x > 0.0) for x in orientation(self.mechanism, *Psi)]
+            turned = ~np.all(np.broadcast_arrays(*kept, np.ones(len(q) - 1, bool)), axis=0)
         return [
             int(k)
             for k in np.flatnonzero(turned)
