@@ -1,11 +1,12 @@
 """Results of a point of a sweep from its rows: columns of commands, and their extremes and means.
 
 A result is written as the column's name, tau1, where the point has one row, and with what is taken
-of its rows, max(tau1), where it has many.  Rows count equally.
+of its rows, max(tau1), where it has many.  Means are over time.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -24,14 +25,22 @@ from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.simulation import Motion
 from robodyn.tables.arrays import Array
 
-TAKEN: dict[str, Callable[[Array], float]] = {  # of the rows of a column
-    "min": np.min,
-    "max": np.max,
-    "range": np.ptp,
-    "mean": np.mean,
-    "rms": lambda x: np.sqrt(np.mean(np.square(x))),
-    "first": lambda x: x[0],
-    "last": lambda x: x[-1],
+
+def _mean(x: Array, t: Array) -> float:
+    """The mean over t of a column x (T,): its trapezoidal integral, so that ends count half."""
+    if t[0] == t[-1]:
+        return float(np.mean(x))
+    return float(np.dot(np.diff(t), x[1:] + x[:-1]) / (2.0 * (t[-1] - t[0])))
+
+
+TAKEN: dict[str, Callable[[Array, Array], float]] = {  # of the rows of a column, at times t
+    "min": lambda x, _: np.min(x),
+    "max": lambda x, _: np.max(x),
+    "range": lambda x, _: np.ptp(x),
+    "mean": _mean,
+    "rms": lambda x, t: math.sqrt(_mean(np.square(x), t)),
+    "first": lambda x, _: x[0],
+    "last": lambda x, _: x[-1],
 }
 _TEXT = re.compile(rf"(?:({'|'.join(TAKEN)})\()?(.*?)(?(1)\))")
 
@@ -98,10 +107,10 @@ def of_states(
     return np.stack([found[name] for name in wanted], axis=-1)
 
 
-def of_rows(texts: Sequence[str], columns: Array) -> Array:
-    """What the texts take of their columns (T, results)."""
+def of_rows(texts: Sequence[str], t: Array, columns: Array) -> Array:
+    """What the texts take of their columns (T, results) at times t (T,)."""
     return np.array(
-        [TAKEN[parsed(text).taken](x) for text, x in zip(texts, columns.T, strict=True)]
+        [TAKEN[parsed(text).taken](x, t) for text, x in zip(texts, columns.T, strict=True)]
     )
 
 
@@ -122,4 +131,4 @@ def of_motion(
         others = [name for name in wanted if name not in given]
         given |= columns_of(mechanism, named, solved, others)
         found.append(np.stack([given[name] for name in wanted], axis=-1))
-    return of_rows(texts, np.concatenate(found))
+    return of_rows(texts, motion.t, np.concatenate(found))

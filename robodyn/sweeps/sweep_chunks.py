@@ -232,7 +232,7 @@ def _along(plan: Plan, mechanism: Mechanism, track: ReferenceTable) -> tuple[Arr
         columns = of_states(mechanism, plan.told, plan.of, solved)
     except SingularError:
         return nothing, Outcome.SINGULAR.label
-    return of_rows(plan.told, columns), FINISHED
+    return of_rows(plan.told, t, columns), FINISHED
 
 
 def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]) -> list[str]:
