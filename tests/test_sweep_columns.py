@@ -26,6 +26,8 @@ Run = Callable[..., Outcome]
 ARM, BAR = "robots/2r.yaml", "robots/four-bar.yaml"
 NORMAL = ("--vary", "links.forearm.m=normal(0.9,0.05)")
 PD = ("--control", "pd", "--kp", "200,100", "--kd", "30,10")
+
+
 def mean(x: np.ndarray) -> float:
     """Of rows that are even in time, over time: of a closed turn the first pose counts once."""
     return trapezoid(x) / (len(x) - 1)
