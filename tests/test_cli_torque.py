@@ -589,3 +589,34 @@ def test_a_result_beyond_the_floats_is_an_error(robodyn: Run, model: str, batch:
 def test_angles_whose_sum_is_no_number(robodyn: Run) -> None:
     given = robodyn("torque", "robots/2r.yaml", "--q=1e308,1e308")
     assert given.fails(1, "the result is not finite").out == ""
+
+
+CART = """
+gravity: 9.81
+links:
+  - {name: cart, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0}
+  - {name: crank, m: 0.6, l: 0.35, r: 0.15, I: 0.008}
+  - {name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102}
+  - {name: rocker, m: 1.0, l: 0.80, r: 0.36, I: 0.061, from: "cart@1.1,0"}
+closures: [[coupler, rocker]]
+actuated: [crank]
+"""
+
+
+def test_values_of_the_joints_that_determine_the_others_are_a_state(
+    robodyn: Run, tmp_path: Path
+) -> None:
+    """A four-bar on a free cart at rest needs the torque of one on the ground."""
+    scene = tmp_path / "cart.yaml"
+    scene.write_text(CART)
+    bar = "robots/four-bar.yaml"
+    alone = robodyn("torque", bar, "--q", "60deg").row["tau1"]
+    one = robodyn("torque", scene, "--q", "0.3,60deg")
+    rows = robodyn("torque", scene, "-", stdin="q1,q2\n0.3,1.0471975511965976\n")
+    assert [x.row["tau2"] for x in (one, rows)] == pytest.approx([alone, alone])
+    branches = [row["q3"] for row in robodyn("assemble", scene, "--q", "0.3,60deg").rows]
+    assert branches == [row["q2"] for row in robodyn("assemble", bar, "--q", "60deg").rows]
+    told = "needs 4 values, one a joint (cart, crank, coupler, rocker), or 2 (cart, crank)"
+    robodyn("torque", scene, "--q", "60deg").fails(2, "--q = 60deg (1 value)", told)
+    robodyn("accel", scene, "--q", "0,60deg,0").fails(2, "--q = 0,60deg,0 (3 values)", told)
+    robodyn("torque", bar, "--q", "1,60deg").fails(2, "--q = 1,60deg (2 values): needs 3 values")

@@ -16,7 +16,6 @@ from robodyn.mechanics.program import Row
 PACKAGE = ROOT / "robodyn"
 GUIDE = PAGES["how-it-works"]
 SOURCES = sorted(PACKAGE.rglob("*.py"))
-LONGEST = 350  # lines of a file
 # the imports upwards, which the guide tells
 UPWARDS = {
     ("machine_motion.py", "taylor"),
@@ -75,16 +74,6 @@ def test_imports_run_downwards() -> None:
     assert found == UPWARDS
     for name, room in UPWARDS:
         assert re.search(rf"`{name}`[^.]*`{room}`", GUIDE)
-
-
-def test_no_name_stands_in_two_rooms() -> None:
-    names = [path.name for path in SOURCES if path.name != "__init__.py"]
-    assert sorted(names) == sorted(set(names))
-
-
-def test_no_file_of_the_package_is_long() -> None:
-    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES}
-    assert {path: lines for path, lines in lengths.items() if lines > LONGEST} == {}
 
 
 def test_the_rows_are_those_of_the_program() -> None:

@@ -18,7 +18,7 @@ from robodyn.cli.output import (
     note,
     write_structure,
 )
-from robodyn.cli.states import StateOptions, option_source, overflow, single_state
+from robodyn.cli.states import StateOptions, driver_of, option_source, overflow, single_state
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import AssemblyError, SingularError
 from robodyn.loops import assembly, loop_rates
@@ -59,7 +59,7 @@ def assemble(
     """
     mechanism = model.load()
     given = state.quantities(qdd=qdd)
-    ways = _branches(mechanism, option_source(mechanism, given[0]).whole)
+    ways = _branches(driver_of(mechanism), option_source(mechanism, given[0]).whole)
     found = []
     for name, way in ways:
         try:

@@ -15,7 +15,7 @@ import numpy as np
 
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_input
-from robodyn.cli.states import Quantity, Source, complete, table_source
+from robodyn.cli.states import Quantity, Source, complete, driver_of, table_source
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.zero_phase import how, rates
@@ -91,7 +91,7 @@ def lack_of(mechanism: Mechanism, sources: Sequence[Source]) -> Lack:
     absent = [name for name in ("qd", "qdd") if name in known and not known[name].given]
     base = known["q"] if "qd" in absent else known["qd"]
     whole = base.whole and not mechanism.rows
-    names = base.columns if whole else base.quantity.columns(mechanism.actuated)
+    names = base.columns if whole else base.quantity.columns(driver_of(mechanism).actuated)
     return Lack(absent, base, names, whole)
 
 

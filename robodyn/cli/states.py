@@ -83,19 +83,34 @@ class Source(Record):
 
     def driven(self, mechanism: Mechanism) -> list[float]:
         """An option's values of the actuated joints."""
-        return [self.values[k] for k in mechanism.actuated] if self.whole else self.values
+        few = driver_of(mechanism, self.quantity.name).actuated
+        joints = range(mechanism.n) if self.whole else few
+        return [self.values[joints.index(k)] for k in mechanism.actuated]
+
+
+def driver_of(mechanism: Mechanism, name: str = "q") -> Mechanism:
+    """The mechanism whose actuated joints a vector of that name is of, if it is not of all joints.
+
+    Those of q, qd and qdd determine the others: free passive joints are among them.
+    """
+    if name not in ("q", "qd", "qdd") or len(mechanism.actuated) == mechanism.n:
+        return mechanism
+    from robodyn.loops.assembly_plan import with_independent
+
+    return with_independent(mechanism)
 
 
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
     """The source that the quantity's option is; zero where there is none."""
+    driver = driver_of(mechanism, quantity.name)
     if quantity.option is None:
         if quantity.required:
             limit = "missing: give it"
             limit += ", or a CSV of states (- for stdin)" if quantity.tabled else ""
             raise InputError(f"--{quantity.name}", limit=limit)
-        return Source(quantity, [0.0] * len(mechanism.actuated), [], False)
+        return Source(quantity, [0.0] * len(driver.actuated), [], False)
     kind = quantity.name if quantity.name in ("qd", "qdd", "tau") else "q"
-    values = vector_of_joints(mechanism, quantity.option, kind, f"--{quantity.name}")
+    values = vector_of_joints(driver, quantity.option, kind, f"--{quantity.name}")
     return Source(quantity, values, [], len(values) == mechanism.n)
 
 
@@ -104,7 +119,7 @@ def table_source(
 ) -> Source:
     """The source in a table with this header, or in the option, which goes first."""
     everything = quantity.columns(range(mechanism.n))
-    driven = quantity.columns(mechanism.actuated)
+    driven = quantity.columns(driver_of(mechanism, quantity.name).actuated)
     present = [name for name in everything if name in header]
     if quantity.option is not None and present:
         limit = f"{source} has the column {present[0]}; leave one of them out"
@@ -136,7 +151,8 @@ def complete(
     """q, qd and what else there is for all joints (..., n): assembled, or checked to be closed."""
     import numpy as np
 
-    free = not mechanism.rows and len(mechanism.actuated) == mechanism.n  # a joint each
+    driver = driver_of(mechanism)
+    free = not mechanism.rows and len(driver.actuated) == mechanism.n  # a joint each
     if not free:
         from robodyn.loops import assembly, loop_rates
     motion: dict[str, Array] = {}
@@ -153,17 +169,17 @@ def complete(
     with np.errstate(all="ignore"):
         for source, given in zip(sources, values, strict=True):
             name, full = source.quantity.name, given
-            if free or source.whole:
+            if source.whole or (free and name != "tau"):
                 pass
             elif name == "q":
-                full = assembly.assemble(mechanism, given, branches)
+                full = assembly.assemble(driver, given, branches)
             elif name == "qd":
-                full = loop_rates.loop_velocities(mechanism, motion["q"], given)
+                full = loop_rates.loop_velocities(driver, motion["q"], given)
             elif name == "qdd":
                 if unchecked:
                     check()
                     unchecked = False
-                full = loop_rates.loop_accelerations(mechanism, motion["q"], motion["qd"], given)
+                full = loop_rates.loop_accelerations(driver, motion["q"], motion["qd"], given)
             else:
                 full = np.zeros((*given.shape[:-1], mechanism.n))
                 full[..., list(mechanism.actuated)] = given

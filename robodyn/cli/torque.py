@@ -60,7 +60,8 @@ def torque(
       robodyn trajectory 2r --from 0,0 --to 1,2 --time 1 | cut -d, -f1-3 | \\
         robodyn torque 2r - --differentiate
       robodyn torque 2r --q 30deg,45deg --force tip2=0,-20
-      robodyn simulate cart-pole --q 0,80deg --time 1 | robodyn torque cart-pole - --residual
+      robodyn simulate cart-pole --q 0,80deg --time 1 | \\
+        robodyn torque cart-pole - --residual
       robodyn trajectory four-bar --speed 60rpm --turns 1 --points 361 | \\
         robodyn torque four-bar - --fluctuation 0.02
     """
@@ -88,6 +89,17 @@ def torque(
         given.write_one(mechanism, columns + motors + powers, row)
         return
 
+    _evaluated(mechanism, given, quantities, powers, residual)
+
+
+def _evaluated(
+    mechanism: Mechanism,
+    given: TableOptions,
+    quantities: list[Quantity],
+    powers: Sequence[str],
+    residual: bool,
+) -> None:
+    """Write the columns of the state of the options, or of each row of its table."""
     import numpy as np
 
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces
@@ -112,7 +124,7 @@ def torque(
             raise
         tau = solved.tau
         found = [torque_values(mechanism, q, qd, tau, solved.multipliers), tau[..., free]]
-        if power:
+        if powers:
             found.append(power_values(mechanism, qd, tau))
         return np.concatenate(found, axis=-1)
 

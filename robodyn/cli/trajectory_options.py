@@ -14,7 +14,7 @@ from robodyn.cli.files import rows_file
 from robodyn.cli.motion_files import without_jumps
 from robodyn.cli.options import EACH, Number, Text, Unwrap, option, refuse
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.states import Quantity, option_source, table_source
+from robodyn.cli.states import Quantity, driver_of, option_source, table_source
 from robodyn.errors import InputError, named_options
 from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
@@ -164,7 +164,7 @@ def given_angles(
         raise InputError(f"--{name}", limit="missing: give the pose that the sweep is about")
     q = np.full(mechanism.n, np.nan)
     source = option_source(mechanism, Quantity(name, text))
-    q[_joints(mechanism, source.whole)] = source.values
+    q[_joints(driver_of(mechanism, name), source.whole)] = source.values
     return q
 
 

@@ -108,7 +108,10 @@ def without_residual(
 
 
 def _terms(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, left: Array) -> Array:
-    """The largest term in the equation of each free joint, (T, free), which leaves `left`."""
+    """The largest term in the equation of each free joint, (T, free), which leaves `left`.
+
+    In loops it counts as no less than what rounding of the multipliers takes to be told from zero.
+    """
     inertial = matvec(mass_matrix(mechanism, q), qdd)
     bent = matvec(coriolis_matrix(mechanism, q, qd), qd)
     damped = mechanism.arrays.damping * qd
@@ -120,11 +123,13 @@ def _terms(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, left: Array) -
         kept = s.V * (np.arange(mechanism.n) < s.rank[..., None])[..., None, :]
         freedoms = np.eye(mechanism.n) - kept @ np.swapaxes(kept, -1, -2)
         N = units[:, None] * freedoms @ np.linalg.pinv(units[z, None] * freedoms[:, z])
-        along = N[..., [z.index(k) for k in free]]
-        terms = matvec(np.swapaxes(along, -1, -2), terms)
+        # what the multipliers are solved from, and may leave by rounding
+        solved = np.abs(terms * units).max(axis=(0, -1), initial=0.0)[:, None] / units[free]
+        terms = matvec(np.swapaxes(N[..., [z.index(k) for k in free]], -1, -2), terms)
+        terms = np.concatenate([terms, ROUNDING / NONE * solved[None]])
     else:
         terms = terms[..., free]
-    Q = terms.sum(axis=0) - left
+    Q = terms[:4].sum(axis=0) - left
     return np.asarray(np.maximum(np.abs(terms).max(axis=0), np.abs(Q)))
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from robodyn.errors import InputError
@@ -139,15 +139,27 @@ def joint_units(mechanism: Mechanism, count: int, kind: str) -> list[str]:
     return [*each, *[""] * count][:count]
 
 
-def joint_values(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[float]:
+def joint_values(
+    mechanism: Mechanism,
+    text: str,
+    kind: str,
+    flag: str,
+    check: Callable[[int], None] = lambda _: None,
+) -> list[float]:
     """The q, qd, qdd or tau (`kind`) that an option's text has of joints, by their units.
 
-    They are of all joints, of the actuated ones or the first of these.
+    They are of all joints, of the actuated ones or the first of these; `check` may refuse a number
+    of them, before their units are looked at.
     """
+
+    def units(count: int) -> list[str]:
+        check(count)
+        return joint_units(mechanism, count, kind)
+
     try:
-        return parse_vector(text, where=flag, unit=lambda n: joint_units(mechanism, n, kind))
+        return parse_vector(text, where=flag, unit=units)
     except InputError as error:
-        if mechanism.slides:
+        if mechanism.slides and error.what != flag:  # an entry is wrong, perhaps by its unit
             sliding = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.slides)
             error.limit = f"{error.limit}; {sliding} slides"
         raise
@@ -155,13 +167,16 @@ def joint_values(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[
 
 def vector_of_joints(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[float]:
     """The same of all joints, or of the actuated ones; InputError for another number of them."""
-    values = joint_values(mechanism, text, kind, flag)
     n, actuated = mechanism.n, len(mechanism.actuated)
-    if len(values) not in (n, actuated):
+
+    def check(given: int) -> None:
+        if given in (n, actuated):
+            return
         wanted = f"{n} values, one a joint ({', '.join(mechanism.link_names)})"
         if 0 < actuated < n:
             names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
             wanted += f", or {actuated} ({names})"
-        count = "1 value" if len(values) == 1 else f"{len(values)} values"
+        count = "1 value" if given == 1 else f"{given} values"
         raise InputError(flag, value=f"{shown(text)} ({count})", limit=f"needs {wanted}")
-    return values
+
+    return joint_values(mechanism, text, kind, flag, check)

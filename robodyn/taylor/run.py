@@ -234,7 +234,8 @@ class TaylorRun:
 
     def _way_on(self, before: float, status: Status) -> Outcome | None:
         """How it goes on after steps from `before`; the outcome where it does not."""
-        steady = self.actuation.constants is not None
+        # a spring whose ends meet has no series there, and a motion that leads across
+        steady = self.actuation.constants is not None and not self.mechanism.springs
         if self.t == self.t_end:
             return Outcome.FINISHED
         self.idle = self.idle + 1 if self.t == before else 0

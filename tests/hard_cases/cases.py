@@ -149,7 +149,7 @@ def double_pendulum(part: int = 1) -> Iterator[Row]:
             10.0,
             [-0.568474664015950, -0.526393727932405],
             [6.07838488576197, -9.68136068170888],
-            300.0,
+            1000.0,
         ),
     )
     for method, (degrees, time, angles, rates, growth) in product(METHODS, cases):
