@@ -30,18 +30,23 @@ def from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
         if not geared and k not in mechanism.slides:  # turns count where joints are coupled
             way[..., place] = half_turn(way[..., place])
     steps = int(np.ceil(np.abs(way / units[actuated]).max(initial=0.0) / PATH_STEP))
-    here = close_positions(mechanism, begin, actuated)
-    lost = _gap(mechanism, here) > CLOSED
-    first = here[..., actuated].copy()
+    here = close_positions(mechanism, begin, actuated).reshape(-1, mechanism.n)
+    going = np.flatnonzero(_gap(mechanism, here) <= CLOSED)  # states whose path has not ended
+    first, way = here[:, actuated].copy(), way.reshape(-1, len(actuated))
     for s in range(1, steps + 1):
-        there = here.copy()
-        there[..., actuated] = first + way * (s / steps)
+        if not len(going):
+            break
+        there = here[going]
+        there[:, actuated] = first[going] + way[going] * (s / steps)
         there = close_positions(mechanism, there, actuated)
         # beyond a limit nothing closes, or only after a leap to another branch: the path ends
-        moved = np.abs(there[..., passive] - here[..., passive]) / units[passive]
-        leap = moved.max(axis=-1, initial=0.0) > LEAP
-        lost |= leap | (_gap(mechanism, there) > CLOSED)
-        here = np.where(lost[..., None], here, there)
+        moved = np.abs(there[:, passive] - here[going][:, passive]) / units[passive]
+        kept = (moved.max(axis=-1, initial=0.0) <= LEAP) & (_gap(mechanism, there) <= CLOSED)
+        going = going[kept]
+        here[going] = there[kept]
+    lost = np.ones(len(here), bool)
+    lost[going] = False
+    here, lost = here.reshape(q.shape), lost.reshape(q.shape[:-1])
     here[..., actuated] = target
     missing = np.maximum(_gap(mechanism, here), CLOSED) * loop_size(mechanism)
     counting = set().union(*map(joints_of, geared))
