@@ -46,13 +46,13 @@ def from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
         here[going] = there[kept]
     lost = np.ones(len(here), bool)
     lost[going] = False
-    here, lost = here.reshape(q.shape), lost.reshape(q.shape[:-1])
-    here[..., actuated] = target
+    here[:, actuated] = target.reshape(first.shape)
     missing = np.maximum(_gap(mechanism, here), CLOSED) * loop_size(mechanism)
+    missing = np.where(lost, missing, 0.0)
     counting = set().union(*map(joints_of, geared))
     turning = [k for k in passive if k not in counting and k not in mechanism.slides]
-    here[..., turning] = half_turn(here[..., turning])
-    return here, np.where(lost, missing, 0.0)
+    here[:, turning] = half_turn(here[:, turning])
+    return here.reshape(q.shape), missing.reshape(q.shape[:-1])
 
 
 def reachable_from_start(
