@@ -66,12 +66,18 @@ class Sample:
     closing: float  # the part of the drawn positions at which the loops close
 
 
-def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
+def sample_states(
+    mechanism: Mechanism,
+    count: int,
+    watch: Callable[[float], object] | None = None,
+    seed: int = 1,
+) -> Sample:
     """Return up to `count` closed states with random rates.
 
     The actuated joints and those that no loop or coupling holds are drawn, and the others
     assembled.  If these do not tell the others, all are drawn, and Newton's method closes the
-    loops; raises InputError if that takes too long.
+    loops; raises InputError if that takes too long.  `watch` is told what part of the paths to
+    closed states is gone.
     """
     rng, n = np.random.default_rng(seed), mechanism.n
     independent = with_independent(mechanism)
@@ -81,7 +87,7 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
         return Sample(q, rng.normal(size=(len(q), n)), 1.0)
     if _follows(independent):
         drawn = random_states(mechanism, rng, 4 * count, independent.actuated)
-        q, missing = assembly.attempt(independent, drawn)
+        q, missing = assembly.attempt(independent, drawn, watch=watch)
         closes = np.flatnonzero(missing <= 0.0)
     else:
         work = n * len(mechanism.rows) * min(n, len(mechanism.rows))

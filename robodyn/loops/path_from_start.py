@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from robodyn.dynamics.closed_form import closure_gap
@@ -15,8 +17,13 @@ PATH_STEP = 0.02  # rad, step of the actuated joints on the path from `start`
 LEAP = 0.5  # rad; a passive joint that moves more in such a step has left its branch
 
 
-def from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
-    """Close what is left along a path of the actuated joints from the scene's start."""
+def from_start(
+    mechanism: Mechanism, q: Array, watch: Callable[[float], object] | None = None
+) -> tuple[Array, Array]:
+    """Close what is left along a path of the actuated joints from the scene's start.
+
+    `watch` is told what part of the path is gone.
+    """
     start = mechanism.description.start
     assert start is not None  # the plan checks it
     actuated, passive = list(mechanism.actuated), list(mechanism.passive)
@@ -36,6 +43,8 @@ def from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
     for s in range(1, steps + 1):
         if not len(going):
             break
+        if watch is not None:
+            watch(s / steps)
         there = here[going]
         there[:, actuated] = first[going] + way[going] * (s / steps)
         there = close_positions(mechanism, there, actuated)
