@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,6 +25,20 @@ def test_all_poses_of_a_double_pendulum(robodyn: Run) -> None:
     assert [row["stable"] for row in given.rows] == ["yes", "no", "no", "no"]
     angles = {(round(math.degrees(float(x["q1"]))), float(x["q2"]) > 1) for x in given.rows}
     assert angles == {(-90, False), (-90, True), (90, False), (90, True)}
+
+
+def test_the_turns_that_are_searched_are_told(robodyn: Run, tmp_path: Path) -> None:
+    path = tmp_path / "coil.yaml"
+    link = "gravity: 9.81\nlinks: [{name: a, m: 0.2, l: 1, r: 0.5, I: 0.1}]\n"
+    path.write_text(link + "springs: [{joint: a, stiffness: 3, angle: 0}]\n")
+    given = robodyn("equilibrium", path, "--all")
+    assert "q1 (a) from -180 to 180 deg" in given.err
+    path.write_text(link + "springs: [{joint: a, stiffness: 0.1, angle: 0}]\n")
+    given = robodyn("equilibrium", path, "--all")
+    told = re.search(r"q1 \(a\) from -(\d+) to (\d+) deg", given.err)
+    assert told is not None
+    reach = math.degrees(0.2 * 9.81 * 0.5 / 0.1)  # where the coil pulls as hard as the weight can
+    assert all(reach < float(x) < 3 * reach for x in told.groups())
 
 
 def test_held_joint_and_its_torque(robodyn: Run) -> None:

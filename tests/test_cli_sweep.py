@@ -559,3 +559,18 @@ def test_torques_of_a_loop_that_keeps_an_angle(robodyn: Run, scene: Callable[[st
         assert "mz1" in single
         for name, value in single.items():
             assert float(row[name]) == pytest.approx(value, rel=1e-9)
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_load_too_fast_for_samples_is_told_once_and_first(
+    robodyn: Run, tmp_path: Path, workers: str
+) -> None:
+    path = tmp_path / "fast.yaml"
+    link = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+    path.write_text(link + 'loads: [{link: a, torque: "sin(1e9*t)"}]\n')
+    options = ["--vary", "q1=0:1:2", "--time", "1", "--max-steps", "500", "--workers", workers]
+    given = robodyn("sweep", path, *options)
+    first, *others = given.err.splitlines()
+    assert first.startswith("Warning: the torque changes too fast to be sampled")
+    assert not any("too fast" in line for line in others)
+    assert [row["outcome"] for row in given.rows] == ["too many evaluations"] * 2

@@ -9,10 +9,11 @@ import pytest
 import sympy as sp
 from conftest import ROOT, relative_error
 from scipy.linalg import solve_continuous_are
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq, minimize_scalar
 
 import robodyn as rd
 from random_mechanisms import LOOPS, forced, mechanism, seeded_scene
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.rest.balance import balance
@@ -335,6 +336,60 @@ def test_four_bar_with_springs_rests_where_its_energy_is_least() -> None:
         assert min(abs(rest.q[0] - best.x) for rest in found) < 1e-6
         near = rd.equilibrium(mech, rd.assemble(mech, [best.x + 0.05]))
         assert near.potential_energy == pytest.approx(best.fun, rel=1e-12)
+
+
+def test_a_spring_at_the_crank_of_a_four_bar_is_searched_beyond_half_a_turn() -> None:
+    mech = mechanism(
+        FOUR_BAR
+        + """springs:
+  - {joint: crank, stiffness: 1.5, angle: 20deg}
+  - {between: [{link: coupler, at: [0.5, 0]}, [0.3, 1.2]], stiffness: 60, length: 0.2}
+"""
+    )
+
+    def energy(crank):
+        """PE at any turn: the coil of the crank is wound, the rest is as within half a turn."""
+        wrapped = np.remainder(crank + math.pi, math.tau) - math.pi
+        q = rd.assemble(mech, np.atleast_1d(wrapped)[..., None])
+        coils = [1.5 / 2 * (x - math.radians(20)) ** 2 for x in (crank, wrapped)]
+        return rd.potential_energy(mech, q) + coils[0] - coils[1]
+
+    angles = np.linspace(-9 * math.pi, 9 * math.pi, 18001)
+    rise = np.diff(energy(angles))
+    lowest = np.flatnonzero((rise[:-1] < 0.0) & (rise[1:] > 0.0)) + 1
+    highest = np.flatnonzero((rise[:-1] > 0.0) & (rise[1:] < 0.0)) + 1
+    found = rd.equilibria(mech)
+    for places, stable in ((lowest, True), (highest, False)):
+        rests = sorted(float(x.q[0]) for x in found if x.stable is stable)
+        assert rests == pytest.approx(sorted(angles[places]), abs=4e-3)
+    assert min(x.q[0] for x in found) == pytest.approx(-3.615803, abs=1e-6)
+    assert found[1].potential_energy == pytest.approx(31.470165, abs=1e-6)
+
+
+@pytest.mark.parametrize(("stiffness", "free"), [(0.3, 0.5), (0.15, 8.0), (3.0, -40.0)])
+def test_a_pendulum_on_a_weak_coil_rests_in_many_turns(stiffness: float, free: float) -> None:
+    """k (q - free) + m g r cos q = 0, by bisection on a fine grid."""
+    mech = mechanism(
+        "gravity: 9.81\nlinks: [{name: a, m: 0.2, l: 1, r: 0.5, I: 0.1}]\n"
+        f"springs: [{{joint: a, stiffness: {stiffness}, angle: {free}}}]\n"
+    )
+
+    def torque(q):
+        return stiffness * (q - free) + 0.2 * 9.81 * 0.5 * np.cos(q)
+
+    reach = 0.2 * 9.81 * 0.5 / stiffness
+    grid = np.linspace(free - reach - 0.1, free + reach + 0.1, 5001)
+    (k,) = np.nonzero(torque(grid[1:]) * torque(grid[:-1]) < 0.0)
+    exact = [brentq(torque, grid[i], grid[i + 1], xtol=1e-14) for i in k]
+    found = sorted(rd.equilibria(mech), key=lambda x: float(x.q[0]))
+    assert [float(x.q[0]) for x in found] == pytest.approx(exact, abs=1e-9)
+    assert [x.stable for x in found] == [i % 2 == 0 for i in range(len(exact))]
+
+
+def test_a_search_that_is_cut_short_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("robodyn.rest.poses_at_rest.MOST_EVALUATIONS", 100)
+    with pytest.warns(RobodynWarning, match="there may be more poses at rest"):
+        assert 0 < len(rd.equilibria(scene("3r"))) < 8
 
 
 def test_a_level_arm_is_no_place_to_stay() -> None:

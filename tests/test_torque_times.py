@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings
 from functools import cache
 from itertools import pairwise
 
@@ -14,6 +15,7 @@ from scipy.special import expi, sici
 
 from random_mechanisms import mechanism
 from robodyn import load, simulate
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.kinks import next_stop
@@ -24,6 +26,7 @@ from robodyn.simulation.report import Outcome
 from robodyn.simulation.run_statistics import UnseenWork
 from robodyn.simulation.settings import METHODS, Settings
 
+pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 PENDULUM = load(ROOT / "robots/pendulum.yaml")
 ARM = load(ROOT / "robots/2r.yaml")
 START = ([-1.5], [0.0])
@@ -174,8 +177,20 @@ def test_beside_a_part_that_is_too_fast_a_pulse_is_sampled():
 
 def test_a_torque_too_fast_for_samples_is_told():
     assert simulate(FREE, [0.0], [0.0], 1e-4, "sin(1e7*t)").report.hint == ""
-    told = simulate(FREE, [0.0], [0.0], 1.0, "sin(1e7*t)", max_evals=1000).report.hint
+    with pytest.warns(RobodynWarning, match="too fast to be sampled"):
+        told = simulate(FREE, [0.0], [0.0], 1.0, "sin(1e7*t)", max_evals=1000).report.hint
     assert "too fast to be sampled" in told
+
+
+@pytest.mark.parametrize("text", ["sin(1e9*t)", "sin(1/(t-0.01))"])
+def test_a_torque_too_fast_for_samples_is_told_before_the_first_step(text, monkeypatch):
+    def stepping(*_, **__):
+        raise AssertionError("a step was taken first")
+
+    monkeypatch.setattr("robodyn.simulation.smooth_motions.SmoothMotions.run", stepping)
+    warnings.simplefilter("error")  # until the end of this test
+    with pytest.raises(RobodynWarning, match="too fast to be sampled"):
+        simulate(FREE, [0.0], [0.0], 1.0, text)
 
 
 @pytest.mark.parametrize("method", ["LSODA", "BDF", "DOP853", "taylor"])

@@ -11,6 +11,7 @@ import typer
 
 from robodyn.cli.options import Model, Out, OutputStructured
 from robodyn.cli.output import Grid, degrees, in_told_units, note, write_structure
+from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.identities import BOUND, Identity, Sample, identities, sample_states
@@ -57,8 +58,8 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
     unknown = False
     try:
         count = max(2, min(STATES, ENTRIES // mechanism.n**2))
-        with remarks():
-            sample = sample_states(mechanism, count)
+        with remarks(), progress("closing") as watch:
+            sample = sample_states(mechanism, count, watch)
     except InputError as error:
         unknown = True
         note(f"Note: no self-test over closed states: {error}")

@@ -6,11 +6,12 @@ import numpy as np
 
 from robodyn.cli.options import Model, Q, Tau, option, switch
 from robodyn.cli.output import RowOptions, note
+from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, option_source, remarks, single_state
 from robodyn.errors import named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
-from robodyn.rest.poses_at_rest import equilibria
+from robodyn.rest.poses_at_rest import equilibria, searched_turns
 from robodyn.rest.poses_at_rest import equilibrium as pose_at_rest
 
 WORDS = {True: "yes", False: "no", None: "undecided"}
@@ -30,7 +31,8 @@ def equilibrium(
     yes where PE has a minimum along the closures, no, or undecided where stiffness alone does not
     tell. Without potential it is whether a small motion grows. --q is near the pose, by default the
     scene's start. With --all each pose is told once, the lowest first; where it rests all along a
-    motion, hold a joint.
+    motion, hold a joint. Joints with springs are searched over as many turns as their springs
+    allow, 10 at most from their free angles; stderr tells the range.
 
     Dry friction and hard stops hold nothing; loads that vary are those at t = 0.
 
@@ -45,9 +47,14 @@ def equilibrium(
     torques = joint_torques(mechanism, tau)
     tell_what_is_left_out(mechanism)
     with remarks(), named_options(["hold", "tau"]):
-        search = equilibria if all else pose_at_rest
-        found = search(mechanism, near, hold or (), torques)
-    rests = found if isinstance(found, list) else [found]
+        if all:
+            turns = searched_turns(mechanism, near, hold or (), torques)
+            with progress("searching") as watch:
+                rests = equilibria(mechanism, near, hold or (), torques, watch)
+        else:
+            turns, rests = {}, [pose_at_rest(mechanism, near, hold or (), torques)]
+    if turns:
+        note(f"Note: springs at joints make turns differ: searched {_ranges(mechanism, turns)}")
     held = [k for k, name in enumerate(mechanism.link_names) if name in (hold or ())]
     columns = [*(f"q{k + 1}" for k in range(mechanism.n)), *(f"tau{k + 1}" for k in held)]
     columns += ["PE", "stable"]
@@ -55,6 +62,14 @@ def equilibrium(
         for rest in rests:
             values = [*rest.q.tolist(), *rest.tau[held].tolist(), rest.potential_energy]
             writer.write_row([*values, WORDS[rest.stable]])
+
+
+def _ranges(mechanism: Mechanism, turns: dict[int, tuple[int, int]]) -> str:
+    """The angles that were searched, joint by joint."""
+    return ", ".join(
+        f"q{k + 1} ({mechanism.link_names[k]}) from {360 * low - 180} to {360 * high + 180} deg"
+        for k, (low, high) in sorted(turns.items())
+    )
 
 
 def joint_torques(mechanism: Mechanism, tau: str | None) -> np.ndarray:

@@ -18,13 +18,14 @@ from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, option, re
 from robodyn.cli.output import RowOptions, note, told
 from robodyn.cli.progress import progress
 from robodyn.cli.simulate_options import ControlOptions
+from robodyn.cli.states import remarks
 from robodyn.cli.sweep_options import SweepOptions, plan_of
 from robodyn.errors import InputError, named_options
 from robodyn.pictures.column_units import scene_units
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.sweep_chunks import Rows
 from robodyn.sweeps.sweep_plan import Plan, check
-from robodyn.sweeps.sweep_workers import PATIENCE, results
+from robodyn.sweeps.sweep_workers import PATIENCE, results, without_remarks
 from robodyn.tables.table_writer import Writer
 
 Compute = Callable[[int, Callable[[Rows], object]], object]  # from a chunk on, into what writes
@@ -103,7 +104,8 @@ def sweep(
     work.check()
     if extremes and correlations:
         raise InputError("--extremes and --correlations", limit="exclude each other")
-    check(plan)
+    with remarks():
+        check(plan)
     tell_large_angles(plan.mechanism, model.values)
     units, values = dict(scene_units(plan.mechanism)), model.values()
     units |= {x.name: values.unit(x.name) for x in plan.variation.axes if x.name in values}
@@ -119,6 +121,7 @@ def sweep(
         with (
             named_options(("scheduler",)),
             progress("sweeping", quiet, 0.0) as show,
+            without_remarks(),
             closing(work.results(plan, begin)) as chunks,
         ):
             for rows in chunks:

@@ -8,6 +8,7 @@ Residuals are relative to the size of the terms.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +21,7 @@ from robodyn.dynamics.reaction_forces import bodies_of
 from robodyn.engines.row_values import RowValues, rows_of
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
+from robodyn.loops.assembly_plan import assembly_plan, with_independent
 from robodyn.loops.closing import random_states
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -64,31 +66,40 @@ class Sample:
     closing: float  # the part of the drawn positions at which the loops close
 
 
-def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
-    """Up to `count` closed states with random actuated angles and rates.
+def sample_states(
+    mechanism: Mechanism,
+    count: int,
+    watch: Callable[[float], object] | None = None,
+    seed: int = 1,
+) -> Sample:
+    """Return up to `count` closed states with random rates.
 
-    Raises InputError where the mechanism cannot be assembled from its actuated joints.
+    The actuated joints and those that no loop or coupling holds are drawn, and the others
+    assembled.  If these do not tell the others, all are drawn, and Newton's method closes the
+    loops; raises InputError if that takes too long.  `watch` is told what part of the paths to
+    closed states is gone.
     """
     rng, n = np.random.default_rng(seed), mechanism.n
-    driven = len(mechanism.actuated)
+    independent = with_independent(mechanism)
     if not mechanism.rows:
         q = random_states(mechanism, rng, count)
         q = q[within_tables(mechanism, q)]
         return Sample(q, rng.normal(size=(len(q), n)), 1.0)
-    if driven > n - len(mechanism.rows):  # their angles depend on one another
+    if _follows(independent):
+        drawn = random_states(mechanism, rng, 4 * count, independent.actuated)
+        q, missing = assembly.attempt(independent, drawn, watch=watch)
+        closes = np.flatnonzero(missing <= 0.0)
+    else:
         work = n * len(mechanism.rows) * min(n, len(mechanism.rows))
         if work > MOST_WORK:
-            limit = f"closing {len(mechanism.rows)} equations of closures from random angles, as "
-            limit += f"{driven} actuated joints on fewer freedoms ask for, takes too long"
+            limit = f"closing {len(mechanism.rows)} equations of closures from random angles takes "
+            limit += f"too long, and {len(independent.actuated)} independent joints do not tell "
+            limit += "the others: change `actuated`, or add a `start`"
             raise InputError("actuated", where=mechanism.source, limit=limit)
         tries = max(2, min(4 * count, SEARCH // work))
         q = assembly.close_positions(mechanism, random_states(mechanism, rng, tries))
         missing = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
         closes = np.flatnonzero(missing <= ROUNDING * assembly.loop_size(mechanism))
-    else:
-        drawn = random_states(mechanism, rng, 4 * count, mechanism.actuated)
-        q, missing = assembly.attempt(mechanism, drawn)
-        closes = np.flatnonzero(missing <= 0.0)
     keep: list[int] = []
     for k in closes:
         if len(keep) < count and not loop_rates.singular_kind(mechanism, q[k]):
@@ -98,6 +109,15 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
     qd = loop_rates.nearest_velocities(mechanism, closed, rng.normal(size=closed.shape))
     qd[np.abs(qd).max(axis=-1, initial=0.0) < STILL] = 0.0  # what cannot move
     return Sample(closed, qd, len(closes) / len(q))
+
+
+def _follows(mechanism: Mechanism) -> bool:
+    """Whether the joints can be assembled from any angles of the actuated ones."""
+    if len(mechanism.actuated) > mechanism.n - len(mechanism.rows):
+        return False  # their angles depend on one another
+    with suppress(InputError):
+        return bool(assembly_plan(mechanism))
+    return False
 
 
 def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:

@@ -5,11 +5,13 @@ Steps of a series are looked at together, by boxes; those where a sign may chang
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.events.explicit_steps import as_steps, by_stages
 from robodyn.events.functions import EventFunction
 from robodyn.events.pieces import Remembered, States, Step, along, signs_along
@@ -290,6 +292,9 @@ class EventWatch(EventRecord):
             self.signs[i], before = sign, stretch
             known.append((stretch.begin, sign))
         if budget.spent:
+            if function.name not in self.lost:  # a run may take long to tell it at its end
+                remark = f"{function.name} passes zero too often to be followed, as at "
+                warnings.warn(f"{remark}t = {step.begin:.9g} s", RobodynWarning, stacklevel=2)
             self.lost.setdefault(function.name, []).append(step.begin)
         return found
 

@@ -20,7 +20,7 @@ a path from the scene's `start` configuration.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from itertools import product
 
@@ -71,11 +71,15 @@ def assemble(
 
 
 def attempt(
-    mechanism: Mechanism, q_actuated: ArrayLike, branches: Sequence[str] | None = None
+    mechanism: Mechanism,
+    q_actuated: ArrayLike,
+    branches: Sequence[str] | None = None,
+    watch: Callable[[float], object] | None = None,
 ) -> tuple[Array, Array]:
     """Like `assemble`, but a state that cannot close is told by its missing distance (...), m.
 
     The distance is zero where the loops close, and nan where they close with joints at any value.
+    `watch` is told what part of a path from the scene's start is gone.
     """
     given = _as_actuated(mechanism, q_actuated)
     if branches is None:
@@ -88,7 +92,7 @@ def attempt(
     for sine in sines:
         flat = flat | (sine < FLAT)
     if plan.rest:
-        q, short = from_start(mechanism, q)
+        q, short = from_start(mechanism, q, watch)
         missing = np.maximum(missing, short)
     flat = np.array(flat & (missing <= 0.0))
     if flat.any():  # to the last digit where Psi itself is nearly singular

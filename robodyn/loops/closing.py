@@ -33,6 +33,7 @@ NEAR_SINGULAR = 1e-2  # s/L below which a gap is computed exactly
 USUAL = 0.15  # s/L of regular states: where it is less at all of them, L counts for less
 CUT = 1e-10  # singular values of Psi below this part of the largest are left alone
 CLOSED = 1.5e-16  # a gap below this part of the loop's size is rounding
+ROUNDED = 1e-9  # above this part of the loop's size floats tell a gap well enough for a step
 PASSES = 12
 SEARCHED = 2_000_000  # entries of Psi times its rank, of configurations that tell what is usual
 LONGEST = 0.5  # rad of a step
@@ -166,7 +167,9 @@ def _closed(mechanism: Mechanism, given: Array, free: list[int], exact: float) -
         near = least < exact
         if near.any():
             near &= least < NEAR_SINGULAR * singular_size(mechanism)
-        for state in map(tuple, np.argwhere(near)):
+        # a larger gap is known well enough without
+        small = np.abs(gap).max(axis=-1) < ROUNDED * size
+        for state in map(tuple, np.argwhere(near & small)):
             gap[state] = exact_gap(mechanism, q[state])
         inverse = np.divide(1.0, s, out=np.zeros_like(s), where=held)
         along = inverse * np.einsum("...ij,...i->...j", U, gap)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from robodyn.dynamics.closed_form import closure_gap
@@ -15,8 +17,13 @@ PATH_STEP = 0.02  # rad, step of the actuated joints on the path from `start`
 LEAP = 0.5  # rad; a passive joint that moves more in such a step has left its branch
 
 
-def from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
-    """Close what is left along a path of the actuated joints from the scene's start."""
+def from_start(
+    mechanism: Mechanism, q: Array, watch: Callable[[float], object] | None = None
+) -> tuple[Array, Array]:
+    """Close what is left along a path of the actuated joints from the scene's start.
+
+    `watch` is told what part of the path is gone.
+    """
     start = mechanism.description.start
     assert start is not None  # the plan checks it
     actuated, passive = list(mechanism.actuated), list(mechanism.passive)
@@ -30,24 +37,31 @@ def from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
         if not geared and k not in mechanism.slides:  # turns count where joints are coupled
             way[..., place] = half_turn(way[..., place])
     steps = int(np.ceil(np.abs(way / units[actuated]).max(initial=0.0) / PATH_STEP))
-    here = close_positions(mechanism, begin, actuated)
-    lost = _gap(mechanism, here) > CLOSED
-    first = here[..., actuated].copy()
+    here = close_positions(mechanism, begin, actuated).reshape(-1, mechanism.n)
+    going = np.flatnonzero(_gap(mechanism, here) <= CLOSED)  # states whose path has not ended
+    first, way = here[:, actuated].copy(), way.reshape(-1, len(actuated))
     for s in range(1, steps + 1):
-        there = here.copy()
-        there[..., actuated] = first + way * (s / steps)
+        if not len(going):
+            break
+        if watch is not None:
+            watch(s / steps)
+        there = here[going]
+        there[:, actuated] = first[going] + way[going] * (s / steps)
         there = close_positions(mechanism, there, actuated)
         # beyond a limit nothing closes, or only after a leap to another branch: the path ends
-        moved = np.abs(there[..., passive] - here[..., passive]) / units[passive]
-        leap = moved.max(axis=-1, initial=0.0) > LEAP
-        lost |= leap | (_gap(mechanism, there) > CLOSED)
-        here = np.where(lost[..., None], here, there)
-    here[..., actuated] = target
+        moved = np.abs(there[:, passive] - here[going][:, passive]) / units[passive]
+        kept = (moved.max(axis=-1, initial=0.0) <= LEAP) & (_gap(mechanism, there) <= CLOSED)
+        going = going[kept]
+        here[going] = there[kept]
+    lost = np.ones(len(here), bool)
+    lost[going] = False
+    here[:, actuated] = target.reshape(first.shape)
     missing = np.maximum(_gap(mechanism, here), CLOSED) * loop_size(mechanism)
+    missing = np.where(lost, missing, 0.0)
     counting = set().union(*map(joints_of, geared))
     turning = [k for k in passive if k not in counting and k not in mechanism.slides]
-    here[..., turning] = half_turn(here[..., turning])
-    return here, np.where(lost, missing, 0.0)
+    here[:, turning] = half_turn(here[:, turning])
+    return here.reshape(q.shape), missing.reshape(q.shape[:-1])
 
 
 def reachable_from_start(

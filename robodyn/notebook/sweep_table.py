@@ -17,7 +17,7 @@ from robodyn.scene.yaml_tree import Sequence as ListOf
 from robodyn.simulation.settings import Engine
 from robodyn.sweeps.sweep_plan import check
 from robodyn.sweeps.sweep_request import Kind, SweepRequest, plan_of
-from robodyn.sweeps.sweep_workers import results
+from robodyn.sweeps.sweep_workers import results, without_remarks
 from robodyn.tables.columns import Columns
 
 VECTORS = ("q", "qd", "qdd", "tau")
@@ -61,7 +61,7 @@ def sweep(
         request = SweepRequest(vary=axes, sample=sample, **given)
         plan = plan_of(scene, tuple(numbers.items()), request)
         check(plan)
-    with closing(results(plan, 0, workers)) as chunks:
+    with without_remarks(), closing(results(plan, 0, workers)) as chunks:
         rows = list(chunks)
     names = plan.columns()
     values = np.concatenate([chunk.values for chunk in rows])

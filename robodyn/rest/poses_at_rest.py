@@ -10,15 +10,21 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import islice
+from dataclasses import replace
+from itertools import islice, product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics.closed_form import closure_gap, potential_energy
+from robodyn.dynamics.closed_form import (
+    closure_gap,
+    gravity_vector,
+    other_forces,
+    potential_energy,
+)
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.sticking import held_forces
 from robodyn.engines.singular_values import damped
@@ -45,7 +51,10 @@ LEVEL = 1e-9  # part of the largest stiffness below which an eigenvalue counts a
 CLOSED = 1e-9  # part of the loop's size that a pose may be open
 SAME = 1e-6  # rad by which poses may differ that are one
 STARTS = 30  # in vain before no more are tried, or 10 for each pose that is found
-MOST_STARTS = 3000
+MOST_EVALUATIONS = 10_000  # of the balance, over all starts
+MANY = 300  # starts drawn at once, after the first
+MOST_STARTS = 2730
+MOST_TURNS = 10  # of a joint with springs, from their free angles
 MOST_LEVEL = 12  # poses that rest beside themselves, after which there is no end of them
 
 Found = tuple[Array, Balance, Mechanism]  # a pose at rest, its balance, and what acts there
@@ -82,7 +91,7 @@ def equilibrium(
     """
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     begin = _near(mechanism, near)
-    found = _at_rest(mechanism, joints, begin, torques)
+    found, _ = _at_rest(mechanism, joints, begin, torques)
     if isinstance(found, float):
         raise _none(mechanism, begin, torques, found)
     q = found[0]
@@ -98,12 +107,15 @@ def equilibria(
     near: ArrayLike | None = None,
     hold: Sequence[str] = (),
     tau: ArrayLike | None = None,
+    watch: Callable[[float], object] | None = None,
 ) -> list[Rest]:
     """The poses at rest that are found from many random starts, each once, the lowest PE first.
 
     Held joints stay where they are in `near`.  Starts are as the scene is assembled, where the
     actuated joints tell the others.  Angles lie within half a turn of zero, but for joints whose
-    turns count.  Raises RobodynError where there is none, or no end of them, else as `equilibrium`.
+    turns count; those with springs are searched as `searched_turns` tells.  `watch` is told now
+    and then what part of the most starts is tried.  Raises RobodynError where there is none, or no
+    end of them, else as `equilibrium`.
     """
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     sprung = {spring.joint for spring in mechanism.joint_springs}
@@ -113,10 +125,19 @@ def equilibria(
     alone = [k for k in turning if k not in coupled]
     there: list[Found] = []
     level, last, least = 0, 0, math.inf
-    for tried, start in enumerate(_starts(mechanism, joints, _near(mechanism, near))):
-        if tried - last > STARTS + 10 * len(there):
+    begin = _near(mechanism, near)
+    turns = searched_turns(mechanism, begin, hold, torques)
+    in_vain = STARTS + 10 * sum(high - low for low, high in turns.values())
+    evaluations = 0
+    for tried, start in enumerate(_starts(mechanism, joints, begin, turns, watch)):
+        if tried - last > in_vain + 10 * len(there):
             break
-        found = _at_rest(mechanism, joints, start, torques)
+        if evaluations > MOST_EVALUATIONS:
+            remark = f"the search ended after {tried} starts: there may be more poses at rest"
+            warnings.warn(remark, RobodynWarning, stacklevel=2)
+            break
+        found, count = _at_rest(mechanism, joints, start, torques)
+        evaluations += count
         if isinstance(found, float):
             least = min(least, found)
             continue
@@ -138,6 +159,69 @@ def equilibria(
         raise _none(mechanism, None, torques, least)
     rests = [_rest(mechanism, joints, found, torques) for found in there]
     return sorted(rests, key=lambda rest: (round(rest.potential_energy, 9), *rest.q))
+
+
+def searched_turns(
+    mechanism: Mechanism,
+    near: ArrayLike | None = None,
+    hold: Sequence[str] = (),
+    tau: ArrayLike | None = None,
+) -> dict[int, tuple[int, int]]:
+    """Return the first and the last turn of joints, by joint, that `equilibria` searches.
+
+    Turn k reaches half a turn to either side of 2 pi k rad.  Listed are joints that turn and have
+    springs, which make turns differ, with the joints coupled to them.  The springs' free angles are
+    searched, and from there on as far as the springs pull less than twice what all else does at
+    the worst of STARTS random poses, MOST_TURNS turns at most.
+    """
+    held, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
+    barred = {joint for joint, stop in mechanism.limits if len(stop.ends) == 2}
+    barred |= {*held, *mechanism.slides}
+    springs = [x for x in mechanism.joint_springs if x.joint not in barred]
+    if not springs:
+        return {}
+    begin = _near(mechanism, near)
+    poses = list(islice(_starts(mechanism, held, begin, {}), STARTS))
+    motions = [free_motions(mechanism, pose) for pose in poses]
+    found: dict[int, tuple[int, int]] = {}
+    for joint in sorted({x.joint for x in springs}):
+        others = tuple(x for x in mechanism.joint_springs if x.joint != joint)
+        bare, most = replace(mechanism, joint_springs=others), 0.0
+        for pose, N in zip(poses, motions, strict=True):
+            size = float(N[joint] @ N[joint])
+            with suppress(RobodynError):  # beyond the rows of a table nothing rests
+                if size > LEVEL:  # what the springs have to balance along the joint's motions
+                    wanted = N[joint] @ N.T @ (torques - _pulls(bare, pose)) / size
+                    most = max(most, 2.0 * abs(float(wanted)))
+        ends = []
+        for side in (-1, 1):
+            turn = max(
+                (round(x.angle / math.tau) for x in springs if x.joint == joint),
+                key=lambda k: side * k,
+            )
+            for _ in range(MOST_TURNS):
+                there = begin.copy()
+                there[joint] = math.tau * turn + side * math.pi
+                with suppress(RobodynError):  # beyond the rows of a table there is no pull
+                    if abs((_pulls(mechanism, there) - _pulls(bare, there))[joint]) <= most:
+                        turn += side
+                        continue
+                break
+            ends.append(turn)
+        found[joint] = ends[0], ends[1]
+    for coupling in mechanism.description.couplings:
+        ratios = {coupling.joint: 1.0, **dict(coupling.terms)}
+        for sprung, joint in product(ratios, ratios):
+            if sprung in found and joint not in found and joint not in barred and ratios[joint]:
+                wide = abs(ratios[sprung] / ratios[joint])
+                low, high = (k * wide for k in found[sprung])
+                found[joint] = max(math.floor(low), -MOST_TURNS), min(math.ceil(high), MOST_TURNS)
+    return found
+
+
+def _pulls(mechanism: Mechanism, q: Array) -> Array:
+    """The torques (..., n) that hold q (..., n) at rest, N m, pin forces left out."""
+    return gravity_vector(mechanism, q) - other_forces(mechanism, q, np.zeros(mechanism.n))
 
 
 def _joints(mechanism: Mechanism, names: Sequence[str]) -> tuple[int, ...]:
@@ -181,23 +265,37 @@ def _near(mechanism: Mechanism, near: ArrayLike | None) -> Array:
         near = close_positions(mechanism, begin)
         if not _open(mechanism, near):
             return near
-        return next(islice(_starts(mechanism, (), near), 1, None), near)  # any that closes
+        return next(islice(_starts(mechanism, (), near, {}), 1, None), near)  # any that closes
     begin = single(mechanism, "near", near)
     if (fault := check_closed(mechanism, begin)) is not None:
         raise fault[1]
     return begin
 
 
-def _starts(mechanism: Mechanism, joints: Sequence[int], near: Array) -> Iterator[Array]:
-    """Random closed poses, the held joints as in `near`."""
+def _starts(
+    mechanism: Mechanism,
+    joints: Sequence[int],
+    near: Array,
+    turns: Mapping[int, tuple[int, int]],
+    watch: Callable[[float], object] | None = None,
+) -> Iterator[Array]:
+    """Random closed poses, the held joints as in `near`, others in turns if `turns` has some."""
     rng, driven = np.random.default_rng(0), list(mechanism.actuated)
+    coupled = {k for x in mechanism.description.couplings for k in (x.joint, *dict(x.terms))}
     yield near
-    for _ in range(MOST_STARTS // STARTS):
-        drawn = random_states(mechanism, rng, STARTS)
+    drawn_first = 0
+    while drawn_first < MOST_STARTS:
+        count = STARTS if not drawn_first else MANY
+        drawn = random_states(mechanism, rng, count)
         for joint, stop in mechanism.limits:
             low, high = (dict(stop.ends).get(side) for side in (-1, 1))
             if low is not None and high is not None:
-                drawn[:, joint] = rng.uniform(low, high, STARTS)
+                drawn[:, joint] = rng.uniform(low, high, count)
+        shifts = {
+            k: math.tau * rng.integers(*ends, count, endpoint=True) for k, ends in turns.items()
+        }
+        for k, shift in shifts.items():
+            drawn[:, k] += shift
         drawn[:, list(joints)] = near[list(joints)]
         closed = None
         if mechanism.rows and set(joints) <= set(driven):
@@ -207,11 +305,17 @@ def _starts(mechanism: Mechanism, joints: Sequence[int], near: Array) -> Iterato
                 drawn = np.where(np.isnan(q), drawn, q)
                 q[free] = close_positions(mechanism, drawn[free], joints)
                 free &= [not _open(mechanism, each) for each in q]
+                for k in set(shifts) - {*driven, *coupled}:
+                    q[:, k] += shifts[k]
                 closed = q[free | (missing <= 0.0)]
         if closed is None:
             q = close_positions(mechanism, drawn, joints)
             closed = q[[not _open(mechanism, each) for each in q]]
-        yield from closed
+        for place, pose in enumerate(closed):
+            if watch is not None:
+                watch((drawn_first + count * place / len(closed)) / MOST_STARTS)
+            yield pose
+        drawn_first += count
 
 
 def _same(mechanism: Mechanism, turning: Sequence[int], way: Array) -> bool:
@@ -237,23 +341,37 @@ def _acting(mechanism: Mechanism, joints: tuple[int, ...], q: Array) -> Mechanis
 
 def _at_rest(
     mechanism: Mechanism, joints: tuple[int, ...], start: Array, tau: Array
-) -> Found | float:
-    """The pose at rest that steps from `start` lead to, or the least part of forces left over."""
-    least = math.inf
+) -> tuple[Found | float, int]:
+    """Follow steps from `start` to a pose at rest, or else to the least part of forces left over.
+
+    Also returns how many times the balance was evaluated.
+    """
+    least, count = math.inf, 0
+
+    def balanced(acting: Mechanism, q: Array) -> Balance:
+        nonlocal count
+        count += 1
+        return balance(acting, q, tau)
+
     for downhill in (False, True):
         with suppress(SingularError, np.linalg.LinAlgError):
-            found = _steps(mechanism, joints, start, tau, downhill)
+            found = _steps(mechanism, joints, start, tau, downhill, balanced)
             if not isinstance(found, float):
-                return found
+                return found, count
             least = min(least, found)
-    return least
+    return least, count
 
 
 def _steps(
-    mechanism: Mechanism, joints: tuple[int, ...], q: Array, tau: Array, downhill: bool
+    mechanism: Mechanism,
+    joints: tuple[int, ...],
+    q: Array,
+    tau: Array,
+    downhill: bool,
+    balanced: Callable[[Mechanism, Array], Balance],
 ) -> Found | float:
     acting = _acting(mechanism, joints, q)
-    at, damping, least = balance(acting, q, tau), 0.0, math.inf
+    at, damping, least = balanced(acting, q), 0.0, math.inf
     moves = at.N.size > 0
     for _ in range(PASSES):
         if moves and not at.N.size:
@@ -278,7 +396,7 @@ def _steps(
                 return least
         else:
             acting = _acting(mechanism, joints, there)
-            nearer = balance(acting, there, tau)
+            nearer = balanced(acting, there)
             if settled:  # pin forces that grow beyond bounds stiffen, and hide what is left over
                 bound = AT_REST * _acts(mechanism, nearer, tau)
                 rests = np.abs(nearer.force).max(initial=0.0) <= bound

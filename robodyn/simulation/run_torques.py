@@ -33,6 +33,9 @@ def as_actuation(
     return torque_sources.constant(mechanism, [float(x) for x in np.asarray(tau, float)])
 
 
+TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
+
+
 @lru_cache
 def _none(n: int) -> Actuation:
     return Actuation((0.0,) * n)

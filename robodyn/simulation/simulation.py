@@ -8,6 +8,7 @@ statistics leave the run in batches, so its memory does not grow with its length
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -26,6 +27,7 @@ from robodyn.simulation.recording import Recorder, Sink, joined
 from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.run_statistics import RunStatistics
 from robodyn.simulation.run_torques import (
+    TOO_FAST,
     applied_torques,
     as_actuation,
     check_span,
@@ -42,7 +44,6 @@ if TYPE_CHECKING:
     from robodyn.events.watch import EventWatch
     from robodyn.simulation.sensitivity import Sensitivities
 
-TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
 UNTIL = "until"  # the name of the event that ends a run
 NONE: frozenset[int] = frozenset()
 
@@ -272,7 +273,9 @@ def run(
     check_span(actuation, t_end)
     actuation = over_run(mechanism, actuation, state, t_end, settings.atol)
     report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
-    report.hint = "" if actuation.told_by_leaves else TOO_FAST
+    if not actuation.told_by_leaves:
+        report.hint = TOO_FAST
+        warnings.warn(TOO_FAST, dynamics.RobodynWarning, stacklevel=2)
     report.stabilize = settings.stabilize if mechanism.rows else "none"
     work = actuation.active or mechanism.changes_energy or mechanism.switches
     own = actuation.start or [0.0] * actuation.states

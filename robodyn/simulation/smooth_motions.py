@@ -112,7 +112,9 @@ class SmoothMotions:
 
         tolerances = self.settings.rtol, self.settings.atol
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # LSODA's; the outcome says it
+            # what scipy and numpy warn of, the outcome says
+            warnings.simplefilter("ignore", RuntimeWarning)
+            warnings.filterwarnings("ignore", module="scipy")
             solver = solver_of(
                 self.settings.method,
                 self.side(mechanism),

@@ -39,7 +39,9 @@ CANNOT_START = "cannot start"
 def single(
     plan: Plan, given: Motions, k: int, aims: Aims, ends: Ends, lane: int, told: Array
 ) -> tuple[str, str]:
-    """Motion k of those given, into lane `lane` of `ends`; its outcome, and the miss it passed.
+    """Put motion k of `given` into lane `lane` of `ends`; return its outcome and a remark.
+
+    The remark is of the miss that it passed, or of an event that cannot be followed.
 
     `told` has, for each event of the plan, how often it happened, and when first; then the results
     of columns.
@@ -96,7 +98,8 @@ def single(
         return CANNOT_START, ""
     if len(motion.t):
         _fill(ends, lane, motion, report, inner, aims.link, given.angle[k])
-    return motion.outcome.label, report.missed
+    lost = (x for x in report.remarks if "too often" in x)
+    return motion.outcome.label, report.missed or next(lost, "")
 
 
 def _joined(motion: Motion, between: Motion, contacts: list[Event]) -> Motion:

@@ -6,12 +6,17 @@ Plain values, which go to other processes and machines, and which tell one sweep
 from __future__ import annotations
 
 import hashlib
+import warnings
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from robodyn import __version__
 from robodyn.control.tracking import ReferenceTable
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.state_columns import torque_columns
 from robodyn.engines import machine
 from robodyn.errors import InputError
@@ -170,7 +175,8 @@ def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
 def check(plan: Plan) -> Mechanism:
     """The scene's mechanism; raises InputError for what no point could have.
 
-    Each axis is tried at both of its ends, the others at the scene's own values.
+    Each axis is tried at both of its ends, the others at the scene's own values.  Warns of loads
+    that change too fast to be sampled.
     """
     mechanism = plan.mechanism
     for k in plan.scene_axes:
@@ -178,4 +184,11 @@ def check(plan: Plan) -> Mechanism:
         for value in axis.ends:
             build(plan.values.replaced({axis.name: value}))
     assembly_plan(mechanism if plan.track else with_independent(mechanism))
+    if plan.kind == "motion" and mechanism.timed:
+        from robodyn.simulation.run_torques import TOO_FAST, as_actuation, over_run
+
+        with suppress(InputError):  # of a table that ends too early: motions tell it
+            loads, at_rest = as_actuation(mechanism, None), np.zeros(2 * mechanism.n)
+            if not over_run(mechanism, loads, at_rest, plan.t_end, plan.atol).told_by_leaves:
+                warnings.warn(TOO_FAST, RobodynWarning, stacklevel=2)
     return mechanism

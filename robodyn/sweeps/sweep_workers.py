@@ -15,6 +15,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
@@ -22,6 +23,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any
 
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import InputError, RobodynError
 from robodyn.sweeps.sweep_chunks import Rows, run_chunk
 from robodyn.sweeps.sweep_plan import Plan
@@ -78,6 +80,14 @@ def results(
         raise
     finally:
         executor.shutdown(wait=isinstance(executor, ProcessPoolExecutor), cancel_futures=True)
+
+
+@contextmanager
+def without_remarks() -> Iterator[None]:
+    """Leave out the warnings of single motions in this process: rows have a remark for all."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RobodynWarning)
+        yield
 
 
 def processors() -> int:
@@ -151,7 +161,11 @@ def _interrupts_held() -> Iterator[None]:
 
 
 def _begin_worker() -> None:
-    """A worker ends with its parent, however that ends; where it can hear Ctrl-C it does not."""
+    """A worker ends with its parent, however that ends; where it can hear Ctrl-C it does not.
+
+    Warnings of its motions stay with it, see `without_remarks`.
+    """
+    warnings.simplefilter("ignore", RobodynWarning)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None
