@@ -53,11 +53,11 @@ def plot(
     \b
     Examples:
       robodyn plot motion.csv --y "q*,energy"
-      robodyn simulate 2r --q 0,0 --time 3 | robodyn plot - --model 2r -o motion.svg
+      robodyn simulate 2r --q 0,0 | robodyn plot - --model 2r -o motion.svg
       robodyn plot one.csv two.csv --model 2r --x q1 --y qd1 -o phase.png
       robodyn simulate rp-arm --q 0,0.2 --time 1 | \\
         robodyn plot - --model rp-arm -o motion.svg
-      robodyn plot sweep.csv --model 2r --x q1 --y q2 --colour flip --log -o flips.png
+      robodyn plot sweep.csv --model 2r --x q1 --y q2 --colour flip -o x.png
     """
     picture.checked()
     if files.count("-") > 1:
