@@ -15,6 +15,7 @@ import pytest
 from conftest import ROOT, Outcome
 
 import robodyn as rd
+from robodyn import cli
 from robodyn.engines import formula_rows
 from robodyn.simulation.settings import METHODS
 from robodyn.tables.arrays import Array
@@ -145,6 +146,12 @@ terms 2r --q 30deg,45deg --qd 1,0.5
 torque 2r --q 30deg,45deg --qd 1,0.5
 trajectory four-bar --speed 60rpm --turns 1 --points 21
 points four-bar --q 60deg --qd 5
+export 2r --format mjcf --q 0,0
+identify 2r DATA --of links.forearm.m
+fit 2r --match DATA --columns tau1 --vary links.forearm.m=0.5:1.5 --starts 2
+draw 2r --q 0.3,1 --forces -o FOLDER/drawn.svg
+plot DATA --model 2r -o FOLDER/plotted.svg
+animate 2r DATA -o FOLDER/moving.html
 sweep 2r --vary q1=0:1:5 --q 0,0.2 --time 0.3
 sweep parallelogram --vary q1=0.4:0.6:2 --qd -5 --time 0.2 --result events --event a=qd1
 sweep MISS --kind torque --vary q1=0.001:0.1:7 --qd 1
@@ -156,24 +163,39 @@ simulate four-bar --q 60deg --qd 5 --time 0.3 --method taylor --estimate-error -
 """
 
 
-def estimates(outcome: Outcome) -> list[str]:
-    """What a run tells of its own error."""
-    return [line for line in outcome.err.splitlines() if line.startswith("error of")]
+def known_of(outcome: Outcome, folder: Path) -> tuple[object, ...]:
+    """Return what a call wrote: stdout, what it tells of its error, files, which are removed."""
+    told = [line for line in outcome.err.splitlines() if line.startswith("error of")]
+    files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    for path in folder.iterdir():
+        path.unlink()
+    return outcome.out, told, files
 
 
 def test_each_command_twice(
-    robodyn: Run, scene: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+    robodyn: Run, scene: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In one process, in the other order, and after a clock that runs wild."""
-    model = scene(near_miss())
-    lines = [shlex.split(line.replace("MISS", str(model))) for line in COMMANDS.split("\n") if line]
+    model, data, folder = scene(near_miss()), tmp_path / "data.csv", tmp_path / "written"
+    folder.mkdir()
+    arm = rd.load(ROOT / "robots/2r.yaml")
+    t = np.linspace(0.0, 1.0, 21)[:, None]
+    motion = [np.sin([2, 3] * t), [2, 3] * np.cos([2, 3] * t), [-4, -9] * np.sin([2, 3] * t)]
+    names = ["t", *(f"{x}{k}" for x in ("q", "qd", "qdd", "tau") for k in (1, 2))]
+    data.write_text(table(names, np.hstack([t, *motion, rd.inverse_dynamics(arm, *motion)])))
+    words = {"MISS": str(model), "DATA": str(data), "FOLDER": str(folder)}
+    text = re.sub("|".join(words), lambda word: words[word[0]], COMMANDS)
+    lines = [shlex.split(line) for line in text.split("\n") if line]
+    without = {"init", "schema", "guide", "bench"}  # no mechanism; bench tells how long it takes
+    assert {line[0] for line in lines} == set(cli.COMMANDS) - without
     run = shlex.split(f"simulate {model} --q 1 --qd=-8 --time 0.14 --rtol 1e-6 --atol 1e-6")
     lines += [[*run, "--method", method] for method in METHODS]
-    first = [robodyn(*line) for line in lines]
-    assert [x.code for x in first] == [0] * len(lines), [x.err for x in first if x.code]
+    first = []
+    for line in lines:
+        outcome = robodyn(*line)
+        assert outcome.code == 0, outcome.err
+        first.append(known_of(outcome, folder))
     clock = itertools.count(0.0, 3.0)
     monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
     for line, known in reversed(list(zip(lines, first, strict=True))):
-        again = robodyn(*line)
-        assert again.out == known.out, line
-        assert estimates(again) == estimates(known), line
+        assert known_of(robodyn(*line), folder) == known, line
