@@ -25,7 +25,6 @@ from robodyn.mechanics.program import finite
 from robodyn.scene.scene import Table, signal_place
 from robodyn.tables.arrays import Array, Complex
 
-LONGEST = 300  # characters of a statement
 NEAR_END = 1e-3  # of a table's span, where a run that cannot go on has come to its end
 DIRECTED = ("torques", "forces")  # they are lost where a spring has no direction
 
@@ -49,7 +48,7 @@ class _Code:
 
     @cached_property
     def floats(self) -> straightline.FloatFunction:
-        return straightline.compile_floats(self.formula._replace(pivots=()), "rows", LONGEST)
+        return straightline.compile_floats(self.formula._replace(pivots=()), "rows")
 
     @cached_property
     def arrays(self) -> tuple[straightline.ArrayFunction, int]:
