@@ -142,7 +142,7 @@ def _gap(motion: MotionProgram, order: int, names: Sequence[str]) -> Callable[..
 
 
 def _taken(names: Sequence[str], values: str, first: int = 0) -> str:
-    """A statement that names `values` from number `first` on; before `*_` Python takes 255 names."""
+    """A statement that names `values` from number `first` on; a starred name takes only 255."""
     return f"{', '.join(names)}, = {values}[{first}:{first + len(names)}]"
 
 
