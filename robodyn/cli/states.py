@@ -295,8 +295,8 @@ class _Computed:
                 from robodyn.engines.row_values import rows_of
                 from robodyn.mechanics.parts import acting
 
-                rows = rows_of(acting, self.mechanism)
-                rows.check_signals(given["q"], given["qd"], given.get("t", 0.0))
+                named = rows_of(acting, self.mechanism)
+                named.check_signals(given["q"], given["qd"], given.get("t", 0.0))
             raise overflow()
         return found
 

@@ -271,7 +271,7 @@ def new_figure(size: tuple[float, float], formulas: bool = False, **options: Any
     logging.getLogger("matplotlib").setLevel(logging.CRITICAL)  # where it may keep its files
     os.environ["MPLBACKEND"] = "agg"
     try:
-        import matplotlib  # noqa: F401
+        import matplotlib
     except ValueError:  # settings that are no text: without any
         os.environ["MATPLOTLIBRC"] = os.devnull
         for name in [name for name in sys.modules if name.startswith("matplotlib")]:
