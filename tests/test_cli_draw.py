@@ -303,3 +303,9 @@ def test_settings_of_matplotlib_that_are_no_text(shell: Run, tmp_path: Path) -> 
     (tmp_path / "matplotlibrc").write_bytes(bytes(range(256)))
     env = {"MATPLOTLIBRC": str(tmp_path / "matplotlibrc")}
     shell(f"robodyn draw robots/2r.yaml --q 0,1 -o {tmp_path}/x.png", env=env).succeeds()
+
+
+def test_settings_in_the_working_directory_that_are_no_text(shell: Run, tmp_path: Path) -> None:
+    (tmp_path / "matplotlibrc").write_bytes(bytes(range(256)))
+    outcome = shell("robodyn draw 2r --q 0,1 -o x.png", tmp_path)
+    outcome.fails(2, "matplotlibrc: is no text in UTF-8")

@@ -310,3 +310,9 @@ def test_no_command_is_long(name: str) -> None:
 def test_no_option_is_written_as_optional() -> None:
     for path in (ROOT / "robodyn").rglob("*.py"):
         assert not re.search(r"\bOptional\[", path.read_text(encoding="utf-8")), path
+
+
+def test_memory_that_ends_is_told(shell):
+    told = "the memory that this process may use is exhausted"
+    line = "ulimit -v 60000; OPENBLAS_NUM_THREADS=1 robodyn simulate 2r --q 0,0 --time 1"
+    shell(line).fails(1, told)

@@ -7,6 +7,7 @@ import math
 import os
 import pickle
 import random
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from robodyn import (
 )
 from robodyn.engines import machine
 from robodyn.engines.expansion import MotionProgram
-from robodyn.engines.row_values import TableLeftError
+from robodyn.engines.row_values import SignalError, TableLeftError
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build, load
@@ -548,3 +549,58 @@ def test_backwards_is_the_way_back(method, engine, tmp_path):
     forth = run(arm(text), 0.5, -1.0, 0.8, method, engine)
     assert back.q[-1] == pytest.approx(forth.q[-1], abs=1e-7)
     assert back.qd[-1] == pytest.approx(-forth.qd[-1], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("entry", "one", "all_of_them", "count", "methods"),
+    [
+        ('loads: [{point: arm, force: ["F*t", F]}]', 2, 600, 300, []),
+        ('loads: [{link: arm, torque: "F*sin(t)"}]', 1, 300, 300, ["DOP853", "taylor"]),
+        ("springs: [{between: [arm, [0, 1]], stiffness: F, length: 0.2}]", 1, 300, 300, ["DOP853"]),
+        ("springs: [{joint: arm, stiffness: F, angle: 0}]", 1, 3000, 3000, ["DOP853"]),
+    ],
+)
+def test_many_of_a_kind_act_as_one_of_their_sum(entry, one, all_of_them, count, methods):
+    kind, part = entry.replace("F", str(one)).split(" ", 1)
+    mechs = (
+        arm(entry.replace("F", str(all_of_them))),
+        arm(f"{kind} [{', '.join([part[1:-1]] * count)}]"),
+    )
+    torques = [inverse_dynamics(mech, [0.3], [0.7], [0.5], 0.2) for mech in mechs]
+    np.testing.assert_allclose(torques[1], torques[0], rtol=1e-11)
+    for method in methods:
+        engine = "python" if method == "taylor" else "auto"
+        runs = [simulate(x, [0.3], [0.7], 0.01, method=method, engine=engine) for x in mechs]
+        ends = [motion.q[-1] for motion in runs]
+        np.testing.assert_allclose(ends[1], ends[0], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("text", "at"),
+    [
+        ("1/q1", "q1 = 0"),
+        ("q1/0", "q1 = 0"),
+        ("log(q1, 1)", "q1 = 0"),
+        ("t/(t-t)", "t = 0"),
+        ("(t-t)**-1 + qd1", "qd1 = 0, t = 0"),
+        ("asin(q1-q1+2)", "q1 = 0"),
+    ],
+)
+def test_a_load_without_a_value_at_a_state_is_named(text, at):
+    mech = arm(f'loads: [{{link: arm, torque: "{text}"}}]')
+    told = re.escape(f"loads[0].torque = {text}: is not finite at {at}")
+    with pytest.raises(SignalError, match=told):
+        inverse_dynamics(mech, [0.0], [0.0], [0.0])
+    with pytest.raises(SignalError, match=told):
+        forward_dynamics(mech, [[0.0]] * 3, [0.0], [0.0])
+    for method, engine in ENGINES:
+        with pytest.raises(SignalError, match=told):
+            run(mech, 0.0, 0.0, 0.1, method, engine)
+
+
+def test_a_law_without_a_value_is_named_at_its_row(scene, robodyn):
+    path = scene(f"{ARM}springs: [{{joint: arm, law: 2/x, angle: 0.5}}]")
+    stdin = "q1,qd1,qdd1\n1,0,0\n0.5,0,0\n2,0,0\n"
+    outcome = robodyn("torque", path, "-", stdin=stdin)
+    outcome.fails(1, "line 3", "springs[0].law = 2/x: is not finite")
+    assert outcome.column("tau1") == [4.0]  # 2/0.5, no gravity: of the row before

@@ -101,6 +101,8 @@ def _described(error: Exception) -> str:
         case OSError():
             named = f"{error.filename}: " if error.filename else ""  # stdout has none
             text = f"{named}{error.strerror or error}"
+        case _ if isinstance(error, MemoryError) or "failed to map segment" in str(error):
+            text = "the memory that this process may use is exhausted: allow more (ulimit -v)"
         case _:
             hint = "please report it with what `robodyn --debug ...` prints"
             text = f"a defect of robodyn's own ({type(error).__name__}: {error}); {hint}"

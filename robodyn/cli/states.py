@@ -291,6 +291,12 @@ class _Computed:
         with np.errstate(all="ignore"):
             found = self.compute(**given)
         if not np.isfinite(found).all():
+            if self.mechanism.signals:
+                from robodyn.engines.row_values import rows_of
+                from robodyn.mechanics.parts import acting
+
+                named = rows_of(acting, self.mechanism)
+                named.check_signals(given["q"], given["qd"], given.get("t", 0.0))
             raise overflow()
         return found
 

@@ -151,12 +151,13 @@ def _single_state(
                 function = compile_floats(formula, "torque")
                 found = function(*values[0], *values[1], *values[2], *at)
                 lost = any(met_ends(mechanism, values[0], cmath.exp).values())
-                lost = lost or (mechanism.has_tables and not all(map(math.isfinite, found)))
+                lost = lost or bool(mechanism.signals and not all(map(math.isfinite, found)))
                 if not lost:
                     return found, values[1]
             except ValueError:  # the sine of infinity: sums of angles that are too large
-                raise overflow() from None
-    # the ends of a spring coincide, or a table ends: this says so
+                if not mechanism.signals:
+                    raise overflow() from None
+    # the ends of a spring coincide, or a load has no value: this says so
     from robodyn.dynamics.dynamics import inverse_dynamics
 
     return inverse_dynamics(mechanism, *values).tolist(), values[1]

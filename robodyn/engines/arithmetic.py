@@ -7,6 +7,7 @@ products and sums with them cost nothing.
 from __future__ import annotations
 
 import math
+import operator
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -97,6 +98,7 @@ class Arithmetic:
     weigh: Callable[[Any, Any, int, int, int, float, Value], Value] = weighted
     room: Callable[[int], Any] = lambda orders: [0.0] * orders
     chosen: Callable[[Value, Sequence[float], Sequence[float]], Value] = chosen
+    divide: Callable[[Value, Value], Value] = operator.truediv
     keep: Callable[[Value], Value] = lambda value: value  # marks what is used again and again
 
 

@@ -222,7 +222,9 @@ class Expression:
 
 def power(a: Value, exponent: float) -> Value:
     """a to a constant power."""
-    return a.graph.node("pow", (a, exponent)) if isinstance(a, Expression) else a**exponent
+    if isinstance(a, Expression):
+        return a.graph.node("pow", (a, exponent))
+    return math.pow(a, exponent)
 
 
 def call(name: str, a: Value) -> Value:

@@ -127,7 +127,8 @@ class Recorded:
             driven.append(program.add(Given(f"tau{j}")) if some(tau) else None)
         equations.write(driven, power, chained=chained)
         slots = [x for name in ("gap", "load", "power") for x in program.named.get(name, [])]
-        slots += [*equations.varying_moments, *(x for _, x in equations.tables)]
+        signals = [*equations.tables, *equations.laws]
+        slots += [*equations.varying_moments, *(x for _, x in signals)]
         return Series(
             program,
             self.arithmetic,

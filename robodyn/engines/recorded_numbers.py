@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import Arithmetic, weighted
-from robodyn.engines.expression import Expression, Value
+from robodyn.engines.expression import FUNCTIONS, Expression, Value
 
 
 def _power(a: Value, exponent: float) -> Value:
@@ -17,6 +19,14 @@ def _power(a: Value, exponent: float) -> Value:
         return expression.power(a, exponent)
     root = expression.call("sqrt", a)
     return root if exponent > 0.0 else 1.0 / root
+
+
+def _or_nan(function: Callable[..., Value], *values: Value) -> Value:
+    """The function of the values; nan of constants where it is undefined, as at every state."""
+    try:
+        return function(*values)
+    except (ArithmeticError, ValueError):
+        return math.nan
 
 
 def _chosen(x: Value, knots: Sequence[float], values: Sequence[float]) -> Value:
@@ -34,15 +44,16 @@ def _chosen(x: Value, knots: Sequence[float], values: Sequence[float]) -> Value:
 RECORDED = Arithmetic(
     cos=expression.cos,
     sin=expression.sin,
-    power=_power,
+    power=partial(_or_nan, _power),
+    divide=partial(_or_nan, operator.truediv),
     weigh=partial(weighted, keep=expression.keep),
     keep=expression.keep,
     chosen=_chosen,
-    functions={name: partial(expression.call, name) for name in expression.FUNCTIONS},
+    functions={name: partial(_or_nan, partial(expression.call, name)) for name in FUNCTIONS},
 )
 
 _WRITTEN: dict[str, object] = {
-    f"_{name}": partial(expression.call, name) for name in (*expression.FUNCTIONS, "abs")
+    f"_{name}": partial(expression.call, name) for name in (*FUNCTIONS, "abs")
 }
 _WRITTEN |= {"_pow": expression.power, "_atan2": expression.arctangent, "__builtins__": {}}
 

@@ -22,15 +22,19 @@ from robodyn.mechanics.force_rows import NoDirection
 from robodyn.mechanics.parts import no_direction
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import finite
-from robodyn.scene.scene import Table, signal_place
+from robodyn.scene.scene import Law, Table, signal_place
 from robodyn.tables.arrays import Array, Complex
 
-LONGEST = 300  # characters of a statement
 NEAR_END = 1e-3  # of a table's span, where a run that cannot go on has come to its end
+SIGNALS = ("tables", "laws")
 DIRECTED = ("torques", "forces")  # they are lost where a spring has no direction
 
 
-class TableLeftError(RobodynError):
+class SignalError(RobodynError):
+    """A table or an expression of a scene has no value at a state."""
+
+
+class TableLeftError(SignalError):
     """A state lies beyond the rows of a table."""
 
     def __init__(self, mechanism: Mechanism, table: Table, x: float) -> None:
@@ -49,7 +53,7 @@ class _Code:
 
     @cached_property
     def floats(self) -> straightline.FloatFunction:
-        return straightline.compile_floats(self.formula._replace(pivots=()), "rows", LONGEST)
+        return straightline.compile_floats(self.formula._replace(pivots=()), "rows")
 
     @cached_property
     def arrays(self) -> tuple[straightline.ArrayFunction, int]:
@@ -61,15 +65,15 @@ class RowValues:
 
     "torques" (n) are what joints must carry, N m; "forces" (2p) those of springs between points
     (on the first end), then of loads, x and y side by side, N;
-    "tables" are what they are over, "moments" the torques on links that vary, N m;
-    "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J and "PE rate" (1) W.
+    "tables" are what they are over, "laws" what expressions are, "moments" the torques on links
+    that vary, N m; "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J and
+    "PE rate" (1) W.
     """
 
     def __init__(self, mechanism: Mechanism, graph: Graph | None = None) -> None:
         self.mechanism = mechanism
         self._recorded = Recorded(mechanism, ("qd",), by_direction=True, graph=graph)
         self._codes: dict[str, _Code] = {}
-        self._has_tables = mechanism.has_tables
 
     def __call__(
         self, name: str, q: ArrayLike, qd: ArrayLike | None = None, t: ArrayLike = 0.0
@@ -77,7 +81,8 @@ class RowValues:
         """The values (..., k) at q and qd (..., n), which broadcast; at rest unless qd is given.
 
         The time t (...) is that of loads.  Raises SingularError where the ends of a spring that
-        needs a direction coincide, InputError where a table has ended.
+        needs a direction coincide, SignalError where a table has ended or an expression is not
+        finite.
         """
         if name not in self._codes:
             self._codes[name] = _Code(self._formula(name))
@@ -92,7 +97,7 @@ class RowValues:
         if q.size == n:
             try:
                 found = code.floats(*(x for state in states for x in state.ravel().tolist()))
-                if not self._has_tables or finite(list(found)):
+                if not self.mechanism.signals or finite(list(found)):
                     return np.array(found).reshape(shape)
             except (ArithmeticError, ValueError):
                 pass  # arrays say where
@@ -101,18 +106,41 @@ class RowValues:
         lost = np.argwhere(squares == 0.0)
         if lost.size:
             raise no_direction(self.mechanism, list(self._squares())[lost[0, -1]])
-        if self._has_tables and name != "tables" and not np.isfinite(values).all():
-            self.check_tables(q, qd, t)
+        if self.mechanism.signals and name not in SIGNALS and not np.isfinite(values).all():
+            self.check_signals(q, qd, t)
         return values.reshape(shape)
 
-    def check_tables(self, q: ArrayLike, qd: ArrayLike, t: ArrayLike = 0.0) -> None:
-        """Raise TableLeftError where a table does not reach to one of the states."""
-        places = self("tables", q, qd, t)
-        for k, (table, _) in enumerate(self._recorded.equations.tables):
-            x = places[..., k][np.isfinite(places[..., k])]
-            out = x[(x < table.x[0]) | (x > table.x[-1])]
-            if out.size and not table.repeats:
-                raise TableLeftError(self.mechanism, table, float(out.flat[0]))
+    def check_signals(self, q: ArrayLike, qd: ArrayLike, t: ArrayLike = 0.0) -> None:
+        """Raise SignalError if a table does not reach to a state, or an expression is not finite.
+
+        States that are not finite themselves are left out.
+        """
+        if self.mechanism.has_tables:
+            places = self("tables", q, qd, t)
+            for k, (table, _) in enumerate(self.tables):
+                x = places[..., k][np.isfinite(places[..., k])]
+                out = x[(x < table.x[0]) | (x > table.x[-1])]
+                if out.size and not table.repeats:
+                    raise TableLeftError(self.mechanism, table, float(out.flat[0]))
+        if all(isinstance(signal, Table) for signal in self.mechanism.signals):
+            return
+        values = self("laws", q, qd, t)
+        states = np.broadcast_arrays(q, qd, np.asarray(t, float)[..., None])
+        sound = np.isfinite(states).all(axis=(0, -1))
+        for k, (law, _) in enumerate(self._recorded.equations.laws):
+            lost = np.argwhere(sound & ~np.isfinite(values[..., k]))
+            if len(lost):
+                raise self._not_finite(law, [x[tuple(lost[0])] for x in states])
+
+    def _not_finite(self, law: Law, state: Sequence[Array]) -> SignalError:
+        """The error for an expression that is not finite at a state q (n,), qd (n,), t (n,)."""
+        q, qd, t = (x.tolist() for x in state)
+        values = {f"q{k}": (f"q{k + 1}", x) for k, x in enumerate(q)}
+        values |= {f"qd{k}": (f"qd{k + 1}", x) for k, x in enumerate(qd)} | {"t": ("t", t[0])}
+        at = [f"{name} = {x:.9g}" for key, (name, x) in values.items() if key in law.names]
+        limit = f"is not finite at {', '.join(at) or 'this state'}"
+        place = signal_place(self.mechanism.description, law)
+        return SignalError(place, where=self.mechanism.source, value=law.text, limit=limit)
 
     def planar(
         self, name: str, q: ArrayLike, qd: ArrayLike | None = None, t: ArrayLike = 0.0
@@ -143,7 +171,8 @@ class RowValues:
                 return slopes_by(self.nodes("PE"), {f"q{k}": {"t": x} for k, x in rates}, ["t"])
         real, named = self._series.real, self._series.program.named
         equations = self._recorded.equations  # which has them written
-        given = {"tables": [x for _, x in equations.tables], "moments": equations.varying_moments}
+        given = {name: [x for _, x in getattr(equations, name)] for name in SIGNALS}
+        given["moments"] = equations.varying_moments
         if name in given:
             return [real[slot][0] for slot in given[name]]
         return [real[slot][0] for slot in named[name]] or [0.0]  # without power where none acts

@@ -100,16 +100,16 @@ class Rules(Frames):
 
     def _function(self, slot: Slot, row: Row, m: int) -> Value:
         """By its value at order 0, and its differential equation from there on."""
-        real, weigh = self.real, self.arithmetic.weigh
+        real, weigh, divide = self.real, self.arithmetic.weigh, self.arithmetic.divide
         match row:
             case rows.Quotient(x=x, y=y):
                 known = self.convolve(real[slot], real[y], m, 0, m - 1)
-                return difference(real[x][m], known) / real[y][0]
+                return divide(difference(real[x][m], known), real[y][0])
             case rows.Power(x=x, exponent=exponent):
                 if m == 0:
                     return self.arithmetic.power(real[x][0], exponent)
                 known = weigh(real[x], real[slot], m, 1, m, exponent + 1.0, -1.0 * m)
-                return over(known, m) / real[x][0]
+                return divide(over(known, m), real[x][0])
             case rows.Function(name=name, x=x):
                 return self._smooth(slot, name, real[x], m)
             case rows.Step(x=x):
@@ -118,7 +118,7 @@ class Rules(Frames):
                 if m == 0:
                     return self.arithmetic.functions[name](real[x][0])
                 known = weigh(real[slot], real[y], m, 1, m - 1, 1.0, 0.0)
-                return difference(real[x][m], over(known, m)) / real[y][0]
+                return divide(difference(real[x][m], over(known, m)), real[y][0])
         raise AssertionError(row)
 
     def _stepped(self, row: rows.Step, x: Value) -> Value:

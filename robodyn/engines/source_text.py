@@ -16,6 +16,7 @@ _CALLS = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "n
 _CALLS |= {"pow": "power", "rough": "power", "abs": "absolute", "atan2": "arctan2"}
 _CALLS |= {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}
 _NAMES = {"rough": "pow"}  # of Python's functions of floats
+DEEPEST = 50  # operations within one another; Python compiles no more than 200 brackets
 # what numpy code calls
 ARRAY_CALLS = {*_CALLS.values(), *(_CALLS.get(x, x) for x in FUNCTIONS), "where", "less", "copyto"}
 
@@ -30,11 +31,11 @@ def float_source(
 ) -> tuple[list[str], list[str]]:
     """Python statements on floats, and the expression of each output.
 
-    A node used once stands where it is used; one used more often gets a local name.  `names` has
-    those of nodes by their index: such a node always gets its own, or with "" none.  Statements
-    keep to `longest` characters where names do; inputs are called as `symbol` says.  Where it is to
-    be `readable`, local names count from 1, brackets that do no more than order a sum or a product
-    are left out, and x (1/y) is x/y.
+    A node used once stands where it is used; one used more often, or that nests more than DEEPEST
+    operations, gets a local name.  `names` has those of nodes by their index: such a node always
+    gets its own, or with "" none.  Statements keep to `longest` characters where names do; inputs
+    are called as `symbol` says.  Where it is to be `readable`, local names count from 1, brackets
+    that do no more than order a sum or a product are left out, and x (1/y) is x/y.
     """
     uses, text = _uses(outputs), _Statements(names, symbol, readable, conditional)
     for node in needed(outputs):
@@ -44,7 +45,8 @@ def float_source(
             if not parts:
                 break
             text.name(max(parts, key=lambda a: len(text.of(a))))
-        if node.op not in INPUTS and names.get(node.index, uses[node.index] > 1):
+        wanted = uses[node.index] > 1 or text.depths[node.index] > DEEPEST
+        if node.op not in INPUTS and names.get(node.index, wanted):
             text.name(node)
     return text.lines, [text.shown(output, 0) for output in outputs]
 
@@ -58,6 +60,7 @@ class _Statements:
     readable: bool
     conditional: str
     lines: list[str] = field(default_factory=list)
+    depths: dict[int, int] = field(default_factory=dict)  # operations that a node's text nests
     _text: dict[int, tuple[str, int]] = field(default_factory=dict)  # and its precedence
     _numbers: Iterator[int] = field(default_factory=lambda: count(1))
 
@@ -80,7 +83,7 @@ class _Statements:
         number = next(self._numbers) if self.readable else node.index
         name = self.names.get(node.index) or f"t{number}"
         self.lines.append(f"{name} = {self.of(node)}")
-        self._text[node.index] = (name, 9)
+        self._text[node.index], self.depths[node.index] = (name, 9), 0
 
     def write(self, node: Expression) -> str:
         """A node by the text of its arguments."""
@@ -104,6 +107,8 @@ class _Statements:
         else:
             found = f"{_NAMES.get(op, op)}({', '.join(self.shown(arg, 0) for arg in args)})", 9
         self._text[node.index] = found
+        parts = (self.depths[arg.index] for arg in args if isinstance(arg, Expression))
+        self.depths[node.index] = 1 + max(parts, default=-1)
         return found[0]
 
 

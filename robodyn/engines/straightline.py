@@ -24,13 +24,9 @@ ArrayFunction = Callable[..., None]
 RateFunction = Callable[[float, Any], Any]
 
 
-def compile_floats(formula: Formula, name: str, longest: float = math.inf) -> FloatFunction:
-    """A function of plain floats, in the order of the formula's inputs, to a tuple of floats.
-
-    Statements keep to `longest` characters: Python nests brackets 200 deep at most.
-    """
-    values = formula.outputs + formula.pivots
-    lines, outputs = source_text.float_source(values, longest=longest)
+def compile_floats(formula: Formula, name: str) -> FloatFunction:
+    """A function of plain floats, in the order of the formula's inputs, to a tuple of floats."""
+    lines, outputs = source_text.float_source(formula.outputs + formula.pivots)
     body = "\n    ".join([*lines, f"return ({', '.join(outputs)},)"])
     return define(f"def {name}({', '.join(formula.inputs)}):\n    {body}\n", name)
 

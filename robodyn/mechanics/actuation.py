@@ -86,7 +86,7 @@ class Actuation:
         z, zd = self.own("z"), self.own("zd")
         names = [*(f"{name}{k}" for name in ("q", "qd") for k in range(n)), *z]
         result = ", ".join([*(f"tau{k}" for k in range(n)), *zd])
-        body = [f"{', '.join(names)}, *_ = y", *self.lines, f"return [{result}]"]
+        body = [f"{', '.join(names)}, = y[:{len(names)}]", *self.lines, f"return [{result}]"]
         scope: dict[str, object] = {"__builtins__": {}, **self.scope}
         source = "def torques(t, y):\n    " + "\n    ".join(body) + "\n"
         exec(compile(source, "<robodyn torque>", "exec"), scope)

@@ -77,6 +77,7 @@ class ForceRows(LinkRows):
         self.forces: list[PointForce] = []
         self.varying_moments: list[Slot] = []
         self.tables: list[tuple[Table, Slot]] = []  # and what they are over
+        self.laws: list[tuple[Law, Slot]] = []  # and what they are
         self.F: list[list[PlanarTerm]] = [[] for _ in self.x]
         self.constants = [-weight.conjugate() for weight in mechanism.weights]
         self.moments: list[list[Term]] = [[] for _ in self.x]
@@ -126,6 +127,8 @@ class ForceRows(LinkRows):
             self.tables.append((signal, self.variable(signal.over) if x is None else x))
         own = {} if x is None else {"x": x, "v": self.program.add(Derivative(x))}
         slot, watched = signal_rows(self, signal, own)
+        if isinstance(signal, Law):
+            self.laws.append((signal, slot))
         for each, scale in watched:
             self._bends(each, arm * scale)
             if isinstance(signal, Table):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robodyn.errors import RobodynError
+from robodyn.errors import InputError, RobodynError
 from robodyn.pictures.chart import Chart, Panel, limits, spread
 from robodyn.pictures.colour_scale import (
     COLOURS,
@@ -271,11 +271,16 @@ def new_figure(size: tuple[float, float], formulas: bool = False, **options: Any
     logging.getLogger("matplotlib").setLevel(logging.CRITICAL)  # where it may keep its files
     os.environ["MPLBACKEND"] = "agg"
     try:
-        import matplotlib  # noqa: F401
+        import matplotlib
     except ValueError:  # settings that are no text: without any
         os.environ["MATPLOTLIBRC"] = os.devnull
         for name in [name for name in sys.modules if name.startswith("matplotlib")]:
             del sys.modules[name]
+        try:
+            import matplotlib  # noqa: F401
+        except ValueError:  # one in the working directory goes before all others
+            limit = "is no text in UTF-8: write it anew, or work in another directory"
+            raise InputError("matplotlibrc", where=os.getcwd(), limit=limit) from None
     from matplotlib import rcdefaults, rcParams
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -30,7 +30,7 @@ import numpy as np
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import other_forces
 from robodyn.engines import straightline
-from robodyn.engines.row_values import TableLeftError
+from robodyn.engines.row_values import SignalError
 from robodyn.errors import RobodynError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across
 from robodyn.loops.closing import regular_rank
@@ -187,7 +187,7 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte, t).qdd
             if work and forced:
                 tau = tau + other_forces(mechanism, q, qd, t)
-        except TableLeftError:  # a shorter step may not
+        except SignalError:  # a shorter step may not
             return np.full(len(y), np.nan)
         power = [tau @ qd - damping @ qd**2] if work else []
         return np.concatenate([qd, qdd, found[n:], power])

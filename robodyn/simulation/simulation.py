@@ -339,9 +339,9 @@ def _begun(
         y = Projection(mechanism, best_closing(mechanism))(y)
     if actuation.told is not None:
         actuation.told.begin(y.tolist(), float(t_end))
-    if mechanism.has_tables:
+    if mechanism.signals:
         from robodyn.engines.row_values import rows_of
         from robodyn.mechanics import parts
 
-        rows_of(parts.acting, mechanism).check_tables(y[:n], y[n : 2 * n])
+        rows_of(parts.acting, mechanism).check_signals(y[:n], y[n : 2 * n])
     return y

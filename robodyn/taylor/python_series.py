@@ -80,7 +80,7 @@ def step_text(
         if actuation.constants is None and actuation.linear
     ]
     expand = [
-        f"{', '.join(names + ['work'] * work)}, *_ = y",
+        _taken(names + ["work"] * work, "y"),
         *torques,
         *before,
         f"h = {shown[0]}",
@@ -91,7 +91,7 @@ def step_text(
         f"return h, [{', '.join(end)}], ({', '.join(tuples)},)",
     ]
     lines, shown = source_text.float_source([each[0] for each in found.watched])
-    watched = [f"{', '.join(names)}, *_ = y", *torques, *lines]
+    watched = [_taken(names, "y"), *torques, *lines]
     watched.append(f"return ({''.join(f'{x}, ' for x in shown)})")
     return Steps(
         _defined("expand", "t, y, tau, dtau, most, direction, rtol, atol", expand),
@@ -132,13 +132,18 @@ def _gap(motion: MotionProgram, order: int, names: Sequence[str]) -> Callable[..
     lines, shown = source_text.float_source([total])
     used = set(re.findall(r"\w+", " ".join([*lines, *shown])))
 
-    def taken(each: Sequence[str]) -> str:
-        return "".join(f"{name if name in used else '_'}, " for name in each)
+    def needed(each: Sequence[str]) -> list[str]:
+        return [name if name in used else "_" for name in each]
 
-    bends = "".join(f"({taken(each)}), " for each in called)
-    before = "_, " * (2 * motion.mechanism.n + len(motion.power))
-    body = [f"{taken(names)}*_ = y", f"{before}{bends}*_ = series", *lines, f"return {shown[0]}"]
-    return _defined("gap", "t, y, series, x", body)
+    bends = [f"({', '.join(needed(each))},)" for each in called]
+    before = 2 * motion.mechanism.n + len(motion.power)
+    body = [_taken(needed(names), "y"), _taken(bends, "series", before), *lines]
+    return _defined("gap", "t, y, series, x", [*body, f"return {shown[0]}"])
+
+
+def _taken(names: Sequence[str], values: str, first: int = 0) -> str:
+    """A statement that names `values` from number `first` on; a starred name takes only 255."""
+    return f"{', '.join(names)}, = {values}[{first}:{first + len(names)}]"
 
 
 def _defined(name: str, arguments: str, body: Sequence[str]) -> Callable[..., Any]:
