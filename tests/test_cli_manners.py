@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
 import io
 import os
@@ -294,17 +293,6 @@ def test_a_key_of_another_convention_gets_the_way_it_is_here(robodyn: Run, tmp_p
 def test_no_key_of_another_convention_is_one_of_the_grammar(kind: str) -> None:
     forms = [FORMS[name] for name in MAPPINGS.get(kind, {kind: ()})]
     assert not set(other_conventions.KEYS[kind]) & {key for form in forms for key in form.keys}
-
-
-LONGEST = 80  # lines of a command's function, its options and its help among them
-
-
-@each("name", cli.COMMANDS)
-def test_no_command_is_long(name: str) -> None:
-    path = ROOT / "robodyn" / "cli" / f"{name}.py"
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    (function,) = (x for x in tree.body if isinstance(x, ast.FunctionDef) and x.name == name)
-    assert (function.end_lineno or 0) - function.lineno < LONGEST
 
 
 def test_no_option_is_written_as_optional() -> None:

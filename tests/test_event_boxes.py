@@ -133,6 +133,7 @@ def test_the_state_stays_in_its_box(scene: str, kind: str, rtol: float) -> None:
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("kind", ENGINES)
 @pytest.mark.thinned
+@pytest.mark.filterwarnings("ignore:.* passes zero too often")
 def test_boxes_change_no_event(seed: int, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same events without them."""
     rng = np.random.default_rng(100 + seed)

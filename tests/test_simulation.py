@@ -45,6 +45,8 @@ from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
 from robodyn.simulation.solvers import METHODS, projected
 
+pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
+
 FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it
 EXPLICIT = ("RK23", "RK45", "DOP853")
 EACH_METHOD = pytest.mark.parametrize("method", METHODS)

@@ -28,6 +28,8 @@ from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
 from robodyn.taylor import compiled, engine_choice
 
+pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
+
 ENGINE = ["python"]
 
 

@@ -24,6 +24,8 @@ from robodyn.simulation.report import Outcome
 from robodyn.taylor.python_series import StraightEngine
 from robodyn.taylor.steps import _agree
 
+pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
+
 ORDER = 10
 T0 = 0.3
 # the angles of a motion as mpmath takes them: q1(t), q2(t), and their rates
