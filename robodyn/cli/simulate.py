@@ -52,9 +52,8 @@ from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.run_torques import applied_torques, over_run
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import UNTIL, run
-from robodyn.tables.output_file import on_terminal
 from robodyn.tables.csv_fields import quoted
-from robodyn.tables.output_file import open_output
+from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import Writer
 
 if TYPE_CHECKING:
