@@ -45,6 +45,7 @@ def plot(
     colour: str | None = None,
     mechanism: Mechanism | None = None,
     log: bool = False,
+    points: bool = False,
     degrees: bool = False,
     title: str = "",
     size: Size = None,
@@ -52,7 +53,8 @@ def plot(
     """Columns of motions, or of other tables, as a chart; with `colour` a map over x and y.
 
     A table has columns (T,) by name: a dict, a data frame, what `sweep` gives.  `y` names columns,
-    "q*,energy" or a list; by default q and tau over t.  `mechanism` tells which joints slide, which
+    "q*,energy" or a list; by default q and tau over t.  nan is a gap.  With `points` these are not
+    joined, nor are rows of a sweep in no order of x.  `mechanism` tells which joints slide, which
     a motion knows; `degrees` of columns of joints needs it.  Raises InputError for columns that are
     not there, RobodynError without matplotlib (the extra `plot`).
     """
@@ -64,17 +66,19 @@ def plot(
     patterns = None if names is None else [name.strip() for name in names if name.strip()]
     if colour is not None and (x is None or not patterns):
         raise InputError("colour", value=shown(colour), limit="needs x and y")
+    if colour is not None and points:
+        raise InputError("points", limit="is for charts: leave it out with colour")
     given = [opened(_columns(x), str(k + 1)) for k, x in enumerate(tables)]
     with own_settings(), named_as_arguments():
         if colour is None:
-            content = read_chart(given, x, patterns, units, degrees)
+            content = read_chart(given, x, patterns, units, degrees, points=points)
             figure: Figure = chart_figure(content, size, shown(title))
             return figure
         from robodyn.pictures.chart_figure import map_figure
 
-        hidden: list[str] = []
+        untold: list[str] = []
         mapped = read_map(
-            given, x or "", patterns or [], colour, log, units, degrees, hidden.append
+            given, x or "", patterns or [], colour, log, units, degrees, untold.append
         )
         drawn: Figure = map_figure(mapped, size, shown(title))
         return drawn
