@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 import oracles
 import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
-from robodyn.errors import AssemblyError
+from robodyn.errors import AssemblyError, InputError
+from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.mechanism import build
 from robodyn.pictures.bodies import link_points
-from robodyn.pictures.drawing import Drawing, drawing, first_pose, span
+from robodyn.pictures.drawing import Drawing, drawing, span
 from robodyn.pictures.outlines import rounded_hull
 from robodyn.pictures.picture_plan import frame, free_place, head_places, label_places, scale_bar
 from robodyn.scene.description import from_text
@@ -431,6 +432,17 @@ def test_the_first_pose_goes_by_the_start_and_takes_what_closes() -> None:
     assert pose[0] == pytest.approx(np.pi / 2)  # the one twelfth at which the crank is above 0.9
     with pytest.raises(AssemblyError, match="give --q"):
         first_pose(build(from_text(loop.replace("1.9", "2.9"), "x.yaml")))
+
+
+def test_the_first_pose_where_actuated_joints_do_not_decide_it() -> None:
+    link = "{{name: {0}, m: 1, l: 1, r: 0.5, I: 0.1, from: {1}}}"
+    links = ", ".join(link.format(*x) for x in (("a", "[0, 0]"), ("b", "a"), ("c", "b")))
+    text = f"links: [{links}]\nactuated: []\ncouplings: [q3 = -2 q2 %s]\n%s"
+    assert first_pose(build(from_text(text % ("", ""), "x.yaml"))).tolist() == [0, 0, 0]
+    started = build(from_text(text % ("+ 1", "start: {a: 0.4, b: 0.2, c: 0.6}\n"), "x.yaml"))
+    assert first_pose(started).tolist() == [0.4, 0.2, 0.6]
+    with pytest.raises(InputError, match="give all 3 joint angles"):
+        first_pose(build(from_text(text % ("+ 1", ""), "x.yaml")))
 
 
 def test_the_first_pose_tries_displacements() -> None:

@@ -14,9 +14,10 @@ from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, Source, complete, remarks, single_state, table_source
 from robodyn.errors import InputError
+from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
-from robodyn.pictures.drawing import Trace, drawing, drawing_lines, even_rows, first_pose, traced
+from robodyn.pictures.drawing import Trace, drawing, drawing_lines, even_rows, traced
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError, printable
 from robodyn.kinematics.named_points import named_points
 from robodyn.loops import loop_rates
-from robodyn.loops.assembly import assemble
+from robodyn.loops.assembly import assemble, first_pose
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.notebook.inline import named_as_arguments, opened, own_settings
 from robodyn.pictures import animation_files
@@ -23,7 +23,7 @@ from robodyn.pictures.animation_files import check_animation, check_programs
 from robodyn.pictures.chart import read_chart
 from robodyn.pictures.chart_figure import chart_figure
 from robodyn.pictures.column_units import ANY_SCENE, scene_units
-from robodyn.pictures.drawing import drawing, even_rows, first_pose, traced
+from robodyn.pictures.drawing import drawing, even_rows, traced
 from robodyn.pictures.motion_frames import frames
 from robodyn.pictures.value_map import read_map
 from robodyn.simulation.simulation import Motion
