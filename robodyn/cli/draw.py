@@ -36,7 +36,7 @@ def draw(
     qd: Qd = None,
     qdd: Qdd = None,
     tau: Text = option(_TAU, "VECTOR"),
-    forces: bool = switch("Arrows: weights, and the force in every pin."),
+    forces: bool = switch("Arrows: weights, the force in every pin, driving torques."),
     of: list[str] | None = option(OF, POINTS),
     labels: Labels | None = option("Beside each link."),
     poses: int = option("Of STATES, the most that are drawn.", "N", default=DEFAULT_POSES),
@@ -50,7 +50,7 @@ def draw(
     pale behind it.  --of marks points, and draws their paths through all rows.
 
     With --forces: m1 g is the weight of link 1, r1 the force on link 1 at its own joint, f1 that
-    on the side of closure 1 that the scene names first, as in `reactions`.
+    on the side of closure 1 that the scene names first, as in `reactions`; tau1 drives link 1.
 
     Without --out a terminal gets a picture of characters.
 
@@ -81,6 +81,8 @@ def draw(
             pose, rates, moved = single_state(mechanism, given)
             drawn = drawing(mechanism, pose)
             found = forces_at(mechanism, pose, rates, **{given[2].name: moved})
+            if not found:
+                note("Note: all forces are zero")
         elif q is None:
             pose = first_pose(mechanism)
             note(f"Note: without --q drawn at q = {', '.join(f'{x:.6g}' for x in pose)}")
