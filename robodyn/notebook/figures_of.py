@@ -143,7 +143,7 @@ def draw(
         )
         at_rest = np.zeros(mechanism.n)
         found = forces_at(mechanism, rows[0], at_rest if rates is None else rates, moved, torques)
-    drawn = drawing(mechanism, rows[even_rows(len(rows), poses)])
+    drawn = drawing(mechanism, rows[even_rows(len(rows), poses)], named)
     texts = list(map(shown, mechanism.link_names))
     if labels != "names":
         texts = [str(k + 1) for k in range(mechanism.n)] if labels else []

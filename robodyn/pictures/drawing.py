@@ -92,9 +92,10 @@ def _moved(points: Complex, place: Complex, turn: Complex) -> Complex:
     return moved
 
 
-def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
+def drawing(mechanism: Mechanism, q: ArrayLike, marked: Sequence[NamedPoint] = ()) -> Drawing:
     """What is to be drawn of the mechanism at the closed poses q, (n,) or (T, n).
 
+    Points that are `marked` are joined to their links.
     Raises RobodynError where it is too large or too small for numbers.
     """
     poses = np.atleast_2d(np.asarray(q, float))
@@ -103,7 +104,8 @@ def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
         if 1.0 / LARGEST <= half_width <= LARGEST:
             here = placed(mechanism, poses)
             travelled = placed(mechanism, _travelled(mechanism, poses))
-            found = tuple(bodies(mechanism, here, travelled, half_width))
+            own = [point.own for point in marked]
+            found = tuple(bodies(mechanism, here, travelled, half_width, own))
             moves = _moves(mechanism, found, here)
             place, turn = (np.stack(each, axis=-1) for each in zip(*moves, strict=True))
             drawn = Drawing(mechanism, poses, half_width, found, place, turn)

@@ -33,6 +33,7 @@ STYLES: dict[str, dict[str, Any]] = {
     "hatch": {"edgecolor": "#555555", "linewidth": 0.7, "zorder": 1},
     "guide": {"edgecolor": INK, "linewidth": 1.0, "zorder": 1},
     "axis": {**DASHED, "zorder": 1},
+    "wheel": {"facecolor": "none", "edgecolor": "#777777", "linewidth": 1.0, "zorder": 1.5},
     "block": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2},
     # a rod lies below the link that it slides in, a block above slots and rails of its link
     "rod": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2.5},
