@@ -616,7 +616,7 @@ def test_a_marked_point_is_joined_to_its_link() -> None:
     pose = robodyn.assemble(mech, [1.0])
     named = named_points(mech, ["P=coupler@0.5,0.2", "tip1"])
     plain, joined = (shapes_of(drawing(mech, pose, x), "link") for x in ((), named))
-    text = (ROOT / "robots/four-bar.yaml").read_text() + "points: {P: \"coupler@0.5,0.2\"}\n"
+    text = (ROOT / "robots/four-bar.yaml").read_text() + 'points: {P: "coupler@0.5,0.2"}\n'
     same = shapes_of(drawing(build(from_text(text, "x.yaml")), pose), "link")
     assert all(map(np.array_equal, joined, same))
     (k,) = (k for k in range(3) if not np.array_equal(plain[k], joined[k]))
