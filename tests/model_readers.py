@@ -39,6 +39,7 @@ class Body:
     springref: float = 0.0
     friction: float = 0.0
     range: tuple[float, float] | None = None
+    ref: float = 0.0  # its coordinate where the frames are those of the file
     mass: float = 0.0
     centre: Array = field(default_factory=lambda: np.zeros(3))
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))  # about the centre
@@ -76,6 +77,11 @@ class Model:
     def joints(self) -> list[str]:
         return [body.joint for body in self.bodies if body.joint is not None]
 
+    @property
+    def begin(self) -> dict[str, float]:
+        """MuJoCo's qpos0, where it begins, and where equalities count from."""
+        return {body.joint: body.ref for body in self.bodies if body.joint is not None}
+
     def frames(self, q: Mapping[str, float]) -> dict[str, tuple[Array, Array]]:
         """Position and orientation of each body."""
         found = {self.root: (np.zeros(3), np.eye(3))}
@@ -83,9 +89,9 @@ class Model:
             place, turn = found[body.parent]
             here, there = turn @ body.turn, place + turn @ body.place
             if body.slides:
-                there = there + here @ body.axis * q[body.joint]
+                there = there + here @ body.axis * (q[body.joint] - body.ref)
             elif body.joint is not None:
-                here = here @ rotation(body.axis, q[body.joint])
+                here = here @ rotation(body.axis, q[body.joint] - body.ref)
             found[body.name] = there, here
         return found
 
@@ -267,8 +273,8 @@ def read_mjcf(text: str) -> Model:
             for joint in child.findall("joint"):
                 assert joint.get("type") in ("hinge", "slide")
                 body.slides = joint.get("type") == "slide"
-                assert body.slides or "xyaxes" not in child.attrib
-                assert not {"ref", "pos"} & set(joint.keys())
+                assert "pos" not in joint.attrib
+                body.ref = float(joint.get("ref", "0"))
                 assert ("range" in joint.attrib) == ("limited" in joint.attrib)
                 if "range" in joint.attrib:
                     body.range = tuple(numbers(joint.get("range"), 2).tolist())
@@ -302,18 +308,23 @@ def read_mjcf(text: str) -> Model:
     for tendon in root.findall("tendon/fixed"):
         if "armature" in tendon.attrib:
             model.spun.append((float(tendon.get("armature")), fixed[tendon.get("name")]))
+
+    def counted(ratios: Mapping[str, float]) -> float:
+        return sum(ratio * model.begin[joint] for joint, ratio in ratios.items())
+
     for equal in root.findall("equality/joint"):
         a0, a1, *others = numbers(equal.get("polycoef"), 5).tolist()
         assert others == [0, 0, 0]
         ratios = {equal.get("joint1"): 1.0}
         if "joint2" in equal.attrib:
             ratios[equal.get("joint2")] = -a1
-        model.sums.append((ratios, a0))
+        model.sums.append((ratios, a0 + counted(ratios)))
     for equal in root.findall("equality/tendon"):
         if "tendon2" not in equal.attrib:
             a0, *others = numbers(equal.get("polycoef"), 5).tolist()
             assert others == [0, 0, 0, 0]
-            model.sums.append((fixed[equal.get("tendon1")], a0))
+            ratios = fixed[equal.get("tendon1")]
+            model.sums.append((ratios, a0 + counted(ratios)))
             continue
         pair = (tendons[equal.get(key)] for key in ("tendon1", "tendon2"))
         model.equal_tendons.append((*pair, numbers(equal.get("polycoef"), 5).tolist()))

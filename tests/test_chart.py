@@ -174,6 +174,21 @@ def test_a_long_curve_keeps_what_can_be_seen(seed: int) -> None:
     assert set(zip(x_, y_, strict=True)) <= set(zip(x, y, strict=True))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_long_curve_keeps_its_gaps(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x = np.arange(3.0 * MOST_POINTS)
+    y = rng.normal(size=len(x)).cumsum()
+    for begin in rng.integers(0, len(x), 5):
+        y[begin : begin + 1000] = np.nan
+    x_, y_ = thinned(x, y)
+    assert len(x_) <= MOST_POINTS
+    assert (np.nanmin(y_), np.nanmax(y_)) == (np.nanmin(y), np.nanmax(y))
+    for a, b in itertools.pairwise(np.flatnonzero(~np.isnan(y_))):
+        missing = np.isnan(y[int(x_[a]) : int(x_[b]) + 1]).sum()
+        assert (b - a > 1) == (missing > 0)
+
+
 def test_short_curves_and_loops_stay_whole() -> None:
     x = np.cos(np.arange(3.0 * MOST_POINTS))
     assert thinned(x, x)[0] is x

@@ -79,6 +79,19 @@ def test_what_slides_in_characters(robodyn: Run, scene: Callable[[str], Path]) -
     assert given.succeeds().out.count("o") == 2
 
 
+def sizes(picture) -> dict[str, float]:
+    """The size of each force and torque that a picture names, N and N m."""
+    named = [re.fullmatch(r"(.*) = (\S+) ([mk]?)N( m)?", text) for text in texts(picture)]
+    factors = {"m": 1e-3, "": 1.0, "k": 1e3}
+    return {x[1]: float(x[2]) * factors[x[3]] for x in named}
+
+
+def test_no_force_is_told(robodyn: Run, scene: Callable[[str], Path], tmp_path: Path) -> None:
+    path = scene("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n")
+    given = robodyn("draw", path, "--q", "0", "--forces", "-o", tmp_path / "x.svg")
+    assert (given.code, given.err) == (0, "Note: all forces are zero\n")
+
+
 def test_forces_where_links_slide(
     robodyn: Run, scene: Callable[[str], Path], tmp_path: Path, pictures: list
 ) -> None:
@@ -87,10 +100,11 @@ def test_forces_where_links_slide(
     row = robodyn("reactions", *state).row
     expected = {f"r{k}": abs(complex(row[f"rx{k}"], row[f"ry{k}"])) for k in (1, 2)}
     expected |= {"f1": abs(complex(row["fx1"], row["fy1"])), "m1 g": 0.8 * 9.81, "m2 g": 1.5 * 9.81}
-    found = dict(re.fullmatch(r"(.*) = (\S+) N", text).groups() for text in texts(pictures[0]))
+    expected["tau1"] = abs(robodyn("torque", *state).row["tau1"])
+    found = sizes(pictures[0])
     assert found.keys() == expected.keys()
     for name, size in expected.items():
-        assert float(found[name]) == pytest.approx(size, rel=6e-3)
+        assert found[name] == pytest.approx(size, rel=6e-3)
 
 
 def test_joints_are_where_they_are_to_the_pixel(
@@ -164,10 +178,8 @@ def test_forces_are_those_of_reactions(robodyn: Run, tmp_path: Path, pictures: l
     expected = {f"r{k}": abs(complex(row[f"rx{k}"], row[f"ry{k}"])) for k in (1, 2, 3)}
     expected |= {f"m{k} g": m * 9.81 for k, m in ((1, 0.6), (2, 1.3), (3, 1.0))}
     expected["f1"] = abs(complex(row["fx1"], row["fy1"]))
-    found = {}
-    for text in texts(pictures[0]):
-        name, size = re.fullmatch(r"(.*) = (\S+) N", text).groups()
-        found[name] = float(size)
+    expected["tau1"] = abs(robodyn("torque", *state).row["tau1"])
+    found = sizes(pictures[0])
     assert found.keys() == expected.keys()
     for name, size in expected.items():
         assert found[name] == pytest.approx(size, rel=6e-3)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import shlex
 import shutil
 import subprocess
@@ -125,6 +127,23 @@ def test_completion_lists_the_commands(quick_shell: Run) -> None:
 def test_completion_lists_options_and_scenes(quick_shell: Run) -> None:
     assert {"--labels", "--forces", "--q"} <= set(completed(quick_shell, "robodyn draw --"))
     assert completed(quick_shell, "robodyn init f") == ["five-bar", "four-bar"]
+
+
+def test_completion_says_nothing_on_stderr_of_a_terminal() -> None:
+    """What a completion writes there stands in the line that is being typed."""
+    leader, terminal = pty.openpty()
+    asked = {"COMP_WORDS": "robodyn torque 2r --f", "COMP_CWORD": "3"}
+    environment = {**os.environ, "_ROBODYN_COMPLETE": "complete_bash", **asked}
+    line = [sys.executable, "-m", "robodyn"]
+    streams = {"stdin": terminal, "stdout": subprocess.PIPE, "stderr": terminal}
+    try:
+        given = subprocess.run(line, **streams, env=environment, cwd=ROOT)
+        os.write(terminal, b"end")
+        assert os.read(leader, 1000) == b"end"
+    finally:
+        os.close(leader)
+        os.close(terminal)
+    assert given.stdout.split() == [b"--format", b"--force", b"--fluctuation"]
 
 
 @pytest.mark.parametrize(

@@ -157,6 +157,86 @@ def test_files_are_overlaid(robodyn: Run, motion: Path, tmp_path: Path, drawn: l
     assert one.get_color() != two.get_color()
 
 
+def test_a_legend_tells_the_line_styles_of_files(
+    robodyn: Run, motion: Path, tmp_path: Path, drawn: list
+) -> None:
+    other = tmp_path / "other.csv"
+    other.write_text(ROWS)
+    robodyn("plot", motion, other, "-o", tmp_path / "x.svg").succeeds()
+    robodyn("plot", motion, "-o", tmp_path / "x.svg").succeeds()
+    (legend,) = drawn[0].legends
+    styles = {
+        text.get_text(): line.get_linestyle()
+        for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)
+    }
+    assert sorted(styles) == ["motion", "other"]
+    assert styles["motion"] != styles["other"]
+    for axes in drawn[0].axes:
+        for line in axes.get_lines():
+            assert line.get_linestyle() == styles[line.get_label().split()[-1]]
+    assert not drawn[1].legends
+
+
+# Gaps, and points that no line joins
+
+
+def test_a_row_without_a_value_is_a_gap(robodyn: Run, tmp_path: Path, drawn: list) -> None:
+    """As `sweep` writes it; a point between two gaps is seen."""
+    rows = "t,q1,q2\n0,,1\n1,2,1\n2,NaN,1\n3,4,1\n4,5,1\n,6,1\n6,nan,1\n"
+    given = robodyn("plot", "-", "-o", tmp_path / "x.svg", stdin=rows)
+    note = "Note: stdin: 7 rows, 3 without q1, 1 without t: not drawn\n"
+    assert (given.code, given.err) == (0, note)
+    one, two = (line for line in drawn[0].axes[0].get_lines())
+    nan = np.nan
+    assert np.array_equal(one.get_ydata(), [nan, 2, nan, 4, 5, nan, nan], equal_nan=True)
+    assert np.array_equal(two.get_ydata(), [1, 1, 1, 1, 1, nan, 1], equal_nan=True)
+    assert one.get_marker() == two.get_marker() == "o"
+    assert (one.get_markevery(), two.get_markevery()) == ([1], [6])
+    assert drawn[0].axes[0].get_xlim() == (0, 6)
+    shown = robodyn("plot", "-", "--format", "text", stdin=rows)
+    assert (shown.code, shown.err, "q1" in shown.out) == (0, note, True)
+    robodyn("plot", "-", "--y", "q1", "--format", "text", stdin="t,q1\n0,\n,1\n").fails(
+        2, "stdin: nothing to draw: no row has both t and a value to draw over it"
+    )
+    robodyn("plot", "-", "--format", "text", stdin="t,q1\n0,inf\n").fails(2, "q1 = inf")
+
+
+def test_rows_of_a_sample_are_points(robodyn: Run, tmp_path: Path, drawn: list) -> None:
+    sample = "a,b,outcome\n2,1,finished\n1,5,finished\n3,2,finished\n"
+    grid = "a,b,outcome\n1,1,finished\n2,5,finished\n3,2,finished\n"
+    path = "t,a,b,outcome\n0,2,1,x\n1,1,5,x\n2,3,2,x\n"
+    for rows, more, joined in (
+        (sample, ("--x", "a"), False),
+        (sample, (), False),
+        (grid, ("--x", "a"), True),
+        (path, ("--x", "a"), True),
+        (path, ("--x", "a", "--points"), False),
+        (path, ("--points",), False),
+    ):
+        line = ("plot", "-", "--y", "b", *more, "-o", tmp_path / "x.svg")
+        robodyn(*line, stdin=rows).succeeds()
+        (drawn_line,) = drawn.pop().axes[0].get_lines()[:1]
+        assert (drawn_line.get_linestyle() == "None") == (not joined)
+        assert (drawn_line.get_marker() == "o") == (not joined)
+        assert drawn_line.get_ydata().tolist() == [1, 5, 2]
+    mapped = ("--x", "a", "--y", "b", "--colour", "a", "--points")
+    robodyn("plot", "-", *mapped, "--format", "text", stdin=grid).fails(2, "--points")
+
+
+def test_characters_leave_gaps_and_do_not_join_points(robodyn: Run) -> None:
+    """Of ten rows on a level line each lacks a value, or none does: how much of it is drawn."""
+    line = ("plot", "-", "--ascii", "--format", "text", "--y", "b", "--x", "a")
+    lengths = []
+    for gaps, more in ((False, ()), (True, ()), (False, ("--points",))):
+        rows = "".join(f"{k},{'' if gaps and k % 5 == 2 else 1}\n" for k in range(10))
+        shown = robodyn(*line, *more, stdin="a,b\n" + rows).out
+        lengths.append(max(text.count("*") for text in shown.splitlines()) - 1)
+    whole, broken, points = lengths
+    assert whole > 50
+    assert broken == pytest.approx(whole * 5 / 9, abs=4)
+    assert points == 10
+
+
 def test_columns_against_each_other(
     robodyn: Run, motion: Path, tmp_path: Path, drawn: list
 ) -> None:

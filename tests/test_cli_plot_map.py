@@ -264,3 +264,16 @@ def test_text_needs_no_matplotlib(shell: Run, sweep: Path) -> None:
     code = f"import sys; from robodyn import cli; cli.run({words!r}); "
     code += "sys.exit(bool({'matplotlib', 'scipy', 'PIL'} & set(sys.modules)))"
     assert shell(f'python -c "{code}"').code == 0
+
+
+def test_rows_without_a_place_are_left_out_and_told(
+    robodyn: Run, tmp_path: Path, drawn: list
+) -> None:
+    rows = "q1,q2,flip\n0,0,1\n1,,2\n2,1,NaN\nnan,2,4\n3,5,5\n"
+    line = ("plot", "-", *MAP, "flip", "-o", tmp_path / "x.svg")
+    given = robodyn(*line, stdin=rows)
+    note = "Note: stdin: 5 rows, 1 without q1, 1 without q2: not drawn\n"
+    assert (given.code, given.err) == (0, note)
+    (figure,) = drawn
+    placed = [points.get_offsets().tolist() for points in figure.axes[0].collections]
+    assert placed == [[[2, 1]], [[0, 0], [3, 5]]]  # without a value first: it hides no other

@@ -26,7 +26,7 @@ def read(fields: list[str], *, positive: bool = False) -> Column:
 
 
 def test_numbers_and_empty_fields() -> None:
-    texts = ["", "1", " ", "-2.5e-3", '"7"', '""', " 0.1 ", ""]
+    texts = ["", "1", " ", "-2.5e-3", '"7"', '""', " 0.1 ", "NaN"]
     column = read(texts)
     expected = [math.nan, 1, math.nan, -2.5e-3, 7, math.nan, 0.1, math.nan]
     assert np.array_equal(column.values, expected, equal_nan=True)
@@ -47,14 +47,14 @@ def test_only_empty_fields_and_none_at_all() -> None:
     assert len(read([]).values) == 0
 
 
-@pytest.mark.parametrize("bad", ["x", "nan", "inf", "1_0", "1e999", "0x1", "1;2"])
+@pytest.mark.parametrize("bad", ["x", "inf", "1_0", "1e999", "0x1", "1;2"])
 def test_what_is_no_number_is_told_with_its_line(bad: str) -> None:
     with pytest.raises(InputError) as caught:
         read(["1", "", bad, "y"])
     assert str(caught.value) == f"x.csv: line 4: c = {bad}: must be a finite number or empty"
 
 
-@pytest.mark.parametrize("first", ["nan", "inf", "-Infinity", "1_0"])
+@pytest.mark.parametrize("first", ["inf", "-Infinity", "1_0"])
 def test_a_column_that_begins_with_a_bad_number_holds_no_words(first: str) -> None:
     with pytest.raises(InputError, match="line 2: c = "):
         read([first, "open"])

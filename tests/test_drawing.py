@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT
@@ -12,10 +14,12 @@ from hypothesis import strategies as st
 import oracles
 import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
-from robodyn.errors import AssemblyError
+from robodyn.errors import AssemblyError, InputError
+from robodyn.kinematics.named_points import named_points
+from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.mechanism import build
 from robodyn.pictures.bodies import link_points
-from robodyn.pictures.drawing import Drawing, drawing, first_pose, span
+from robodyn.pictures.drawing import Drawing, drawing, span, traced
 from robodyn.pictures.outlines import rounded_hull
 from robodyn.pictures.picture_plan import frame, free_place, head_places, label_places, scale_bar
 from robodyn.scene.description import from_text
@@ -433,6 +437,17 @@ def test_the_first_pose_goes_by_the_start_and_takes_what_closes() -> None:
         first_pose(build(from_text(loop.replace("1.9", "2.9"), "x.yaml")))
 
 
+def test_the_first_pose_where_actuated_joints_do_not_decide_it() -> None:
+    link = "{{name: {0}, m: 1, l: 1, r: 0.5, I: 0.1, from: {1}}}"
+    links = ", ".join(link.format(*x) for x in (("a", "[0, 0]"), ("b", "a"), ("c", "b")))
+    text = f"links: [{links}]\nactuated: []\ncouplings: [q3 = -2 q2 %s]\n%s"
+    assert first_pose(build(from_text(text % ("", ""), "x.yaml"))).tolist() == [0, 0, 0]
+    started = build(from_text(text % ("+ 1", "start: {a: 0.4, b: 0.2, c: 0.6}\n"), "x.yaml"))
+    assert first_pose(started).tolist() == [0.4, 0.2, 0.6]
+    with pytest.raises(InputError, match="give all 3 joint angles"):
+        first_pose(build(from_text(text % ("+ 1", ""), "x.yaml")))
+
+
 def test_the_first_pose_tries_displacements() -> None:
     """In both directions, by quarters of the longest length."""
     text = """
@@ -560,3 +575,52 @@ def test_the_name_of_a_point_stands_within_the_picture(at: list[float]) -> None:
     shown, whole = text.get_window_extent(), figure.bbox
     assert (shown.min >= whole.min).all()
     assert (shown.max <= whole.max).all()
+
+
+# Couplings, and points that are marked
+
+
+@pytest.mark.parametrize(
+    ("name", "coupling", "expected"),
+    [
+        # gears touch: 0.62 m apart, 2 : 1; pulleys are half as large together
+        ("geared-five-bar", None, {0.0: 0.62 * 2 / 3, 0.62: 0.62 / 3}),
+        ("geared-five-bar", "q3 = 2 q1 + 110deg", {0.0: 0.62 / 3, 0.62: 0.62 / 6}),
+        ("geared-five-bar", "q3 = 110deg", {}),
+        ("rack-gripper", None, {0.0: 0.02}),  # 50 rad/m
+        ("rack-gripper", "q1 = 0.02 q2", {0.0: 0.02}),
+        ("rack-gripper", "q1 = 20 q2", {}),  # 20 m, which would dwarf the gripper
+        ("rack-gripper", "q3 = -q2", {}),  # of which one joint is on a link
+    ],
+)
+def test_wheels_of_couplings_between_joints_of_the_ground(
+    name: str, coupling: str | None, expected: dict[float, float]
+) -> None:
+    text = (ROOT / f"robots/{name}.yaml").read_text()
+    if coupling is not None:
+        text = re.sub(r"couplings:.*\n(  - .*\n)*", f'couplings: ["{coupling}"]\n', text)
+        text = re.sub("actuated:.*", "", text)
+    mech = build(from_text(text, "x.yaml"))
+    pose = np.zeros(mech.n)
+    found = {}
+    for z in shapes_of(drawing(mech, pose), "wheel"):
+        centre = z.mean()
+        assert np.abs(z - centre) == pytest.approx(abs(z[0] - centre))
+        found[round(centre.real, 9)] = abs(z[0] - centre)
+    assert found == pytest.approx(expected)
+
+
+def test_a_marked_point_is_joined_to_its_link() -> None:
+    """The coupler's outline holds it, as it does a point with a name in the scene."""
+    mech = robodyn.load(ROOT / "robots/four-bar.yaml")
+    pose = robodyn.assemble(mech, [1.0])
+    named = named_points(mech, ["P=coupler@0.5,0.2", "tip1"])
+    plain, joined = (shapes_of(drawing(mech, pose, x), "link") for x in ((), named))
+    text = (ROOT / "robots/four-bar.yaml").read_text() + 'points: {P: "coupler@0.5,0.2"}\n'
+    same = shapes_of(drawing(build(from_text(text, "x.yaml")), pose), "link")
+    assert all(map(np.array_equal, joined, same))
+    (k,) = (k for k in range(3) if not np.array_equal(plain[k], joined[k]))
+    place = traced(mech, named, pose[None])[0].path[0]
+    w = drawing(mech, pose).half_width
+    assert np.abs(joined[k] - place).min() == pytest.approx(w, rel=1e-6)
+    assert np.abs(plain[k] - place).min() > 2.0 * w

@@ -11,7 +11,16 @@ import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
 from robodyn.dynamics import dynamics
 from robodyn.mechanics import mechanism
-from robodyn.pictures.force_arrows import LONGEST, arrows, forces, metres_a_newton
+from robodyn.pictures.force_arrows import (
+    LONGEST,
+    Force,
+    arc,
+    arrows,
+    forces,
+    forces_at,
+    metres_a_newton,
+    with_prefix,
+)
 from robodyn.scene import description
 from robodyn.scene.scene import Load, Spring
 
@@ -133,3 +142,42 @@ def test_an_arrow_that_would_lie_on_another_ends_where_it_acts() -> None:
     for name, (tail, head) in placed.items():
         assert head - tail == pytest.approx(0.02 * force[name].force)
         assert force[name].place in (tail, head)
+
+
+def test_driving_torques() -> None:
+    """Of a joint that turns an arc; of one that slides a force along it, of its weight here."""
+    mech = robodyn.load(ROOT / "robots/rp-arm.yaml")
+    q, rest = np.array([0.5, 0.3]), np.zeros(2)
+    found = {f.name: f for f in forces_at(mech, q, rest)}
+    weights = found["m1 g"], found["m2 g"]
+    moment = -sum((f.place.conjugate() * f.force).imag for f in weights)
+    assert (found["tau1"].kind, found["tau1"].force, found["tau1"].place) == ("drive", 0, 0)
+    assert found["tau1"].torque == pytest.approx(moment)
+    along = np.exp(0.5j)
+    assert found["tau2"].torque == 0.0
+    expected = -(found["m2 g"].force * along.conjugate()).real * along
+    assert found["tau2"].force == pytest.approx(expected)
+    given = {f.name: f for f in forces_at(mech, q, rest, tau=np.array([-3.0, 0.0]))}
+    assert (given["tau1"].torque, "tau2" in given) == (-3.0, False)
+
+
+def test_an_arc_turns_as_its_torque() -> None:
+    for torque in (2.0, -2.0):
+        z = arc(Force("drive", "tau1", 1 + 2j, 0j, torque), 0.5) - (1 + 2j)
+        assert np.abs(z) == pytest.approx(0.5)
+        assert (np.sign(torque) * np.angle(z[1:] / z[:-1]) > 0.0).all()
+
+
+def test_no_force_at_all() -> None:
+    text = "gravity: 0\nlinks: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+    mech = mechanism.build(description.from_text(text, "x.yaml"))
+    assert forces_at(mech, np.ones(1), np.zeros(1)) == []
+
+
+def test_prefixes() -> None:
+    for value, text in (
+        *((1149.6, "1.15 kN"), (999.4, "999 N"), (999.6, "1 kN"), (1e3, "1 kN"), (12.34, "12.3 N")),
+        *((0.1, "0.1 N"), (0.0996, "99.6 mN"), (2.5e-5, "25 µN"), (3.21e7, "32.1 MN")),
+        *((1e-3, "1 mN"), (1e6, "1 MN"), (4e15, "4e+15 N"), (4e-12, "4e-12 N")),
+    ):
+        assert with_prefix(value, "N") == text

@@ -65,9 +65,9 @@ def angles(model, there, q):
     return {model.joints[j]: float(angle) for j, angle in zip(there, q, strict=True)}
 
 
-def assert_same_terms(mech, q):
+def assert_same_terms(mech, q, begin=None):
     """M and G - Q at rest of the tree that opened closures leave, with the file's own gravity."""
-    model, there = read(mech)
+    model, there = read(mech, q=begin)
     at, rest = angles(model, there, q), dict.fromkeys(model.joints, 0.0)
     M, G = model.terms(at, model.gravity)
     holding = (G - model.forces(at, rest))[there]
@@ -77,9 +77,9 @@ def assert_same_terms(mech, q):
     assert_close(holding, G - Q, max(size.gravity, *np.abs(G), *np.abs(Q)), 1e-14)
 
 
-def assert_same_closures(mech, q):
+def assert_same_closures(mech, q, begin=None):
     """Gaps and their slopes: of connects as they are, of sliders at closed q, scaled."""
-    model, there = read(mech)
+    model, there = read(mech, q=begin)
     at = angles(model, there, q)
     gap, Psi = robodyn.closure_gap(mech, q), robodyn.closure_jacobian(mech, q)
     size, row = reached(mech, q).loop, 0
@@ -136,11 +136,10 @@ def coupling_joint(mech, row):
 
 
 def tendon_error(model, at, right, left, polynomial):
-    """y - y0 - a0 - a1 (x - x0) and its gradient, y0 and x0 the lengths at zero angles."""
+    """y - y0 - a0 - a1 (x - x0) and its gradient, y0 and x0 the lengths where MuJoCo begins."""
     assert polynomial[1:] == [1, 0, 0, 0]
-    resting = dict.fromkeys(model.joints, 0.0)
     (y, dy), (x, dx) = (model.length(at, ends) for ends in (right, left))
-    y0, x0 = (model.length(resting, ends)[0] for ends in (right, left))
+    y0, x0 = (model.length(model.begin, ends)[0] for ends in (right, left))
     return y - y0 - polynomial[0] - (x - x0), dy - dx
 
 
@@ -149,12 +148,13 @@ class TestTerms:
     @given(trees(most=7))
     def test_trees_keep_M_and_G(self, scene):
         assert_same_terms(scene.mechanism, scene.q)
+        assert_same_terms(scene.mechanism, scene.q, begin=scene.q[::-1].tolist())
 
     @examples
     @given(loops())
     def test_loops_keep_M_and_G_and_their_closures(self, scene):
-        assert_same_terms(scene.mechanism, scene.q)
-        assert_same_closures(scene.mechanism, scene.q)
+        assert_same_terms(scene.mechanism, scene.q, begin=scene.q.tolist())
+        assert_same_closures(scene.mechanism, scene.q, begin=scene.q.tolist())
 
     @EACH_ROBOT
     def test_the_scenes_of_robots(self, path):
@@ -166,17 +166,38 @@ class TestTerms:
             assert_same_terms(mech, state)
             assert_same_closures(mech, state)
 
+    @EACH_ROBOT
+    def test_mujoco_begins_where_loops_close(self, path):
+        """Without --q too: from open loops its stiff constraints would throw it apart."""
+        mech = smooth(load(path))
+        begins = [None]
+        if mech.rows:
+            begins += [robodyn.assemble(mech, [0.02] * len(mech.actuated)).tolist()]
+        for begin in begins:
+            model, there = read(mech, q=begin)
+            at = model.begin
+            for first, second in model.connects:
+                assert np.abs(model.site(at, first)[0] - model.site(at, second)[0]).max() < 1e-12
+            for right, left, _ in model.equal_tendons:
+                assert model.length(at, right)[0] == pytest.approx(model.length(at, left)[0])
+            for ratios, angle in model.sums:
+                held = sum(ratio * at[joint] for joint, ratio in ratios.items())
+                assert held == pytest.approx(angle, abs=1e-12)
+            if begin is not None:
+                assert at == angles(model, there, begin) == model.keys["start"]
+
     @pytest.mark.parametrize("seed", range(3))
     def test_gaps_of_pins_hold_where_they_are_open(self, seed):
-        mech = seeded_scene(seed, LOOPS["five-bar"]).mechanism
-        for q in np.random.default_rng(seed).uniform(-3, 3, (5, mech.n)):
-            assert_same_closures(mech, q)
+        scene = seeded_scene(seed, LOOPS["five-bar"])
+        for q in np.random.default_rng(seed).uniform(-3, 3, (5, scene.mechanism.n)):
+            assert_same_closures(scene.mechanism, q, begin=scene.q.tolist())
 
     @pytest.mark.parametrize("name", ["slider-crank", "six-bar with a piston"])
     @pytest.mark.parametrize("seed", range(3))
     def test_a_slider_is_off_its_line_to_the_side_that_its_gap_tells(self, name, seed):
-        mech = seeded_scene(seed, LOOPS[name]).mechanism
-        model, there = read(mech)
+        scene = seeded_scene(seed, LOOPS[name])
+        mech = scene.mechanism
+        model, there = read(mech, q=scene.q.tolist())
         for q in np.random.default_rng(seed).uniform(-3, 3, (10, mech.n)):
             error, _ = tendon_error(model, angles(model, there, q), *model.equal_tendons[0])
             gap = robodyn.closure_gap(mech, q)[-1]
@@ -208,14 +229,21 @@ class TestCouplings:
         assert len(mech.rows) == 3
 
     def test_a_coupling_of_two_joints_is_written_as_it_is(self):
+        """But for where it is counted from: q2 = 0.1 where q1 = 0, q2 = -0.5 where q1 = 2."""
         arm = (ROOT / "robots/2r.yaml").read_text()
-        root = ElementTree.fromstring(mjcf(mechanism(arm + "couplings: q2 = -0.3 q1 + 0.1\n")))
-        assert root.find("equality/joint").attrib == {
-            "name": "coupling1",
-            "joint1": "forearm",
-            "joint2": "upper_arm",
-            "polycoef": "0.1 -0.3 0 0 0",
-        }
+        mech = mechanism(arm + "couplings: q2 = -0.3 q1 + 0.1\n")
+        for q, begin in ((None, [None, "0.1"]), ([2.0, -0.25], ["2.0", "-0.25"])):
+            root = ElementTree.fromstring(mjcf(mech, q=q))
+            assert [joint.get("ref") for joint in root.iter("joint") if "axis" in joint.attrib] == (
+                begin
+            )
+            equality = dict(root.find("equality/joint").attrib)
+            apart, *others = map(float, equality.pop("polycoef").split())
+            assert (apart, others) == (
+                pytest.approx(0.0 if q is None else -0.25, abs=1e-15),
+                [-0.3, 0, 0, 0],
+            )
+            assert equality == {"name": "coupling1", "joint1": "forearm", "joint2": "upper_arm"}
         assert root.find("default/equality") is not None
 
 
@@ -353,8 +381,8 @@ class TestContacts:
 class TestForces:
     """Springs, dampers, loads: -G + Q - D qd of the scene, without friction, which is refused."""
 
-    def assert_same_forces(self, mech, q, qd, rtol=1e-13):
-        model, there = read(mech)
+    def assert_same_forces(self, mech, q, qd, rtol=1e-13, begin=None):
+        model, there = read(mech, q=begin)
         at, rates = angles(model, there, q), angles(model, there, qd)
         _, G = model.terms(at, model.gravity)
         theirs = (model.forces(at, rates) - G)[there]
@@ -382,9 +410,9 @@ class TestForces:
     def test_of_loops(self, name):
         scene = forced(3, seeded_scene(3, LOOPS[name]))
         text = re.sub(r" friction: \{.*?\},", "", scene.text)
-        mech = mechanism(text)
-        self.assert_same_forces(mech, scene.q, scene.qd)
-        assert_same_closures(mech, scene.q)
+        mech, begin = mechanism(text), scene.q.tolist()
+        self.assert_same_forces(mech, scene.q, scene.qd, begin=begin)
+        assert_same_closures(mech, scene.q, begin)
 
     def test_of_laws_of_springs(self):
         mech = mechanism(LAWS)

@@ -18,9 +18,10 @@ from documents import GUIDE, PAGES, ROOT
 from named_case import case
 
 import robodyn as package
+from robodyn.loops.assembly import first_pose
 from robodyn.notebook import inline
 from robodyn.pictures import chart_figure
-from robodyn.pictures.drawing import drawing, first_pose
+from robodyn.pictures.drawing import drawing
 from robodyn.scene.example_scenes import scene_names
 
 Run = Callable[..., Outcome]

@@ -542,6 +542,26 @@ def test_format_forces_a_form_on_a_terminal() -> None:
     assert relative_error([float(x) for x in row.split(",")], gravity(1, 2)) < 1e-13
 
 
+ROWS_AS_THEY_COME = {
+    "sweep": ("sweep", "robots/2r.yaml", "--vary", "q1=0:90deg:3", "--time", "1"),
+    "simulate": ("simulate", "robots/2r.yaml", "--q", "1,2", "--time", "1"),
+    "trajectory": ("trajectory", "robots/2r.yaml", "--from", "0,0", "--to", "1,2", "--time", "1"),
+}
+
+
+@pytest.mark.parametrize("name", ROWS_AS_THEY_COME)
+def test_no_progress_bar_among_rows_on_a_terminal(shell: Run, name: str) -> None:
+    """A bar is for rows that go elsewhere, and for what is shown when all rows are known."""
+    code = "import sys; from robodyn.cli import progress; progress.SILENT = 0.0; "
+    code += "from robodyn import cli; sys.exit(cli.run(sys.argv[1:]))"
+    spawn = "import pty, sys; pty.spawn([sys.executable, *sys.argv[1:]])"
+    line = f"{sys.executable} -c {spawn!r} -c {code!r} {shlex.join(ROWS_AS_THEY_COME[name])}"
+    bar = re.compile("sweeping|simulating|writing")
+    for more, expected in ((), False), (("-o", "-"), False), (("--extremes",), True):
+        shown = shell(f"{line} {' '.join(more)} < /dev/null").succeeds().out
+        assert bool(bar.search(shown)) == expected
+
+
 @pytest.mark.parametrize("columns", [80, 40])
 def test_a_narrow_terminal_hides_no_digit(robodyn: Run, columns: int) -> None:
     arguments = ("accel", "robots/five-bar.yaml", "--q", "120deg,60deg")

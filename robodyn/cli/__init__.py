@@ -61,15 +61,16 @@ def run(arguments: list[str]) -> int:
     """Run the command line on `arguments`; the exit code."""
     debug = "--debug" in arguments
     arguments = [word for word in arguments if word != "--debug"]
+    completing = any(name.startswith("_ROBODYN_COMPLETE") for name in os.environ)
     # what is told to nobody must go nowhere, and no file may be opened in its place
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 (as long as the process lives)
-    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+    if completing or sys.stderr is None:  # a shell shows it in the line that is being typed
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
     for size in ("COLUMNS", "LINES"):  # what no terminal has: the terminal itself is asked
         told = os.environ.get(size, "")
         if not (told.isdecimal() and len(told) < 5 and int(told)):
             os.environ.pop(size, None)
     try:
-        completing = any(name.startswith("_ROBODYN_COMPLETE") for name in os.environ)
         command = _command([] if completing else arguments, completing)
         code = command(arguments, prog_name="robodyn", standalone_mode=False)
     except KeyboardInterrupt:

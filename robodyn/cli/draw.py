@@ -14,9 +14,10 @@ from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, Source, complete, remarks, single_state, table_source
 from robodyn.errors import InputError
+from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
-from robodyn.pictures.drawing import Trace, drawing, drawing_lines, even_rows, first_pose, traced
+from robodyn.pictures.drawing import Trace, drawing, drawing_lines, even_rows, traced
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def draw(
     qd: Qd = None,
     qdd: Qdd = None,
     tau: Text = option(_TAU, "VECTOR"),
-    forces: bool = switch("Arrows: weights, and the force in every pin."),
+    forces: bool = switch("Arrows: weights, the force in every pin, driving torques."),
     of: list[str] | None = option(OF, POINTS),
     labels: Labels | None = option("Beside each link."),
     poses: int = option("Of STATES, the most that are drawn.", "N", default=DEFAULT_POSES),
@@ -46,10 +47,11 @@ def draw(
     Circles are joints, quartered circles centres of gravity, hatched lines the ground; a slider
     moves between walls.  Without --q the scene's `start`, all angles zero, or the first pose
     found that closes.  Of the rows of STATES the last is drawn in full, and others, evenly chosen,
-    pale behind it.  --of marks points, and draws their paths through all rows.
+    pale behind it.  --of marks points, joins them to their links, and draws their paths through all
+    rows.
 
     With --forces: m1 g is the weight of link 1, r1 the force on link 1 at its own joint, f1 that
-    on the side of closure 1 that the scene names first, as in `reactions`.
+    on the side of closure 1 that the scene names first, as in `reactions`; tau1 drives link 1.
 
     Without --out a terminal gets a picture of characters.
 
@@ -68,7 +70,7 @@ def draw(
     with remarks():
         if states is not None:
             rows, chosen_rows = _rows(mechanism, states, poses, whole=bool(marked))
-            drawn = drawing(mechanism, rows[chosen_rows])
+            drawn = drawing(mechanism, rows[chosen_rows], marked)
             traces = traced(mechanism, marked, rows)
         elif forces:
             if q is None:
@@ -78,14 +80,17 @@ def draw(
             given = [Quantity("q", q, True), Quantity("qd", qd)]
             given.append(Quantity("qdd", qdd) if tau is None else Quantity("tau", tau))
             pose, rates, moved = single_state(mechanism, given)
-            drawn = drawing(mechanism, pose)
+            drawn = drawing(mechanism, pose, marked)
             found = forces_at(mechanism, pose, rates, **{given[2].name: moved})
+            if not found:
+                note("Note: all forces are zero")
         elif q is None:
             pose = first_pose(mechanism)
             note(f"Note: without --q drawn at q = {', '.join(f'{x:.6g}' for x in pose)}")
-            drawn = drawing(mechanism, pose)
+            drawn = drawing(mechanism, pose, marked)
         else:
-            drawn = drawing(mechanism, single_state(mechanism, [Quantity("q", q, True)])[0])
+            (pose,) = single_state(mechanism, [Quantity("q", q, True)])
+            drawn = drawing(mechanism, pose, marked)
     traces = traces or traced(mechanism, marked, drawn.q[-1:])
     texts = list(map(shown, mechanism.link_names))
     if labels != "names":

@@ -24,7 +24,8 @@ def export(
 
     Each joint of the model is named after its link and has the coordinate q_i; the plane is X-Y.
     URDF holds open chains only, and no gravity: set it where the file is loaded.  MJCF closes
-    loops by equality constraints; with --q it has that configuration as the keyframe `start`.
+    loops by equality constraints; it begins at --q, else at zero, or where loops close first, and
+    has that configuration as the keyframe `start`.
 
     \b
     Examples:
@@ -53,6 +54,11 @@ def export(
             from robodyn.cli.states import Quantity, single_state
 
             pose = single_state(mechanism, [Quantity("q", q, True)])[0].tolist()
+        elif mechanism.rows:
+            from robodyn.loops.assembly import first_pose
+
+            pose = first_pose(mechanism).tolist()
+            note(f"Note: without --q it begins at q = {', '.join(f'{x:.6g}' for x in pose)}")
         text, notes = mjcf(mechanism, step, pose), contact_notes(mechanism)
     for line in notes:
         note(f"Note: {line}")

@@ -31,6 +31,7 @@ def plot(
     colour: Colour = None,
     model: Annotated[Text, model_file("--model", _MODEL)] = None,
     log: bool = switch("Logarithmic --colour."),
+    points: bool = switch("Points in place of lines."),
     degrees: Degrees = False,
     title: Text = option("Above it.", "TEXT"),
     picture: PictureOptions = PictureOptions(),
@@ -39,6 +40,8 @@ def plot(
 
     Columns of one unit share a panel, panels are stacked over one x, and each curve has its name at
     its end.  Several files are overlaid: a colour for each column, a line style for each file.
+    Rows of a sweep in no order of x, as those of a random sample, are points, as all are with
+    --points.  Where a row has no value a curve has a gap.
 
     With --colour points over --x and --y have the colour of that column: cells where they fill a
     grid, as rows of a sweep do.  It may hold numbers or words; where it is empty they are grey.
@@ -69,6 +72,8 @@ def plot(
         raise InputError("--colour", value=shown(colour), limit="needs --x and --y")
     if log and colour is None:
         raise InputError("--log", limit="is a scale of colours: give --colour")
+    if points and colour is not None:
+        raise InputError("--points", limit="is for charts: leave it out with --colour")
     units = ANY_SCENE if model is None else scene_units(load_scene(model))
     opened, above = map(open_input, files), [f"  {shown(title)}"] if title else []
     if colour is not None:
@@ -82,7 +87,7 @@ def plot(
         figure = chart_figure.map_figure
         picture.show(cells, lambda: figure(mapped, picture.extent, shown(title or "")))
         return
-    content = read_chart(opened, x, patterns, units, degrees)
+    content = read_chart(opened, x, patterns, units, degrees, note, points)
 
     def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
         from robodyn.pictures.characters import chart_lines

@@ -53,7 +53,7 @@ from robodyn.simulation.run_torques import applied_torques, over_run
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import UNTIL, run
 from robodyn.tables.csv_fields import quoted
-from robodyn.tables.output_file import open_output
+from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import Writer
 
 if TYPE_CHECKING:
@@ -155,8 +155,9 @@ def simulate(
             with at_place("--sensitivity", *by):
                 carried = with_sensitivities(mechanism, torques, begin, by, settings.method)
     acting = carried.actuation if carried else torques
+    among_rows = on_terminal(results.out) and not results.extremes  # a bar would be in their lines
     with (
-        watching(duration, results.quiet) as watch,
+        watching(duration, results.quiet or among_rows) as watch,
         opened(results.out or "-", "what was computed is in", results.format) as stream,
         opened(events.events, "the events up to there are in") as table,
     ):

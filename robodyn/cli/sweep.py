@@ -26,6 +26,7 @@ from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.sweep_chunks import Rows
 from robodyn.sweeps.sweep_plan import Plan, check
 from robodyn.sweeps.sweep_workers import PATIENCE, results, without_remarks
+from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import Writer
 
 Compute = Callable[[int, Callable[[Rows], object]], object]  # from a chunk on, into what writes
@@ -115,12 +116,14 @@ def sweep(
     what = bool(plan.told) and plan.variation.sample is not None and not quiet and size <= MOST
     seen: list[Any] = []  # the rows, where it is to be told what matters most
     begun = time.perf_counter()
+    summarized = extremes or correlations
+    among_rows = on_terminal(out) and not summarized  # a bar would be in their lines
 
     def compute(begin: int, write: Callable[[Rows], object]) -> None:
         first = begin * plan.chunk
         with (
             named_options(("scheduler",)),
-            progress("sweeping", quiet, 0.0) as show,
+            progress("sweeping", quiet or among_rows, 0.0) as show,
             without_remarks(),
             closing(work.results(plan, begin)) as chunks,
         ):
@@ -130,15 +133,13 @@ def sweep(
                 seen.extend([rows.values] if what else [])
                 show((first + outcomes.total()) / size)
 
-    if extremes or correlations:
+    if summarized:
         summary = partial(_correlations, varied=len(plan.variation.axes))
         kept = RowOptions(extremes, out=out)
         with kept.writer(plan.columns()[:-1], units=units, summary=summary) as writer:
             compute(0, lambda rows: writer.write_columns(rows.values))
     # devices and pipes are written as they come
     elif out in (None, "-") or (Path(out).exists() and not Path(out).is_file()):
-        from robodyn.tables.output_file import open_output
-
         with open_output(out) as stream:
             stream.write(lines.header)
             compute(0, lambda rows: (stream.write(lines.of(rows)), stream.flush()))
@@ -147,7 +148,7 @@ def sweep(
             _go_on(file, plan, compute, lines, outcomes, quiet)
     if not quiet:
         _summary(plan, outcomes, time.perf_counter() - begun)
-    if seen and not (extremes or correlations) and outcomes.total() == size:
+    if seen and not summarized and outcomes.total() == size:
         _tell_what_matters(plan, seen)
 
 

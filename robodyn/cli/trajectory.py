@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import warnings
 from contextlib import nullcontext
 
@@ -22,6 +21,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.scene.quantities import value_from
 from robodyn.simulation.even_times import EvenTimes
+from robodyn.tables.output_file import on_terminal
 from robodyn.trajectories import time_scaling
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, path_through
@@ -158,7 +158,7 @@ def _write(motion: ReferenceMotion, times: EvenTimes, rows: RowOptions) -> None:
     n = motion.mechanism.n
     columns = ["t", *(f"{name}{k + 1}" for name in ("q", "qd", "qdd") for k in range(n))]
     block = max(1, min(BLOCK, WORK // n**3))
-    hidden = rows.out is None and sys.stdout.isatty()  # the rows themselves show how far they are
+    hidden = on_terminal(rows.out) and not rows.extremes  # the rows show how far they are
     told = rows.writer(columns, units=scene_units(motion.mechanism))
     with told as writer, progress("writing", hidden) as show:
         for k in range(0, len(times), block):

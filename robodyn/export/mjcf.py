@@ -14,7 +14,7 @@ makes in a motion falls with the square of the time step.
 
 from __future__ import annotations
 
-from cmath import phase
+from cmath import phase, rect
 from collections.abc import Iterable, Mapping, Sequence
 from math import nextafter, pi
 from xml.etree.ElementTree import Element, SubElement
@@ -44,12 +44,15 @@ SAID = ("closures", "springs", "loads", "couplings", "motor", "limits")
 
 
 def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | None = None) -> str:
-    """The mechanism as MJCF text, with the keyframe `start` at the joint angles q (n,), rad.
+    """The mechanism as MJCF text, in which MuJoCo begins at the closed configuration q (n,).
+
+    That is the keyframe `start` too.  Without q a mechanism with closures or couplings begins where
+    it closes (`first_pose`); another begins at zero, without a keyframe.
 
     Joint i, named after link i as its body, has the coordinate q_i; each actuated joint has a
     motor of that name, its control the torque, N m, or the force, N.  Angles that closures keep
-    are in the turn nearest to q, or to zero.  Raises InputError for what MJCF cannot
-    say, and for links without mass or inertia, which MuJoCo refuses.
+    are in the turn nearest to q.  Raises InputError for what MJCF cannot say, and for links without
+    mass or inertia, which MuJoCo refuses; AssemblyError where no pose is found that closes.
     """
     description = mechanism.description
     refuse_unsaid(description, "MJCF", REASONS, SAID, _unsaid)
@@ -60,6 +63,10 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
                 limit += " or inertia (kg m^2): give it a little"
                 place = f"links[{k}] ({link.name}).{key}"
                 raise InputError(place, where=description.source, value=value, limit=limit)
+    if q is None and mechanism.rows:
+        from robodyn.loops.assembly import first_pose  # trees need no numpy
+
+        q = first_pose(mechanism).tolist()
     model = _Elements(mechanism, timestep, q)
     root = Element("mujoco", model=printable(mechanism.name))
     SubElement(root, "compiler", angle="radian")
@@ -142,14 +149,18 @@ class _Elements:
             if link.hangs_from.link != above:
                 continue
             self.order.append(k)
-            name = self.names[k]
-            body = SubElement(parent, "body", name=name, pos=vector(link.hangs_from.at))
-            kind, axis = "hinge", "0 0 1"
-            if link.axis is not None:
-                kind, axis = "slide", "1 0 0"
-                if link.axis != 1.0:
-                    body.set("xyaxes", f"{vector(link.axis)} {vector(1j * link.axis)}")
+            name, place, begin = self.names[k], link.hangs_from.at, self.q[k]
+            if link.axis is None:
+                kind, axis, along = "hinge", "0 0 1", rect(1.0, begin)
+            else:
+                kind, axis, along = "slide", "1 0 0", link.axis
+                place += begin * along
+            body = SubElement(parent, "body", name=name, pos=vector(place))
+            if along != 1.0:
+                body.set("xyaxes", f"{vector(along)} {vector(1j * along)}")
             joint = SubElement(body, "joint", name=name, type=kind, axis=axis)
+            if begin:  # the coordinate of the pose that the bodies are written in
+                joint.set("ref", number(begin))
             joint.attrib |= self._turning(k) | joint_contacts(self.mechanism, k, self.timestep)
             # of what never turns no inertia counts, but MuJoCo wants some
             I = link.I if self.mechanism.frames[k] is not None else max(link.I, MINIMUM)
@@ -229,7 +240,8 @@ class _Elements:
         """The sites of a closure and its constraint.
 
         A slider has two tendons to the point, from sites on both sides of the line on what carries
-        it; gap > 0: left.  MuJoCo counts lengths from those at q = 0: y - y0 = a0 + a1 (x - x0).
+        it; gap > 0: left.  MuJoCo counts lengths from those where it begins:
+        y - y0 = a0 + a1 (x - x0).
         """
         if closure.along is None:
             first, second = self._ends(name, closure)
@@ -237,7 +249,7 @@ class _Elements:
             return
         along, line, carrier = closure.along, closure.second.at, closure.second.link
         point = self._site(f"{name}_point", closure.first)
-        pivot, arms, resting = self._resting(closure)
+        pivot, arms, begin = self._beginning(closure)
         foot = line + along * ((pivot - line) * along.conjugate()).real
         # so far that the point cannot get there
         away = 2.0 * (sum(map(abs, arms)) + abs(pivot - foot)) or 1.0
@@ -245,28 +257,34 @@ class _Elements:
         for side, way in (("right", -1j), ("left", 1j)):
             at = foot + away * way * along
             self._spatial(f"{name}_{side}", self._site(f"{name}_{side}", Point(carrier, at)), point)
-            lengths.append(abs(resting - at))
+            lengths.append(abs(begin - at))
         held = SubElement(self.equality, "tendon", name=name, tendon1=f"{name}_right")
         held.set("tendon2", f"{name}_left")
         held.set("polycoef", f"{number(lengths[1] - lengths[0])} 1 0 0 0")
         if closure.aligned is not None:
             self._align(f"{name}_angle", closure, closure.aligned)
 
-    def _resting(self, closure: Closure) -> tuple[complex, list[complex], complex]:
-        """A slider's point in the frame of its line: pivot, arms to the point, and it at q = 0."""
+    def _beginning(self, closure: Closure) -> tuple[complex, list[complex], complex]:
+        """A slider's point in the frame of its line: pivot, arms to the point, where it begins."""
+        import numpy as np
+
+        from robodyn.dynamics.placed import placed
+
         slides, carrier = self.mechanism.slides, closure.second.link
+        here, turned, turns = placed(self.mechanism, np.array(self.q)), 1.0 + 0j, 1.0 + 0j
         if carrier is None:
-            place, turned = self.tree.point(closure.first), 1.0 + 0j
-            pivot, arms = place.constant, [arm for k, arm in place.terms if k not in slides]
+            place = self.tree.point(closure.first)
+            pivot, arms, begin = place.constant, [], place.constant
         else:
             place = self.tree.difference(closure.first, closure.second)
             turned = self.tree.phases[carrier].conjugate()
-            pivot = closure.second.at
-            ways = [place.constant, *(arm for k, arm in place.terms if k not in slides)]
-            arms = [turned * arm for arm in ways]
-        resting = pivot + sum(arms)
+            turns = turned * complex(here.E[carrier]).conjugate()
+            pivot, arms = closure.second.at, [turned * place.constant]
+            begin = pivot + turns * place.constant
+        begin += turns * sum(c * complex(here.X[k]) for k, c in place.terms)
         # what slides is taken to get as far as the mechanism is long
-        return pivot, arms + [self.tree.unit * c for k, c in place.terms if k in slides], resting
+        sizes = [(self.tree.unit if k in slides else turned) * c for k, c in place.terms]
+        return pivot, arms + sizes, begin
 
     def _align(self, name: str, closure: Closure, angle: float) -> None:
         """What keeps the angle of the point's link to the line's: an equation between joints."""
@@ -285,6 +303,9 @@ class _Elements:
     def _couple(self, name: str, coupling: Coupling) -> None:
         """An equation between joints; of more than two the sum of all is a tendon's length."""
         terms, ratio = coupling.terms, 0.0
+        # MuJoCo counts coordinates from those where it begins
+        apart = coupling.angle - self.q[coupling.joint]
+        apart += sum(ratio * self.q[k] for k, ratio in terms)
         if len(terms) < 2:
             found = SubElement(self.equality, "joint", name=name, joint1=self.names[coupling.joint])
             if terms:
@@ -293,7 +314,7 @@ class _Elements:
         else:
             self._fixed(name, [(coupling.joint, 1.0), *((k, -ratio) for k, ratio in terms)])
             found = SubElement(self.equality, "tendon", name=name, tendon1=name)
-        found.set("polycoef", f"{number(coupling.angle)} {number(ratio)} 0 0 0")
+        found.set("polycoef", f"{number(apart)} {number(ratio)} 0 0 0")
 
     def _site(self, name: str, point: Point) -> str:
         """Note a site for the body of the point's link; its name."""

@@ -36,6 +36,7 @@ from robodyn.loops.closing import close_positions as close_positions
 from robodyn.loops.closing import loop_size as loop_size
 from robodyn.loops.dyads import CLOSED as CLOSED
 from robodyn.loops.dyads import coupled_angle, solve_dyad
+from robodyn.loops.loop_rates import check_closed
 from robodyn.loops.path_from_start import farthest, from_start, reachable_from_start
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import BRANCHES
@@ -104,6 +105,39 @@ def attempt(
         closed = after <= np.maximum(0.1 * before, ROUNDING * loop_size(mechanism))
         q[flat] = np.where(closed[..., None], found, q[flat])
     return q, missing
+
+
+def first_pose(mechanism: Mechanism) -> Array:
+    """A closed configuration (n,) to begin in: the mechanism's start, zeros, or what closes first.
+
+    Raises AssemblyError where no turn of all actuated joints by a twelfth closes, nor, where
+    actuated joints slide, a displacement by quarters of a length of the mechanism; InputError where
+    the actuated joints do not decide the others, and the start is not closed.
+    """
+    start = mechanism.description.start or (None,) * mechanism.n
+    whole = np.array([value or 0.0 for value in start])
+    if not mechanism.rows:
+        return whole
+    try:
+        assembly_plan(mechanism)
+    except InputError:
+        if check_closed(mechanism, whole) is None:
+            return whole
+        raise
+    slides = np.isin(mechanism.actuated, mechanism.slides)
+    turns = np.arange(12) * np.pi / 6 if not slides.all() else np.zeros(1)
+    ways = np.array([0.0, *(sign * k for k in range(1, 13) for sign in (1, -1))])
+    ways = 0.25 * mechanism.unit * ways if slides.any() else np.zeros(1)
+    given = np.array([start[k] or 0.0 for k in mechanism.actuated])
+    steps = np.where(slides, ways[:, None, None], turns[:, None])
+    with np.errstate(all="ignore"):  # a link without length has no direction
+        q, missing = attempt(mechanism, given + steps.reshape(-1, len(given)))
+    closes = np.flatnonzero(missing <= 0.0)
+    if not closes.size:
+        limit = "no pose found that closes: give --q"
+        raise AssemblyError("cannot be closed", where=mechanism.source, limit=limit)
+    pose: Array = q[closes[0]]
+    return pose
 
 
 def by_dyads(

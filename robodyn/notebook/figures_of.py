@@ -15,7 +15,7 @@ from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError, printable
 from robodyn.kinematics.named_points import named_points
 from robodyn.loops import loop_rates
-from robodyn.loops.assembly import assemble
+from robodyn.loops.assembly import assemble, first_pose
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.notebook.inline import named_as_arguments, opened, own_settings
 from robodyn.pictures import animation_files
@@ -23,7 +23,7 @@ from robodyn.pictures.animation_files import check_animation, check_programs
 from robodyn.pictures.chart import read_chart
 from robodyn.pictures.chart_figure import chart_figure
 from robodyn.pictures.column_units import ANY_SCENE, scene_units
-from robodyn.pictures.drawing import drawing, even_rows, first_pose, traced
+from robodyn.pictures.drawing import drawing, even_rows, traced
 from robodyn.pictures.motion_frames import frames
 from robodyn.pictures.value_map import read_map
 from robodyn.simulation.simulation import Motion
@@ -45,6 +45,7 @@ def plot(
     colour: str | None = None,
     mechanism: Mechanism | None = None,
     log: bool = False,
+    points: bool = False,
     degrees: bool = False,
     title: str = "",
     size: Size = None,
@@ -52,7 +53,8 @@ def plot(
     """Columns of motions, or of other tables, as a chart; with `colour` a map over x and y.
 
     A table has columns (T,) by name: a dict, a data frame, what `sweep` gives.  `y` names columns,
-    "q*,energy" or a list; by default q and tau over t.  `mechanism` tells which joints slide, which
+    "q*,energy" or a list; by default q and tau over t.  nan is a gap.  With `points` these are not
+    joined, nor are rows of a sweep in no order of x.  `mechanism` tells which joints slide, which
     a motion knows; `degrees` of columns of joints needs it.  Raises InputError for columns that are
     not there, RobodynError without matplotlib (the extra `plot`).
     """
@@ -64,17 +66,19 @@ def plot(
     patterns = None if names is None else [name.strip() for name in names if name.strip()]
     if colour is not None and (x is None or not patterns):
         raise InputError("colour", value=shown(colour), limit="needs x and y")
+    if colour is not None and points:
+        raise InputError("points", limit="is for charts: leave it out with colour")
     given = [opened(_columns(x), str(k + 1)) for k, x in enumerate(tables)]
     with own_settings(), named_as_arguments():
         if colour is None:
-            content = read_chart(given, x, patterns, units, degrees)
+            content = read_chart(given, x, patterns, units, degrees, points=points)
             figure: Figure = chart_figure(content, size, shown(title))
             return figure
         from robodyn.pictures.chart_figure import map_figure
 
-        hidden: list[str] = []
+        untold: list[str] = []
         mapped = read_map(
-            given, x or "", patterns or [], colour, log, units, degrees, hidden.append
+            given, x or "", patterns or [], colour, log, units, degrees, untold.append
         )
         drawn: Figure = map_figure(mapped, size, shown(title))
         return drawn
@@ -139,7 +143,7 @@ def draw(
         )
         at_rest = np.zeros(mechanism.n)
         found = forces_at(mechanism, rows[0], at_rest if rates is None else rates, moved, torques)
-    drawn = drawing(mechanism, rows[even_rows(len(rows), poses)])
+    drawn = drawing(mechanism, rows[even_rows(len(rows), poses)], named)
     texts = list(map(shown, mechanism.link_names))
     if labels != "names":
         texts = [str(k + 1) for k in range(mechanism.n)] if labels else []

@@ -31,8 +31,9 @@ LINES = 70, 12  # characters and rows of a chart where there is no matplotlib
 
 def mechanism_html(mechanism: Mechanism) -> str:
     """Its one line, and below it a drawing to scale in the pose that `draw` begins with."""
+    from robodyn.loops.assembly import first_pose
     from robodyn.pictures.animation_files import svg
-    from robodyn.pictures.drawing import drawing, first_pose
+    from robodyn.pictures.drawing import drawing
 
     try:
         picture = svg(drawing(mechanism, first_pose(mechanism)), WIDTH)

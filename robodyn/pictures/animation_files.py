@@ -83,7 +83,7 @@ class MovingPicture:
     ) -> Self:
         """That of a mechanism's frames, with the paths of points."""
         paths = [path for _, path in traced(mechanism, points, shown.fine)]
-        return cls(drawing(mechanism, shown.q), shown, speed, paths, size)
+        return cls(drawing(mechanism, shown.q, points), shown, speed, paths, size)
 
     def write(self, out: str, watched: Callable[[], AbstractContextManager[Watch]]) -> None:
         """Write it as the suffix of `out` says; gif and mp4, which take time, are watched."""

@@ -35,6 +35,8 @@ SUPPORT = 2.6  # depth of a ground support, half widths
 SMALL = 0.6  # of a support that holds a spring alone
 TOOTH = 0.9  # of a spring's zigzag in the pose that is drawn, half widths; of 8 teeth or more
 MOST_TEETH = 80
+WHEEL = 120  # points of a pitch circle
+LARGEST_WHEEL = 42.0  # its radius, half widths: the span of the mechanism
 LEAD = 0.15  # of a spring, straight on either side, but no longer than this many half widths
 LONGEST_LEAD = 2.5
 # lines of a damper, a piston in a cylinder: x from end to end, y in half widths
@@ -55,16 +57,25 @@ class Body(NamedTuple):
     end: PlanarPoint | None = None
 
 
-def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> Iterator[Body]:
+def bodies(
+    mechanism: Mechanism,
+    poses: Placed,
+    travelled: Placed,
+    w: float,
+    marked: Sequence[Point] = (),
+) -> Iterator[Body]:
     """The ground first, then guides, links from the ground outward, and blocks and pins that slide.
 
     `poses` (T, n) are where the mechanism is drawn, `travelled` (S, n) where it goes besides: rails
-    and slots are as long as that.  w is half the width of a link.
+    and slots are as long as that.  w is half the width of a link.  Outlines of links hold points
+    that are `marked`.
     """
     origin = PlanarPoint(0j, ())
     tree = Tree(mechanism.description.links)
     if supports := tuple(_supports(mechanism, poses.E, w)):
         yield Body(None, origin, False, supports)
+    if wheels := tuple(_wheels(mechanism, w)):
+        yield Body(None, origin, False, wheels)
     closures = mechanism.description.closures
     sliders = [(c, c.along, tree.point(c.first)) for c in closures if c.along is not None]
     for closure, along, sliding in sliders:
@@ -81,7 +92,7 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
         if way.link is None:
             yield Body(None, origin, False, on_ground(way, w))
         else:
-            way = way.leaving(link_points(mechanism, way.link), w)
+            way = way.leaving(link_points(mechanism, way.link, marked), w)
         ways.append(way)
     for spring in mechanism.springs:
         yield _spring(bool(spring.stiffness or spring.law), *spring.ends, poses, w)
@@ -91,7 +102,7 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
             yield _spring(bool(coil.stiffness or coil.law), mechanism.pivots[k], slid, poses, w)
     for k in mechanism.order:
         begin = tree.point(Point(k, 0j)) if k in mechanism.slides else mechanism.pivots[k]
-        yield Body(k, begin, True, tuple(_link(mechanism, k, ways, w)))
+        yield Body(k, begin, True, tuple(_link(mechanism, k, ways, w, marked)))
     for closure, along, sliding in sliders:
         link, pin = closure.first.link, Shape("joint", circle(0.55 * w))
         if closure.second.link is None:
@@ -101,6 +112,31 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
         else:
             turned = along * cmath.exp(-1j * closure.aligned)
             yield Body(link, sliding, True, (Shape("slider", CORNERS).moved(0j, w * turned), pin))
+
+
+def _wheels(mechanism: Mechanism, w: float) -> Iterator[Shape]:
+    """Gears, pulleys and pinions of couplings between two joints on the ground: pitch circles.
+
+    Of joints that turn against each other these touch; pulleys, which turn alike, are half as large
+    together.  A pinion is as large as its rack's way tells, but none that would dwarf the rest.
+    """
+    links = mechanism.description.links
+    for coupling in mechanism.description.couplings:
+        pair = [coupling.joint, *(k for k, _ in coupling.terms)]
+        if len(pair) != 2 or any(links[k].hangs_from.link is not None for k in pair):
+            continue
+        ratio = abs(coupling.terms[0][1])
+        if not ratio:
+            continue
+        radii = {pair[0]: 1.0 / ratio, pair[1]: ratio}
+        turning = [k for k in pair if not links[k].slides]
+        if len(turning) == 2:
+            apart = abs(links[pair[0]].hangs_from.at - links[pair[1]].hangs_from.at)
+            whole = apart if coupling.terms[0][1] < 0.0 else 0.5 * apart
+            radii = {pair[0]: whole / (1.0 + ratio), pair[1]: whole * ratio / (1.0 + ratio)}
+        for k in turning:
+            if 0.0 < radii[k] <= LARGEST_WHEEL * w:
+                yield Shape("wheel", links[k].hangs_from.at + circle(radii[k], WHEEL))
 
 
 def _spring(pulls: bool, first: PlanarPoint, second: PlanarPoint, poses: Placed, w: float) -> Body:
@@ -120,10 +156,14 @@ def _coil(length: float) -> list[complex]:
     return [0j, complex(lead), *zigzag, complex(1.0 - lead), 1.0 + 0j]
 
 
-def link_points(mechanism: Mechanism, k: int) -> Complex:
-    """The points of link k in its frame: joint, tip, what hangs, closes or has a name there, m."""
+def link_points(mechanism: Mechanism, k: int, marked: Sequence[Point] = ()) -> Complex:
+    """The points of link k in its frame, m: joint, tip, what hangs, closes, or has a name there.
+
+    Those of it that are `marked` besides.
+    """
     found = [0j, complex(mechanism.description.links[k].l), *_attached(mechanism, k)]
     found += [point.at for _, point in mechanism.description.points if point.link == k]
+    found += [point.at for point in marked if point.link == k]
     return np.array(list(dict.fromkeys(found)))
 
 
@@ -145,12 +185,14 @@ def _spring_ends(mechanism: Mechanism) -> list[Point]:
     return [end for spring in springs for end in (spring.first, spring.second)]
 
 
-def _link(mechanism: Mechanism, k: int, ways: Sequence[Way], w: float) -> Iterator[Shape]:
+def _link(
+    mechanism: Mechanism, k: int, ways: Sequence[Way], w: float, marked: Sequence[Point]
+) -> Iterator[Shape]:
     """Link k with the rails and slots on it, and its own block or rod if it slides."""
     link, closures = mechanism.description.links[k], mechanism.description.closures
     sliding = [c.first.at for c in closures if c.along is not None and c.first.link == k]
     feet = [way.foot() for way in ways if way.link == k and way.joint is None]
-    yield Shape("link", rounded_hull([*link_points(mechanism, k), *feet], w))
+    yield Shape("link", rounded_hull([*link_points(mechanism, k, marked), *feet], w))
     for way in ways:
         if way.joint == k:
             yield Shape("slider", CORNERS).moved(0j, w) if way.out is None else rod(way, w)

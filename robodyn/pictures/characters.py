@@ -172,8 +172,10 @@ def chart_lines(
         for k, curve in enumerate(panel.curves, owner):
             x = (curve.x - low) / (high - low) * (inside * canvas.across - 1)
             y = (curve.y - y_low) / (y_high - y_low) * (canvas.height - 1)
-            canvas.line(x + 1j * y, k)
-            ends.append(float(rows - 1 - y[curve.x.argmax()] / (canvas.height - 1) * (rows - 1)))
+            for run in curve.runs:
+                canvas.line((x + 1j * y)[run], k)
+            end = y[curve.seen[curve.x[curve.seen].argmax()]]
+            ends.append(float(rows - 1 - end / (canvas.height - 1) * (rows - 1)))
         for k, place in enumerate(spread(ends, 1.0, 0.0, rows - 1.0) or ends, owner):
             canvas.text(inside + 1, round(place), labels[k][: max(right - 1, 0)], k)
         if panel.label:

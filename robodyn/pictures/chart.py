@@ -8,11 +8,12 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robodyn.errors import InputError
 from robodyn.pictures.column_units import (
@@ -29,6 +30,7 @@ from robodyn.tables.delimited import columns_told
 from robodyn.tables.table import Reader
 
 Opened = AbstractContextManager[tuple[BinaryIO, str]]  # a table of CSV, and its name
+Rows = NDArray[np.int64]
 
 USUAL = ("q*", "tau*")  # what is drawn where nothing is asked for
 ROW = "row"  # the name of x where there is no t
@@ -38,13 +40,39 @@ LARGEST = 1e290
 
 
 class Curve(NamedTuple):
-    """One column of one file against x, (T,) each."""
+    """One column of one file against x, (T,) each; y is nan at gaps, but not everywhere.
+
+    Its points are `joined` by a line, or stand alone.
+    """
 
     column: str
     file: int
     label: str
     x: Array
     y: Array
+    joined: bool = True
+
+    @property
+    def seen(self) -> Rows:
+        """Which of the points are no gaps."""
+        return np.flatnonzero(~np.isnan(self.y))
+
+    @property
+    def end(self) -> int:
+        """The point that its name stands at: that of the largest x of a line that rises."""
+        seen = self.seen
+        return int(seen[self.x[seen].argmax()] if self.rises else seen[-1])
+
+    @property
+    def runs(self) -> list[Rows]:
+        """The points that lines join, one array a line; of one point where it stands alone."""
+        seen = self.seen
+        return np.split(seen, np.flatnonzero((np.diff(seen) > 1) | (not self.joined)) + 1)
+
+    @property
+    def rises(self) -> bool:
+        """Whether it is a line along rising x, as against time."""
+        return self.joined and bool((np.diff(self.x[self.seen]) >= 0.0).all())
 
 
 class Panel(NamedTuple):
@@ -60,6 +88,7 @@ class Chart(NamedTuple):
     x_label: str
     panels: tuple[Panel, ...]
     to_scale: bool  # x and y are both metres of the plane
+    files: tuple[str, ...] = ()  # short names, where there are several
 
     @property
     def curves(self) -> list[Curve]:
@@ -116,12 +145,15 @@ def chart(
     xs: Sequence[str | None],
     tables: Sequence[dict[str, Array]],
     units: Mapping[str, str] = TURNING,
+    scattered: Sequence[bool] = (),
 ) -> Chart:
     """The chart of tables: of each its name, its column along x, and its columns, (T,) each.
 
-    `units` are those of a scene (`column_units.scene_units`).
+    `units` are those of a scene (`column_units.scene_units`).  A value that is nan is a gap.  The
+    points of tables that are `scattered` are not joined.
 
-    Raises InputError where a table has no row, or the tables have different columns along x.
+    Raises InputError where a table has no row, the tables have different columns along x, or
+    nothing but gaps.
     """
     if len(set(xs)) > 1:
         named = ", ".join(f"{s}: {x or ROW}" for s, x in zip(sources, xs, strict=True))
@@ -138,12 +170,19 @@ def chart(
             rows = np.arange(1.0, len(y) + 1.0)
             along = rows if x is None else drawable(x, table[x], sources[file])
             label = shown(f"{name} {labels[file]}".rstrip())
-            curve = Curve(name, file, label, *thinned(along, y))
-            grouped.setdefault(unit_of(name, units), []).append(curve)
+            gaps = np.isnan(along) | np.isnan(y)
+            if not gaps.all():
+                joined, y = not any(scattered[file : file + 1]), np.where(gaps, np.nan, y)
+                curve = Curve(name, file, label, *thinned(along, y, joined), joined)
+                grouped.setdefault(unit_of(name, units), []).append(curve)
     x_name = xs[0] or ROW
+    if not grouped:
+        limit = f"no row has both {shown(x_name)} and a value to draw over it"
+        raise InputError("nothing to draw", where=sources[0], limit=limit)
     panels = tuple(Panel(_label(unit, curves), tuple(curves)) for unit, curves in grouped.items())
     to_scale = {unit_of(x_name, units)} == grouped.keys() == {"m"}
-    return Chart(shown(with_unit(x_name, units)), panels, to_scale)
+    files = tuple(map(shown, labels)) if len(labels) > 1 else ()
+    return Chart(shown(with_unit(x_name, units)), panels, to_scale, files)
 
 
 def _label(unit: str, curves: Sequence[Curve]) -> str:
@@ -177,14 +216,21 @@ def read_chart(
     patterns: Sequence[str] | None,
     units: Mapping[str, str],
     degrees: bool,
+    tell: Callable[[str], object] = lambda text: None,
+    points: bool = False,
 ) -> Chart:
-    """The chart of the tables: the column x, else t or the row, and those that patterns name."""
+    """The chart of the tables: the column x, else t or the row, and those that patterns name.
+
+    With `points` these are not joined, nor are rows of a sweep in no order of x.  It tells of rows
+    without a value, which are gaps.
+    """
     names: list[str] = []
     along: list[str | None] = []
     read: list[dict[str, Array]] = []
+    scattered: list[bool] = []
     for table in tables:
         with table as (stream, name):
-            reader = Reader(stream, name)
+            reader = Reader(stream, name, gaps=True)
             own = choose_x(reader.header, x, name)
             columns = choose_columns(reader.header, patterns, own, name)
             columns = list(dict.fromkeys([*columns, *([own] if own else [])]))
@@ -193,33 +239,56 @@ def read_chart(
         along.append(own)
         values = np.concatenate([np.zeros((0, len(columns))), *blocks])
         read.append(dict(zip(columns, values.T, strict=True)))
+        swept = "outcome" in reader.header and "t" not in reader.header
+        scattered.append(points or (swept and not (own and _in_order(read[-1][own]))))
+        tell_gaps(columns, values, name, tell)
     if degrees:
         check_degrees((name for columns_of in read for name in columns_of), units)
         along = [name and in_degrees(name, units)[0] for name in along]
         for k, columns_of in enumerate(read):
             told = {name: in_degrees(name, units) for name in columns_of}
             read[k] = {told[x][0]: told[x][1] * values for x, values in columns_of.items()}
-    return chart(names, along, read, units)
+    return chart(names, along, read, units, scattered)
 
 
-def thinned(x: Array, y: Array) -> tuple[Array, Array]:
-    """A long curve along rising x, less the points that nobody could see.
+def _in_order(x: Array) -> bool:
+    """Whether the values, gaps aside, rise or fall throughout."""
+    steps = np.diff(x[~np.isnan(x)])
+    return bool((steps > 0.0).all() or (steps < 0.0).all())
 
-    Of each of many equal parts of the rows the least and the largest y are kept, and both ends.
+
+def tell_gaps(
+    columns: Sequence[str], values: Array, source: str, tell: Callable[[str], object]
+) -> None:
+    """Tell how many of the rows (T, k) have no value, column by column."""
+    counts = zip(columns, np.isnan(values).sum(axis=0).tolist(), strict=True)
+    told = ", ".join(f"{count} without {shown(name)}" for name, count in counts if count)
+    if told:
+        tell(f"Note: {source}: {len(values)} rows, {told}: not drawn")
+
+
+def thinned(x: Array, y: Array, joined: bool = True) -> tuple[Array, Array]:
+    """A long line along rising x, less the points that nobody could see.
+
+    Of each of many equal parts of the rows the least and the largest y are kept, a gap, and both
+    ends.
     """
-    if len(x) <= MOST_POINTS or not (np.diff(x) >= 0.0).all():
+    gaps = np.isnan(y)
+    if len(x) <= MOST_POINTS or not joined or not (np.diff(x[~gaps]) >= 0.0).all():
         return x, y
-    edges = np.linspace(0, len(y), BINS + 1).astype(int)
-    parts = [(begin, y[begin:end]) for begin, end in itertools.pairwise(edges.tolist())]
-    least, most = ([begin + of(part) for begin, part in parts] for of in (np.argmin, np.argmax))
-    places = np.unique([0, *least, *most, len(y) - 1])
+    edges = list(itertools.pairwise(np.linspace(0, len(y), BINS + 1).astype(int).tolist()))
+    low, high = np.where(gaps, np.inf, y), np.where(gaps, -np.inf, y)
+    least = [begin + np.argmin(low[begin:end]) for begin, end in edges]
+    most = [begin + np.argmax(high[begin:end]) for begin, end in edges]
+    missing = [begin + np.argmax(gaps[begin:end]) for begin, end in edges if gaps[begin:end].any()]
+    places = np.unique([0, *least, *most, *missing, len(y) - 1])
     return x[places], y[places]
 
 
 def limits(values: Sequence[Array]) -> tuple[float, float]:
-    """The least and the largest value, apart also where all are equal (to rounding)."""
-    low = min(float(v.min()) for v in values)
-    high = max(float(v.max()) for v in values)
+    """The least and the largest value, gaps aside, apart also where all are equal (to rounding)."""
+    low = min(float(np.nanmin(v)) for v in values)
+    high = max(float(np.nanmax(v)) for v in values)
     size = max(abs(low), abs(high))
     if high - low <= 1e-12 * size or high == low:
         half = 0.05 * size or 1.0

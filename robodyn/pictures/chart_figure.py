@@ -88,7 +88,8 @@ def work_precision(result: Benchmark, title: str, path: str, slides: bool = Fals
 def chart_figure(content: Chart, size: tuple[float, float] | None, title: str = "") -> Any:
     """A chart's panels, stacked; each curve has its name at its end, or in a box if they are many.
 
-    Columns have colours and files line styles; where there is one column files have both.
+    Columns have colours and files line styles; where there is one column files have both.  A legend
+    above tells the line styles of several files.
     """
     panels = content.panels
     height = 4.5 if len(panels) == 1 else 1.0 + 2.0 * len(panels)
@@ -99,15 +100,19 @@ def chart_figure(content: Chart, size: tuple[float, float] | None, title: str = 
     inches = figure.get_size_inches()[1] / len(panels) - 0.5
     for axes, panel in zip(stacked, panels, strict=True):
         columns = list(dict.fromkeys(curve.column for curve in panel.curves))
-        rises = all((np.diff(curve.x) >= 0.0).all() for curve in panel.curves)  # as against time
+        rises = all(curve.rises for curve in panel.curves)
         for curve in panel.curves:
             shade = columns.index(curve.column) if len(columns) > 1 else curve.file
+            alone = [int(run[0]) for run in curve.runs if len(run) == 1]
             style = {
                 "color": COLOURS[shade % len(COLOURS)],
-                "ls": LINE_STYLES[curve.file % len(LINE_STYLES)],
-                "marker": "o" if len(curve.x) == 1 else "",
+                "ls": LINE_STYLES[curve.file % len(LINE_STYLES)] if curve.joined else "",
+                "marker": "o" if alone else "",
+                "markevery": alone,
+                "ms": 4 if curve.joined else 3,
+                "rasterized": len(alone) > MOST_SHAPES,
             }
-            axes.plot(curve.x, curve.y, lw=1.4, ms=4, label=curve.label, **style)
+            axes.plot(curve.x, curve.y, lw=1.4, label=curve.label, **style)
         axes.set_ylabel(panel.label)
         axes.grid(True, color="0.9", lw=0.7)
         axes.spines[["top", "right"]].set_visible(False)
@@ -123,18 +128,30 @@ def chart_figure(content: Chart, size: tuple[float, float] | None, title: str = 
         _name_curves(axes, panel, rises, inches)
     stacked[-1].set_xlabel(content.x_label)
     stacked[0].set_title(title)
+    if content.files and any(curve.joined for curve in content.curves):
+        _tell_files(figure, content)
     figure.align_ylabels(stacked)
     return figure
+
+
+def _tell_files(figure: Any, content: Chart) -> None:
+    """Which line style is which file's, above all panels."""
+    from matplotlib.lines import Line2D
+
+    styles = [LINE_STYLES[k % len(LINE_STYLES)] for k in range(len(content.files))]
+    files = zip(content.files, styles, strict=True)
+    handles = [Line2D([], [], color="0.2", lw=1.4, ls=style, label=x) for x, style in files]
+    figure.legend(handles=handles, loc="outside upper right", ncols=4, frameon=False)
 
 
 def _name_curves(axes: Any, panel: Panel, rises: bool, inches: float) -> None:
     """Names at the curves' ends, one below another where they would overlap."""
     lines = axes.get_lines()
-    ends = [int(curve.x.argmax()) if rises else -1 for curve in panel.curves]
+    ends = [curve.end for curve in panel.curves]
     low, high = axes.get_ylim()
     gap = 0.17 / max(inches, 0.3) * (high - low)
     heights = [float(curve.y[end]) for curve, end in zip(panel.curves, ends, strict=True)]
-    places = spread(heights, gap, low, high)
+    places = spread(heights, gap, low, high) if all(x.joined for x in panel.curves) else None
     if places is None:
         columns = int(1 + len(lines) * gap // (high - low))
         beside = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "ncols": columns}
@@ -145,7 +162,7 @@ def _name_curves(axes: Any, panel: Panel, rises: bool, inches: float) -> None:
         style = {"color": line.get_color(), "fontsize": 9, "annotation_clip": False}
         axes.annotate(curve.label, (curve.x[end], place), **beside, **style)
         if not rises:
-            axes.plot(curve.x[-1], curve.y[-1], "o", ms=4, color=line.get_color())
+            axes.plot(curve.x[end], curve.y[end], "o", ms=4, color=line.get_color())
 
 
 def map_figure(content: ValueMap, size: tuple[float, float] | None, title: str = "") -> Any:

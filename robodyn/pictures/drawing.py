@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.placed import Placed, placed
-from robodyn.errors import AssemblyError, RobodynError
+from robodyn.errors import RobodynError
 from robodyn.kinematics.named_points import NamedPoint
 from robodyn.loops.assembly import assembly_plan, attempt
 from robodyn.mechanics.link_tree import Tree
@@ -92,9 +92,10 @@ def _moved(points: Complex, place: Complex, turn: Complex) -> Complex:
     return moved
 
 
-def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
+def drawing(mechanism: Mechanism, q: ArrayLike, marked: Sequence[NamedPoint] = ()) -> Drawing:
     """What is to be drawn of the mechanism at the closed poses q, (n,) or (T, n).
 
+    Points that are `marked` are joined to their links.
     Raises RobodynError where it is too large or too small for numbers.
     """
     poses = np.atleast_2d(np.asarray(q, float))
@@ -103,7 +104,8 @@ def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
         if 1.0 / LARGEST <= half_width <= LARGEST:
             here = placed(mechanism, poses)
             travelled = placed(mechanism, _travelled(mechanism, poses))
-            found = tuple(bodies(mechanism, here, travelled, half_width))
+            own = [point.own for point in marked]
+            found = tuple(bodies(mechanism, here, travelled, half_width, own))
             moves = _moves(mechanism, found, here)
             place, turn = (np.stack(each, axis=-1) for each in zip(*moves, strict=True))
             drawn = Drawing(mechanism, poses, half_width, found, place, turn)
@@ -151,31 +153,6 @@ def span(mechanism: Mechanism, q: Array) -> float:
     points += [tree.point(Point(k, 0j)) for k in mechanism.slides]
     z = np.concatenate([at(point, X) for point in points])
     return float(max(np.ptp(z.real), np.ptp(z.imag))) or 1.0
-
-
-def first_pose(mechanism: Mechanism) -> Array:
-    """A closed configuration (n,) to show a mechanism in: its start, zeros, or what closes first.
-
-    Raises AssemblyError where no turn of all actuated joints by a twelfth closes, nor, where
-    actuated joints slide, a displacement by quarters of a length of the mechanism.
-    """
-    start = mechanism.description.start or (None,) * mechanism.n
-    if not mechanism.rows:
-        return np.array([value or 0.0 for value in start])
-    slides = np.isin(mechanism.actuated, mechanism.slides)
-    turns = np.arange(12) * np.pi / 6 if not slides.all() else np.zeros(1)
-    ways = np.array([0.0, *(sign * k for k in range(1, 13) for sign in (1, -1))])
-    ways = 0.25 * mechanism.unit * ways if slides.any() else np.zeros(1)
-    given = np.array([start[k] or 0.0 for k in mechanism.actuated])
-    steps = np.where(slides, ways[:, None, None], turns[:, None])
-    with np.errstate(all="ignore"):  # a link without length has no direction
-        q, missing = attempt(mechanism, given + steps.reshape(-1, len(given)))
-    closes = np.flatnonzero(missing <= 0.0)
-    if not closes.size:
-        limit = "no pose found that closes: give --q"
-        raise AssemblyError("cannot be closed", where=mechanism.source, limit=limit)
-    pose: Array = q[closes[0]]
-    return pose
 
 
 def drawing_lines(

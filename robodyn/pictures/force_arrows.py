@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,35 +21,46 @@ from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.pictures.outlines import at
+from robodyn.pictures.outlines import at, direction
 from robodyn.scene.scene import Load, Point, Spring
-from robodyn.tables.arrays import Array
+from robodyn.tables.arrays import Array, Complex
 
 LONGEST = 0.3  # the longest arrow, as a part of the mechanism's span
 SEEN = 1e-9  # forces below this part of the largest are none
+ARC = (-0.75 * np.pi, 0.75 * np.pi)  # of a torque, rad
+PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 CLOSE = 0.08  # arrows nearer than this part of the longest lie on one another
 
 
 class Force(NamedTuple):
-    """A force on a link: where it acts, m, and what it is, N, as complex numbers."""
+    """A force on a link, N, and where it acts, m, as complex numbers; or a torque at a joint."""
 
-    kind: str  # gravity, pin or load
+    kind: str  # gravity, pin, load or drive
     name: str
     place: complex
     force: complex
+    torque: float = 0.0  # N m, on the link at its joint; such a one has no force
 
 
 def forces(
-    mechanism: Mechanism, q: Array, qd: Array, qdd: Array, multipliers: Array
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    multipliers: Array,
+    tau: Array | None = None,
 ) -> list[Force]:
     """The weights, the force in every pin, loads and springs, of one motion, each (n,).
+
+    With the joint torques tau also those of actuated joints: tau1 is that on link 1.
 
     r1 is the force on link 1 at its own joint (its origin where it slides), f1 that on the side of
     closure 1 named first, s1 that of spring 1 on its end named first; springs at joints and loads
     without a point have none.
     Forces that are zero but for rounding are left out.
     """
-    X, tree = placed(mechanism, q).X, Tree(mechanism.description.links)
+    here, tree = placed(mechanism, q), Tree(mechanism.description.links)
+    X = here.X
     description, found = mechanism.description, []
 
     def add(kind: str, name: str, point: PlanarPoint, force: complex) -> None:
@@ -72,8 +84,16 @@ def forces(
         acting = rows_of(parts.acting, mechanism).planar("forces", q, qd, 0.0).tolist()
         for name, point, force in zip(springs + loads, points, acting, strict=True):
             add("load", name, point, force)
+    torques = np.zeros(mechanism.n) if tau is None else tau
+    for k in mechanism.actuated:
+        value, slides = float(torques[k]), k in mechanism.slides
+        point = tree.point(Point(k, 0j)) if slides else mechanism.pivots[k]
+        force = value * complex(direction(tree, k, here.E)) if slides else 0j
+        place = complex(at(point, X))
+        found.append(Force("drive", f"tau{k + 1}", place, force, 0.0 if slides else value))
     least = SEEN * max(abs(item.force) for item in found)
-    return [item for item in found if abs(item.force) > least]
+    small = SEEN * max(abs(item.torque) for item in found) + least * mechanism.unit
+    return [item for item in found if abs(item.force) > least or abs(item.torque) > small]
 
 
 def forces_at(
@@ -81,24 +101,26 @@ def forces_at(
 ) -> list[Force]:
     """The `forces` of a state q, qd (n,) that moves with qdd, or as the joint torques tau make it.
 
+    Those of the driving torques are among them.
+
     Raises RobodynError where they are not finite, and as the dynamics do.
     """
     if tau is None:
         qdd = np.zeros_like(q) if qdd is None else qdd
-        multipliers = inverse_dynamics_and_forces(mechanism, q, qd, qdd).multipliers
+        tau, multipliers, *_ = inverse_dynamics_and_forces(mechanism, q, qd, qdd)
     else:
         check_way_on(mechanism, q[None, :], qd[None, :])
         qdd, multipliers, _ = forward_dynamics_and_forces(mechanism, q, qd, tau)
     with np.errstate(all="ignore"):
-        found = forces(mechanism, q, qd, qdd, multipliers)
-    if not np.isfinite([item.force for item in found]).all():
+        found = forces(mechanism, q, qd, qdd, multipliers, tau)
+    if not np.isfinite([item.force + item.torque for item in found]).all():
         raise RobodynError("the result is not finite", limit="the state or the scene is too large")
     return found
 
 
 def metres_a_newton(found: Sequence[Force], span: float) -> float:
     """The scale of arrows: the largest force is LONGEST of the span."""
-    return LONGEST * span / max((abs(item.force) for item in found), default=1.0)
+    return LONGEST * span / (max((abs(item.force) for item in found), default=0.0) or 1.0)
 
 
 def arrows(found: Sequence[Force], scale: float) -> list[tuple[complex, complex]]:
@@ -122,3 +144,18 @@ def _cover(one: tuple[complex, complex], two: tuple[complex, complex], close: fl
     along = two[1] - two[0]
     part = np.clip((z * along.conjugate()).real / abs(along) ** 2, 0.0, 1.0)
     return bool(np.mean(np.abs(z - part * along) < close) > 1 / 3)
+
+
+def arc(torque: Force, radius: float) -> Complex:
+    """The points of an arc about a joint, m, in the sense of its torque."""
+    turned: Complex = radius * np.exp(1j * np.linspace(*ARC, 40))
+    return torque.place + (turned if torque.torque > 0.0 else turned.conj())
+
+
+def with_prefix(value: float, unit: str) -> str:
+    """A value > 0 to 3 digits, as `1.15 kN`; from 0.1 to 1000 without a prefix."""
+    value = float(f"{value:.3g}")
+    power = 0 if 0.1 <= value < 1e3 else 3 * math.floor(math.log10(value) / 3 + 1e-9)
+    if power not in PREFIXES:
+        return f"{value:.3g} {unit}"
+    return f"{value / 10.0**power:.3g} {PREFIXES[power]}{unit}"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from robodyn.pictures.chart_figure import new_figure
 from robodyn.pictures.colour_scale import COLOURS
 from robodyn.pictures.drawing import Drawing, Trace, span
+from robodyn.pictures.force_arrows import Force, arc, arrows, metres_a_newton, with_prefix
 from robodyn.pictures.picture_plan import (
     Size,
     frame,
@@ -19,20 +20,20 @@ from robodyn.pictures.picture_plan import (
     scale_bar,
     scale_bar_line,
 )
-
-if TYPE_CHECKING:
-    from robodyn.pictures.force_arrows import Force
+from robodyn.tables.arrays import Complex
 
 # Okabe and Ito's colours, which colour-blind people tell apart, in pale, one a link
 LINK_COLOURS = ("#9ad0f3", "#f5c86e", "#7fd1b4", "#e3b4cf", "#f3ec9a", "#8fb8dd", "#efaa80")
 INK = "#222222"
-FORCE_COLOURS = {"gravity": "#0072b2", "pin": "#d55e00", "load": "#007a5a"}
+FORCE_COLOURS = {"gravity": "#0072b2", "pin": "#d55e00", "load": "#007a5a", "drive": "#a3357e"}
+TURN = 3.0  # radius of the arc of a torque, half widths of a link
 DASHED = {"edgecolor": "#777777", "linewidth": 0.7, "linestyle": (0, (8, 3, 1, 3))}
 STYLES: dict[str, dict[str, Any]] = {
     "support": {"facecolor": "#e6e6e6", "edgecolor": INK, "linewidth": 0.8, "zorder": 1},
     "hatch": {"edgecolor": "#555555", "linewidth": 0.7, "zorder": 1},
     "guide": {"edgecolor": INK, "linewidth": 1.0, "zorder": 1},
     "axis": {**DASHED, "zorder": 1},
+    "wheel": {"facecolor": "none", "edgecolor": "#777777", "linewidth": 1.0, "zorder": 1.5},
     "block": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2},
     # a rod lies below the link that it slides in, a block above slots and rails of its link
     "rod": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2.5},
@@ -77,12 +78,17 @@ def mechanism_figure(
     With the links' texts, if any, the paths of points, and forces as arrows.
     """
     placed: list[tuple[complex, complex]] = []
+    turning: list[Complex] = []
     if found:
-        from robodyn.pictures.force_arrows import arrows, metres_a_newton
-
-        placed = arrows(found, metres_a_newton(found, span(drawn.mechanism, drawn.q)))
+        torques = [item for item in found if item.torque]
+        pulls = [item for item in found if not item.torque]
+        found = pulls + torques
+        placed = arrows(pulls, metres_a_newton(pulls, span(drawn.mechanism, drawn.q)))
+        turning = [arc(item, TURN * drawn.half_width) for item in torques]
     room = (6.0 + 2.5j) * drawn.half_width  # for the texts at the arrows' heads
-    around = [z + d for ends in placed for z in ends for d in (room, -room)]
+    ends = [z for pair in placed for z in pair] + [complex(z[-1]) for z in turning]
+    around = [z + d for z in ends for d in (room, -room)]
+    around += [z for points in turning for z in points.tolist()]
     around += [z for trace in traces for z in trace.path.tolist()]
     picture = Picture(drawn, size, around)
     last = len(drawn.q) - 1
@@ -90,7 +96,7 @@ def mechanism_figure(
         picture.ghost(k, 0.15 + 0.35 * (k + 1) / (last + 1))
     picture.show(last)
     picture.trace(traces)
-    picture.annotate(last, texts, found, placed)
+    picture.annotate(last, texts, found, placed, turning)
     return picture.figure
 
 
@@ -151,21 +157,35 @@ class Picture:
         names: Sequence[str],
         found: Sequence[Force] = (),
         arrows: Sequence[tuple[complex, complex]] = (),
+        arcs: Sequence[Complex] = (),
     ) -> None:
-        """The links' names beside them, and arrows of forces with their sizes at their heads."""
-        shafts = np.array([a + p * (b - a) for a, b in arrows for p in np.linspace(0, 1, 12)])
+        """The links' names beside them, and arrows of forces with their sizes at their heads.
+
+        Those of torques, which come last, are `arcs`.
+        """
+        lines = [a + (b - a) * np.linspace(0, 1, 12) for a, b in arrows] + list(arcs)
+        shafts = np.concatenate([np.zeros(0, complex), *lines])
+        heads = [*arrows, *((complex(z.mean()), complex(z[-1])) for z in arcs)]
         boxes = [self.extent(text) for text in names]
         places = label_places(self.drawn, pose, boxes, self.frame, shafts)
         for text, z in zip(names, places, strict=True):
             self._text(z, text, INK, 8)
-        texts = [f"{item.name} = {abs(item.force):.3g} N" for item in found]
+        texts = [
+            f"{x.name} = "
+            + (with_prefix(abs(x.torque), "N m") if x.torque else with_prefix(abs(x.force), "N"))
+            for x in found
+        ]
         points = np.append(obstacles(self.drawn, pose)[0], shafts)
-        heads = [self.extent(text) for text in texts]
+        sizes = [self.extent(text) for text in texts]
         labels = list(zip(places, boxes, strict=True))
-        around = head_places(arrows, heads, points, self.frame, labels)
-        for item, text, z, (tail, head) in zip(found, texts, around, arrows, strict=True):
+        around = head_places(heads, sizes, points, self.frame, labels)
+        for item, text, z, line in zip(found, texts, around, lines, strict=True):
             colour = FORCE_COLOURS[item.kind]
             self._text(z, text, colour, 9)
+            tail, head = line[0], line[-1]
+            if item.torque:
+                self.axes.plot(line[:-1].real, line[:-1].imag, color=colour, lw=1.5, zorder=7)
+                tail = line[-2]
             ends = (head.real, head.imag), (tail.real, tail.imag)
             self.axes.annotate("", *ends, arrowprops=ARROW | {"color": colour}, zorder=7)
 

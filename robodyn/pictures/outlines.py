@@ -29,8 +29,8 @@ CORNERS = np.array([-2.4 - 1.5j, 2.4 - 1.5j, 2.4 + 1.5j, -2.4 + 1.5j])  # of a b
 class Shape(NamedTuple):
     """A polygon, or a line that stays open, in the frame of its body, m.
 
-    Kinds: link, joint, tip, centre, quarter, payload, block, spring, support, hatch, guide, axis;
-    on links that slide, or on which something slides, rail, slot, line, slider and rod.
+    Kinds: link, joint, tip, centre, quarter, payload, block, spring, support, hatch, guide, axis,
+    wheel; on links that slide, or on which something slides, rail, slot, line, slider and rod.
     """
 
     kind: str
@@ -50,9 +50,9 @@ def hatched(begin: complex, end: complex, count: int) -> Iterator[Shape]:
         yield Shape("hatch", np.array([z, z + stroke]), False)
 
 
-def circle(radius: float) -> Complex:
-    """The points of a circle about 0."""
-    return np.asarray(radius * np.exp(2j * np.pi * np.arange(2 * ARC) / (2 * ARC)))
+def circle(radius: float, count: int = 2 * ARC) -> Complex:
+    """So many points of a circle about 0."""
+    return np.asarray(radius * np.exp(2j * np.pi * np.arange(count) / count))
 
 
 def rounded_hull(points: ArrayLike, radius: float) -> Complex:

@@ -173,7 +173,7 @@ def _beside(drawn: Drawing, pose: int, k: int, box: complex) -> Iterator[complex
     rounds = (np.append(s.points, s.points[0]) for s in shapes)
     outline = np.concatenate([_dense(z, 0.2 * box.imag) for z in rounds])
     slides = [s for x in drawn.bodies if x.link == k for s in x.shapes if s.kind == "slider"]
-    further = (0.0, 1.0, 2.0) if slides or len(shapes) > 1 else (0.0,)  # out of where it slides
+    further = (0.0, 1.0, 2.0) if slides or len(shapes) > 1 else (0.0, 1.0)  # out of where it slides
     along = 0.5 * (abs(direction.real) * box.real + abs(direction.imag) * box.imag)
     half = 0.5 * (abs(direction.imag) * box.real + abs(direction.real) * box.imag)
     for part in ALONG:

@@ -7,17 +7,23 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import InputError, at_place
-from robodyn.pictures.chart import Opened, choose_columns, choose_x, drawable, limits, place_of
+from robodyn.pictures.chart import (
+    Opened,
+    Rows,
+    choose_columns,
+    choose_x,
+    drawable,
+    limits,
+    place_of,
+    tell_gaps,
+)
 from robodyn.pictures.colour_scale import ColourScale, colour_scale
 from robodyn.pictures.column_units import TURNING, check_degrees, in_degrees, unit_of
 from robodyn.tables.arrays import Array
-from robodyn.tables.csv_fields import finite, shown, split_fields, unquoted
+from robodyn.tables.csv_fields import finite, is_missing, shown, split_fields, unquoted
 from robodyn.tables.table import Reader
-
-Rows = NDArray[np.int64]
 
 MOST_WORDS = 20  # that colours can tell apart
 ALIKE = 1e-9  # of the span: values of x this close are one line of the grid
@@ -137,29 +143,32 @@ def read_map(
 ) -> ValueMap:
     """The map of the column `colour` over x and the one that the patterns name.
 
-    Points that others hide are told.
+    Points that others hide are told, and rows that are left out, as they have no place.
     """
     fields: list[tuple[str, str]] = []
     blocks, ys = [np.zeros((0, 2))], []
     for table in tables:
         with table as (stream, source):
-            reader = Reader(stream, source)
+            reader = Reader(stream, source, gaps=True)
             choose_x(reader.header, x, source)
             ys += choose_columns(reader.header, patterns, x, source)
             if len(set(ys)) > 1:
                 told = ", ".join(dict.fromkeys(ys))
                 raise InputError("--y", value=told, limit="a map has one column along y")
-            place = place_of(colour, "--colour", reader.header, source)
+            place, begin = place_of(colour, "--colour", reader.header, source), len(blocks)
             for chunk in reader.chunks([x, ys[0]]):
                 for line, number in zip(chunk.lines, chunk.line_numbers, strict=True):
                     text = unquoted(split_fields(line)[place]).strip()
                     fields.append((text, f"{source}: line {number}"))
                 blocks.append(chunk.values)
+            tell_gaps([x, ys[0]], np.concatenate(blocks[begin:]), source, tell)
     values, words = colour_values(colour, fields, log)
     if log and words:
         limit = "needs a column of numbers; this one holds words"
         raise InputError("--log", value=shown(colour), limit=limit)
     columns, names = np.concatenate(blocks).T, (x, ys[0], colour)
+    placed = ~np.isnan(columns).any(axis=0)
+    columns, values = columns[:, placed], values[placed]
     if degrees:
         check_degrees(names, units)
     scaled = [in_degrees(name, units) if degrees else (name, 1.0) for name in names]
@@ -217,10 +226,11 @@ def colour_values(
 ) -> tuple[Array, tuple[str, ...]]:
     """Of the fields of a column, (T,) numbers or places in its sorted words, and these.
 
-    Fields are texts, and where they stand; the first that is not empty tells what the column holds;
-    empty ones are nan.  Raises InputError, with the place, where one is neither empty nor a number
-    (with `positive` > 0).
+    Fields are texts, and where they stand; the first with a value tells what the column holds;
+    empty ones, and nan, are nan.  Raises InputError, with the place, where one is neither empty nor
+    a number (with `positive` > 0).
     """
+    fields = [("" if is_missing(text) else text, where) for text, where in fields]
     worded = _is_word(next((text for text, _ in fields if text), "0"))
     words = tuple(sorted({text for text, _ in fields if text})) if worded else ()
     if len(words) > MOST_WORDS:
@@ -238,7 +248,7 @@ def colour_values(
 
 
 def _is_word(text: str) -> bool:
-    """Whether a field is no number, not even nan or inf."""
+    """Whether a field is no number, not even inf."""
     try:
         float(text)
     except ValueError:

@@ -57,3 +57,8 @@ def finite(text: str) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) else None
+
+
+def is_missing(text: str) -> bool:
+    """Whether a field has no value: it is empty, or nan."""
+    return text.strip().lower() in ("", "nan", "-nan")

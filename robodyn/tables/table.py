@@ -25,7 +25,15 @@ from operator import contains
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from robodyn.errors import InputError
-from robodyn.tables.csv_fields import IN_DEGREES, ends_open, finite, shown, split_fields, unquoted
+from robodyn.tables.csv_fields import (
+    IN_DEGREES,
+    ends_open,
+    finite,
+    is_missing,
+    shown,
+    split_fields,
+    unquoted,
+)
 from robodyn.tables.delimited import LONGEST_ROW, READ_BYTES, columns_told, delimiter_hint
 
 if TYPE_CHECKING:
@@ -84,12 +92,14 @@ class Reader:
 
     The header is read at once: `header` holds the names, less the spaces around them.  In
     `names` a column q1_deg is q1, and is read as that, unless there is another q1, or q1 is among
-    the `lengths`, which are no angles.
+    the `lengths`, which are no angles.  With `gaps` an empty field, or nan, is read as nan.
     Raises InputError where the input is empty or a name occurs twice.
     """
 
-    def __init__(self, stream: BinaryIO, source: str, lengths: Container[str] = ()) -> None:
-        self.source = source
+    def __init__(
+        self, stream: BinaryIO, source: str, lengths: Container[str] = (), gaps: bool = False
+    ) -> None:
+        self.source, self.gaps = source, gaps
         arrivals = self._arrivals(stream)
         lines, numbers, quoted = next(arrivals, _Rows([], [], False))
         if not lines:
@@ -158,7 +168,7 @@ class Reader:
                     limit = f"the header has {len(self.header)}{delimiter_hint(self.header)}"
                     raise self._fault(number, "number of fields", len(fields), limit)
                 texts = [unquoted(fields[place]) for place in places]
-                found = list(map(finite, texts))
+                found = [math.nan if self.gaps and is_missing(x) else finite(x) for x in texts]
                 for name, text, value in zip(names, texts, found, strict=True):
                     if value is None:
                         empty = not text.strip()
