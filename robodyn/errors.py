@@ -162,3 +162,7 @@ class SingularError(RobodynError):
 
 class SingularPoseError(SingularError):
     """Like its base class; other configurations of the same mechanism have a solution."""
+
+
+class SignalError(RobodynError):
+    """A table or an expression of a scene has no value at a state."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from robodyn.cli.options import Differentiate, Q, Qd, States, Unwrap
 from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_silence
-from robodyn.errors import InputError, RobodynError, SingularPoseError, at_place
+from robodyn.errors import InputError, RobodynError, SignalError, SingularPoseError, at_place
 from robodyn.mechanics.loop_rows import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, vector_of_joints
@@ -258,10 +258,10 @@ def evaluate(
         with remarks(), options.writer(columns, reader.header, units, summary) as writer:
             if not computed.write(chunks, writer, name) and (adds or writer.needs_rows):
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
-            if computed.singular and summary is not None:
-                raise computed.singular[0]
-        if computed.singular:
-            raise computed.singular[0]
+            if computed.lost and summary is not None:
+                raise computed.lost[0]
+        if computed.lost:
+            raise computed.lost[0]
 
 
 class _Computed:
@@ -271,7 +271,7 @@ class _Computed:
         self, mechanism: Mechanism, sources: Sequence[Source], compute: Callable[..., Array]
     ) -> None:
         self.mechanism, self.sources, self.compute = mechanism, sources, compute
-        self.singular: list[SingularPoseError] = []  # of the first such row
+        self.lost: list[RobodynError] = []  # of the first row without results
 
     def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
         """The results (T, k) at rows (T, columns)."""
@@ -303,8 +303,8 @@ class _Computed:
     def write(self, chunks: Iterable[Chunk], writer: Writer, name: str) -> int:
         """Write the results behind the rows of a table, and return how many rows there are.
 
-        The results of a row at a singular configuration are empty.  They do not depend on how the
-        rows are cut into chunks.
+        The results of a row at a singular configuration, or where a load has no value, are empty.
+        They do not depend on how the rows are cut into chunks.
         """
         rows = 0
         for chunk in chunks:
@@ -317,8 +317,8 @@ class _Computed:
                     try:
                         with at_place(f"{name}: line {chunk.line_numbers[k]}"):
                             computed = self._streamed(chunk.values[k : k + 1])
-                    except SingularPoseError as error:
-                        self.singular = self.singular or [error]
+                    except (SingularPoseError, SignalError) as error:
+                        self.lost = self.lost or [error]
                         writer.write_empty(line)
                     else:
                         writer.write_rows([line], computed)

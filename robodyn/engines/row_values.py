@@ -16,7 +16,7 @@ from robodyn.engines.arithmetic import Planar, planar_times
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, Recorded, balance, energies
 from robodyn.engines.series import Series
-from robodyn.errors import RobodynError
+from robodyn.errors import SignalError
 from robodyn.mechanics import parts
 from robodyn.mechanics.force_rows import NoDirection
 from robodyn.mechanics.parts import no_direction
@@ -28,10 +28,6 @@ from robodyn.tables.arrays import Array, Complex
 NEAR_END = 1e-3  # of a table's span, where a run that cannot go on has come to its end
 SIGNALS = ("tables", "laws")
 DIRECTED = ("torques", "forces")  # they are lost where a spring has no direction
-
-
-class SignalError(RobodynError):
-    """A table or an expression of a scene has no value at a state."""
 
 
 class TableLeftError(SignalError):

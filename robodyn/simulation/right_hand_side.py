@@ -30,8 +30,7 @@ import numpy as np
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import other_forces
 from robodyn.engines import straightline
-from robodyn.engines.row_values import SignalError
-from robodyn.errors import RobodynError
+from robodyn.errors import RobodynError, SignalError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across
 from robodyn.loops.closing import regular_rank
 from robodyn.loops.misses import Misses
