@@ -161,7 +161,8 @@ def read_map(
                     text = unquoted(split_fields(line)[place]).strip()
                     fields.append((text, f"{source}: line {number}"))
                 blocks.append(chunk.values)
-            tell_gaps([x, ys[0]], np.concatenate(blocks[begin:]), source, tell)
+            if len(blocks) > begin:
+                tell_gaps([x, ys[0]], np.concatenate(blocks[begin:]), source, tell)
     values, words = colour_values(colour, fields, log)
     if log and words:
         limit = "needs a column of numbers; this one holds words"
