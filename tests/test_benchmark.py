@@ -54,7 +54,7 @@ def assert_front(runs):
 def test_every_method_is_measured_and_the_front_is_right():
     parts = []
     result = arm(watch=parts.append, repeats=2)
-    expected = {"DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"}
+    expected = {"DOP853", "RK45", "Radau", "taylor"}
     if importlib.util.find_spec("llvmlite") is not None:
         expected.add("taylor compiled")
     assert methods(result) == expected
@@ -151,7 +151,7 @@ def test_loading_is_no_part_of_patience(monkeypatch):
     monkeypatch.setattr(benchmark, "run", slow_at_first)
     monkeypatch.setattr(benchmark, "time", SimpleNamespace(perf_counter=lambda: now))
     assert told(arm(t_end=0.05, tolerances=(1e-3, 1e-4), patience=0.3)) == []
-    assert len(once) >= 7
+    assert len(once) >= 4
 
 
 def test_a_run_that_does_not_finish_is_told(monkeypatch):

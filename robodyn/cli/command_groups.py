@@ -87,6 +87,16 @@ def group_options(command: str, parameters: Iterable[Any]) -> None:
             parameter.rich_help_panel = of_flag[flags[0]]
 
 
+def _successor(message: str) -> str:
+    """Return what to type in place of a removed value that the message refuses, or ""."""
+    from robodyn.simulation.settings import REMOVED  # only a faulty option pays for the import
+
+    for value, successor in REMOVED.items():
+        if f"'{value}' is not one of" in message:
+            return f" {value} was removed: take {successor}."
+    return ""
+
+
 def _heading(parameter: Any) -> str:
     if parameter.param_type_name == "argument":
         return "Arguments"
@@ -109,6 +119,7 @@ class Command(TyperCommand):
             return super().parse_args(ctx, given)
         except USAGE_ERROR as error:
             self._propose(error, getattr(error, "option_name", ""), args)
+            error.message += _successor(error.message)
             if not meant or "unexpected extra" not in error.message:
                 raise
         return super().parse_args(ctx, args)  # the option tells what is wrong
