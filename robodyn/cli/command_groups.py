@@ -26,7 +26,7 @@ GROUPS = {
 HEADINGS = {name: heading for heading, names in GROUPS.items() for name in names.split()}
 # which print angles, and take --degrees
 _TELLING = "torque accel reactions points assemble terms energy simulate trajectory sweep "
-_TELLING += "equilibrium linearize regressor identify fit check"
+_TELLING += "equilibrium linearize regressor identify fit"
 TELL_ANGLES = frozenset(_TELLING.split())
 
 _OUTPUT = (
