@@ -126,7 +126,7 @@ def test_an_angle_that_is_there_twice_is_refused(robodyn: Run, tmp_path: Path) -
             f"torque robots/2r.yaml {path} --degrees",
             f"trajectory robots/2r.yaml --via {path}",
         ),
-        *(f"draw robots/2r.yaml {path} --format text", f"animate robots/2r.yaml {path} -o {out}"),
+        *(f"draw robots/2r.yaml {path} --format svg", f"animate robots/2r.yaml {path} -o {out}"),
         f"simulate robots/2r.yaml --q 0,0 --track {path} --control pd --kp 9 --kd 1",
         f"plot {path} --y q2 --x q1 --format text",
     ):

@@ -31,7 +31,7 @@ TELL_ANGLES = frozenset(_TELLING.split())
 
 _OUTPUT = (
     "--every --points --sensitivity --event --events --differentiate --unwrap --extremes --degrees "
-    "--quiet --report --size --dpi --ascii --format --out"
+    "--quiet --report --size --dpi --format --out"
 )
 _CONTROL = "--control --track --unwrap --hold --kp --kd --ki --gain --at --tau-max --control-rate "
 _CONTROL += "--control-model"
@@ -88,9 +88,11 @@ def group_options(command: str, parameters: Iterable[Any]) -> None:
 
 
 def _successor(message: str) -> str:
-    """Return what to type in place of a removed value that the message refuses, or ""."""
+    """Return what to type in place of a removed option or value that the message refuses, or ""."""
     from robodyn.simulation.settings import REMOVED  # only a faulty option pays for the import
 
+    if "No such option: --ascii" in message:
+        return "; it was removed: charts are plain where stdout is not UTF-8, others take -o x.svg"
     for value, successor in REMOVED.items():
         if f"'{value}' is not one of" in message:
             return f" {value} was removed: take {successor}."
