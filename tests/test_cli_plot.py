@@ -220,12 +220,15 @@ def test_rows_of_a_sample_are_points(robodyn: Run, tmp_path: Path, drawn: list) 
         assert (drawn_line.get_marker() == "o") == (not joined)
         assert drawn_line.get_ydata().tolist() == [1, 5, 2]
     mapped = ("--x", "a", "--y", "b", "--colour", "a", "--points")
-    robodyn("plot", "-", *mapped, "--format", "text", stdin=grid).fails(2, "--points")
+    robodyn("plot", "-", *mapped, "--format", "svg", stdin=grid).fails(2, "--points")
 
 
-def test_characters_leave_gaps_and_do_not_join_points(robodyn: Run) -> None:
+def test_characters_leave_gaps_and_do_not_join_points(
+    robodyn: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of ten rows on a level line each lacks a value, or none does: how much of it is drawn."""
-    line = ("plot", "-", "--ascii", "--format", "text", "--y", "b", "--x", "a")
+    monkeypatch.setattr(figures, "_has_dots", lambda encoding: False)
+    line = ("plot", "-", "--format", "text", "--y", "b", "--x", "a")
     lengths = []
     for gaps, more in ((False, ()), (True, ()), (False, ("--points",))):
         rows = "".join(f"{k},{'' if gaps and k % 5 == 2 else 1}\n" for k in range(10))
