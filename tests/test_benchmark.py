@@ -54,7 +54,7 @@ def assert_front(runs):
 def test_every_method_is_measured_and_the_front_is_right():
     parts = []
     result = arm(watch=parts.append, repeats=2)
-    expected = {"DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"}
+    expected = {"DOP853", "RK45", "Radau", "taylor"}
     if importlib.util.find_spec("llvmlite") is not None:
         expected.add("taylor compiled")
     assert methods(result) == expected
@@ -99,20 +99,12 @@ def test_the_front_of_random_runs():
             assert not runs[-1].front
 
 
-def test_expressions_without_a_series_leave_the_series_out():
+def test_torques_that_switch_by_the_time_leave_nothing_out():
     result = arm("abs(sin(5*t)), 0", tolerances=(1e-4, 1e-8))
-    assert "DOP853" in methods(result)
-    assert not {"taylor", "taylor compiled"} & methods(result)
-    (reason,) = (line for line in result.left_out if line.startswith("taylor: "))
-    assert "abs" in reason
+    assert {"DOP853", "taylor"} <= methods(result)
+    assert told(result) == []
     best = min(x.error for x in result.measurements)
     assert result.reference.uncertainty <= best < 1e-6
-
-
-def test_what_has_no_series_leaves_the_compiled_series_out():
-    result = arm("abs(q1), -qd2", 0.02, tolerances=(1e-8,))
-    assert "taylor compiled" not in methods(result)
-    assert any("taylor compiled: needs" in line for line in result.left_out)
 
 
 def test_without_llvmlite(monkeypatch):
@@ -151,7 +143,7 @@ def test_loading_is_no_part_of_patience(monkeypatch):
     monkeypatch.setattr(benchmark, "run", slow_at_first)
     monkeypatch.setattr(benchmark, "time", SimpleNamespace(perf_counter=lambda: now))
     assert told(arm(t_end=0.05, tolerances=(1e-3, 1e-4), patience=0.3)) == []
-    assert len(once) >= 7
+    assert len(once) >= 4
 
 
 def test_a_run_that_does_not_finish_is_told(monkeypatch):

@@ -6,12 +6,9 @@ import re
 
 import numpy as np
 import pytest
-from conftest import ROOT
 
-import robodyn
 from robodyn.pictures.characters import Canvas, chart_lines
 from robodyn.pictures.chart import Chart, chart
-from robodyn.pictures.drawing import LINES, drawing, drawing_lines
 
 ALL = "".join(map(chr, range(0x2800, 0x2900)))
 
@@ -171,33 +168,3 @@ def test_units_in_plain_characters() -> None:
     t = np.arange(3.0)
     lines = chart_lines(chart(["x"], ["t"], [{"t": t, "qdd1": t}]), 40, 4, ascii=True)
     assert "qdd1 [rad/s^2]" in lines[0]
-
-
-# Mechanisms
-
-
-def test_a_mechanism_is_to_scale() -> None:
-    """A bar that stands is as long, in dots, as one that lies."""
-    arm = robodyn.load(ROOT / "robots/pendulum.yaml")
-    for angle in (0.0, 1.0, np.pi / 2):
-        drawn = drawing(arm, [angle])
-        lines = drawing_lines(drawn, [], 79, 45)
-        assert len(lines) <= 45
-        assert max(map(len, lines)) <= 79
-        z = np.concatenate([z for _, shape, z in drawn.placed(0) if shape.kind in LINES])
-        found = dots(lines)
-        wide, high = (max(c) - min(c) for c in zip(*found, strict=True))
-        scale = max(wide / np.ptp(z.real), high / np.ptp(z.imag))
-        assert max(wide, high) > 100
-        assert abs(wide - scale * np.ptp(z.real)) <= 2
-        assert abs(high - scale * np.ptp(z.imag)) <= 2
-    assert sum("o" in line for line in lines) == 1
-
-
-@pytest.mark.parametrize("ascii", [False, True])
-def test_names_of_links(ascii: bool) -> None:
-    four_bar = robodyn.load(ROOT / "robots/four-bar.yaml")
-    drawn = drawing(four_bar, robodyn.assemble(four_bar, [1.0]))
-    text = "\n".join(drawing_lines(drawn, four_bar.link_names, 79, 22, ascii))
-    assert all(name in text for name in four_bar.link_names)
-    assert text.isascii() == ascii

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, ROOT, RP_ARM, TWO_LINK, Outcome
+from conftest import FOUR_BAR, ROOT, TWO_LINK, Outcome
 from terminals import on_terminal
 
 import oracles
@@ -20,6 +20,7 @@ ROBOTS = sorted(path.stem for path in (ROOT / "robots").glob("*.yaml"))
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_shipped_scene_passes(robodyn: Run, name: str) -> None:
+    text = (ROOT / f"robots/{name}.yaml").read_text()
     given = robodyn("check", f"robots/{name}.yaml")
     assert given.code == 0, given.err
     found = given.json
@@ -27,7 +28,7 @@ def test_every_shipped_scene_passes(robodyn: Run, name: str) -> None:
     assert found["states"] >= 100
     assert found["identities"]
     assert max(found["identities"].values()) <= found["bound"] <= 1e-8
-    assert (found["closing"] is None) == (found["loops"] == [] and "couplings" not in found)
+    assert (found["closing"] is None) == (found["loops"] == [] and "couplings" not in text)
 
 
 def test_a_long_chain_passes_at_few_states(robodyn: Run, scene: Callable[[str], Path]) -> None:
@@ -64,23 +65,13 @@ def test_mobility_and_loops(
         assert word in kind
 
 
-def test_what_was_read(robodyn: Run, scene: Callable[[str], Path]) -> None:
-    path = scene(
-        "name: rig\n"
-        "gravity: [0.5, -9.5]\n"
-        "links:\n"
-        "  - {name: a, m: 1.5, l: 0.8, r: [0.3, -0.1], I: 0.08, from: [0.25, 1]}\n"
-        "  - {name: b, m: 0.9, l: 0.6, r: 0.25, I: 0.03, payload: 0.4, damping: 0.02}\n"
-        "  - {name: c, m: 0.7, l: 0.5, r: 0.2, I: 0.02, from: {link: a, at: [0.1, 0.35]}}\n"
-    )
-    found = robodyn("check", path).json
-    assert (found["name"], found["gravity"]) == ("rig", [0.5, -9.5])
-    a, b, c = found["links"]
-    assert (a["name"], a["m"], a["l"], a["r"], a["I"]) == ("a", 1.5, 0.8, [0.3, -0.1], 0.08)
-    assert (b["r"], b["payload"], b["damping"]) == ([0.25, 0], 0.4, 0.02)
-    assert a["from"] == "ground (0.25, 1)"
-    assert b["from"] == "a (0.8, 0)"
-    assert c["from"] == "a (0.1, 0.35)"
+def test_what_the_file_says_is_not_repeated(robodyn: Run) -> None:
+    """What is shown is computed, or a default that the file may leave out."""
+    names = {"name", "actuated", "loops", "mobility", "cond_M", "cond_Psi", "states", "closing"}
+    names |= {"identities", "singular", "bound", "passed"}
+    for name in ("slider-crank", "spring-slider-crank", "geared-five-bar"):
+        found = robodyn("check", f"robots/{name}.yaml").json
+        assert found.keys() == names
 
 
 GRASHOF = [
@@ -231,9 +222,16 @@ def test_the_same_scene_gives_the_same_report(robodyn: Run) -> None:
 def test_the_table(robodyn: Run) -> None:
     given = robodyn("check", "robots/four-bar.yaml", "--format", "table").succeeds().out
     for word in (
-        *("crank-rocker four-bar", "m [kg]", "l [m]", "r [m]", "I [kg m²]"),
-        *("1 crank", "2 coupler", "3 rocker", "0.102", "ground (1.1, 0)", "m/s²"),
-        *("mobility", "Grashof", "condition of M", "condition of Psi", "residual", "holds"),
+        *(
+            "crank-rocker four-bar",
+            "actuated",
+            "mobility",
+            "Grashof",
+            "condition of M",
+            "condition of Psi",
+            "residual",
+            "holds",
+        ),
     ):
         assert word in given
     assert "FAILS" not in given
@@ -246,12 +244,6 @@ def test_the_table_fits_a_terminal() -> None:
     assert any(re.fullmatch(r" *actuated +upper arm, forearm", line) for line in lines)
 
 
-def test_the_table_shows_payload_and_damping_where_there_are_any(robodyn: Run) -> None:
-    table = robodyn("check", "robots/slider-crank.yaml", "--format", "table").succeeds().out
-    assert "payload [kg]" in table
-    assert "damping" not in table
-
-
 @pytest.mark.parametrize("name", ["[red]arm", "[/red]arm", "[/]", "[bold]", ":smile:"])
 def test_names_are_shown_as_they_are(robodyn: Run, scene: Callable[[str], Path], name: str) -> None:
     path = scene(
@@ -261,8 +253,7 @@ def test_names_are_shown_as_they_are(robodyn: Run, scene: Callable[[str], Path],
     )
     table = robodyn("check", path, "--format", "table").succeeds().out
     assert table.splitlines()[0].strip() == name
-    assert f"1 {name} " in table
-    assert f"{name} (1, 0)" in table
+    assert re.search(rf"actuated +{re.escape(name)}, b\n", table)
 
 
 def test_out(robodyn: Run, tmp_path: Path) -> None:
@@ -370,20 +361,3 @@ def test_chains_with_more_closures_than_joints(robodyn, scene):
         given = robodyn("check", scene(f"links:\n{links}closures:\n{pins}"))
         assert told in given.err
         assert given.code == (1 if n == 30 else 0)
-
-
-def test_links_that_slide(robodyn: Run, scene: Callable[[str], Path]) -> None:
-    text = RP_ARM.replace("damping: 3", "damping: 3, friction: {force: 0.4, speed: 0.2}")
-    path = scene(text + "springs: [{joint: boom, stiffness: 30, length: 0.1, damping: 2}]\n")
-    found = robodyn("check", path).json
-    arm, boom = found["links"]
-    assert "joint" not in arm
-    assert (boom["joint"], boom["axis"]) == ("prismatic", [1.0, 0.0])
-    assert boom["friction"] == {"force": 0.4, "speed": 0.2}
-    assert found["springs"] == [{"joint": "boom", "length": 0.1, "stiffness": 30, "damping": 2}]
-    table = robodyn("check", path, "--format", "table").succeeds().out
-    for part in ("(1, 0)", "damping [N s/m]", "force 0.4 N, speed 0.2 m/s"):
-        assert part in table
-    assert re.search(r"joint +length \[m\] +stiffness \[N/m\] +damping \[N s/m\]\n", table)
-    assert re.search(r"1 +boom +0.1 +30 +2\n", table)
-    assert "rad" not in table

@@ -116,10 +116,7 @@ def test_what_is_left_out_is_said(robodyn: Run, tmp_path: Path) -> None:
     path = scene(tmp_path, SOFT, STICKS)
     assert "dry friction is that in motion" in robodyn("equations", path).err
     assert "are left out" in robodyn("terms", path, "--q", "0,0").err
-    told = robodyn("check", path)
-    assert told.code == 0
-    assert '"static": 2.0' in told.out
-    assert '"stiffness": 10000.0' in told.out
+    robodyn("check", path).succeeds()
     hard = scene(tmp_path, STICKS, HARD)
     assert "hard stops and limits are left out" in robodyn("equations", hard).err
 

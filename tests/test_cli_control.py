@@ -170,7 +170,7 @@ def test_held_at_its_end_and_held_throughout(robodyn: Run, ref: Path) -> None:
 def test_an_integral_removes_what_pd_leaves(robodyn: Run) -> None:
     options = (*ARM, "--hold", "45deg,0.3", "--kp", "80,20", "--kd", "16,1", "--points", 2)
     left, none = (
-        robodyn(*options, "--control", law, *more, "--time", 40, "--quiet", "--method", "LSODA")
+        robodyn(*options, "--control", law, *more, "--time", 40, "--quiet")
         for law, *more in (("pd",), ("pid", "--ki", "60,20", "--tau-max", "60,20"))
     )
     for name in ("e1", "e2"):

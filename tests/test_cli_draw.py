@@ -73,12 +73,6 @@ def test_what_slides_in_every_kind(
     assert path.read_bytes().startswith(FIRST[suffix])
 
 
-def test_what_slides_in_characters(robodyn: Run, scene: Callable[[str], Path]) -> None:
-    """The crank's joint and its pin; where the yoke slides there is no joint that turns."""
-    given = robodyn("draw", scene(SCOTCH_YOKE), "--q", "60deg", "--format", "text", "--ascii")
-    assert given.succeeds().out.count("o") == 2
-
-
 def sizes(picture) -> dict[str, float]:
     """The size of each force and torque that a picture names, N and N m."""
     named = [re.fullmatch(r"(.*) = (\S+) ([mk]?)N( m)?", text) for text in texts(picture)]
@@ -210,37 +204,9 @@ def test_poses_of_a_table(robodyn: Run, tmp_path: Path, pictures: list) -> None:
     assert pictures[2].drawn.q[:, 0].tolist() == [5]
 
 
-# Characters
+# What cannot be drawn
 
 
-def test_text(robodyn: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("COLUMNS", "60")
-    monkeypatch.setenv("LINES", "20")
-    given = robodyn(*BAR, "--format", "text", "--labels", "numbers").succeeds()
-    lines = given.out.splitlines()
-    assert len(lines) <= 20
-    assert max(map(len, lines)) <= 59
-    assert sum(line.count("o") for line in lines) == 4
-    robodyn(*BAR, "-o", tmp_path / "x.txt", "--labels", "numbers").succeeds()
-    assert (tmp_path / "x.txt").read_text() == given.out
-    assert robodyn(*BAR, "--format", "text", "--ascii").succeeds().out.isascii()
-
-
-def test_on_a_terminal() -> None:
-    from terminals import on_terminal
-
-    shown = on_terminal(*BAR, columns=70)
-    assert "\x1b[3" in shown
-    assert re.search("[\u2801-\u28ff]", shown)
-
-
-def test_text_needs_no_matplotlib(shell: Run) -> None:
-    code = f"import sys; from robodyn import cli; cli.run({[*BAR, '--format', 'text']!r}); "
-    code += "sys.exit(bool({'matplotlib', 'scipy', 'PIL'} & set(sys.modules)))"
-    assert shell(f'python -c "{code}"').code == 0
-
-
-@pytest.mark.parametrize("form", ["text", "svg"])
 @pytest.mark.parametrize(
     "text",
     [
@@ -250,26 +216,24 @@ def test_text_needs_no_matplotlib(shell: Run) -> None:
         "springs: [{between: [{link: a, at: [1e200, 0]}, [0, 1]], stiffness: 1, length: 1}]",
     ],
 )
-def test_what_is_too_large_or_too_small(robodyn: Run, scene: Run, text: str, form: str) -> None:
-    robodyn("draw", scene(text), "--q", "0", "--format", form).fails(1, "cannot be drawn", "large")
+def test_what_is_too_large_or_too_small(robodyn: Run, scene: Run, text: str) -> None:
+    robodyn("draw", scene(text), "--q", "0", "--format", "svg").fails(1, "cannot be drawn", "large")
 
 
-@pytest.mark.parametrize("form", ["text", "svg"])
-def test_angles_whose_sum_is_no_number(robodyn: Run, form: str) -> None:
-    draw = ("draw", "robots/2r.yaml", "--q=1e308,1e308", "--format", form)
+def test_angles_whose_sum_is_no_number(robodyn: Run) -> None:
+    draw = ("draw", "robots/2r.yaml", "--q=1e308,1e308", "--format", "svg")
     robodyn(*draw).fails(1, "cannot be drawn", "the angles are too large")
 
 
 def test_a_pose_that_cannot_close(robodyn: Run, four_bar_text: str, scene: Run) -> None:
     path = scene(four_bar_text.replace("l: 0.80", "l: 0.01"))
-    robodyn("draw", path, "--q", "60deg", "--format", "text").fails(1, "cannot be closed")
+    robodyn("draw", path, "--q", "60deg", "--format", "svg").fails(1, "cannot be closed")
 
 
 def test_without_the_extra(robodyn: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(chart_figure, "find_spec", lambda name: None)
     robodyn(*ARM, "-o", tmp_path / "x.svg").fails(1, "pip install '.[plot]'")
     assert list(tmp_path.iterdir()) == []
-    robodyn(*ARM, "--format", "text").succeeds()
 
 
 def test_no_folder_of_matplotlib_stays_behind(shell: Run, tmp_path: Path) -> None:

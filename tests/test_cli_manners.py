@@ -214,7 +214,7 @@ LINES = [
     "fit robots/2r.yaml --match {} --columns tau2 --vary links.forearm.m=0.5:1.5",
     "plot {} --y q1 --format text",
     "animate robots/2r.yaml {} -o {}.html",
-    "draw robots/2r.yaml {} --format text",
+    "draw robots/2r.yaml {} -o {}.svg",
 ]
 
 

@@ -20,7 +20,7 @@ from robodyn.pictures.colour_scale import NONE, rgb, viridis
 
 Run = Callable[..., Outcome]
 MAP = ("--x", "q1", "--y", "q2", "--colour")
-FIRST = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF", ".txt": b" "}
+FIRST = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
 
 
 @pytest.fixture
@@ -187,7 +187,7 @@ def test_files_are_one_map(robodyn: Run, tmp_path: Path, drawn: list) -> None:
 
 
 def test_hidden_rows_are_told(robodyn: Run, sweep: Path) -> None:
-    given = robodyn("plot", sweep, sweep, *MAP, "flip", "--format", "text")
+    given = robodyn("plot", sweep, sweep, *MAP, "flip", "--format", "svg")
     assert given.code == 0
     assert given.err == "Note: 120 rows are hidden by later ones with the same q1, q2\n"
 
@@ -229,41 +229,6 @@ def test_many_points_become_a_raster(
     axes = drawn[0].axes[0]
     assert not axes.collections
     assert axes.images[0].get_array().shape == (chart_figure.RASTER, chart_figure.RASTER, 3)
-
-
-# Characters
-
-
-def test_text_in_a_pipe(robodyn: Run, sweep: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "70")
-    monkeypatch.setenv("LINES", "20")
-    given = robodyn("plot", sweep, *MAP, "flip", "--log", "--format", "text").succeeds()
-    assert "\x1b" not in given.out
-    assert max(map(len, given.out.splitlines())) <= 69
-    assert len(given.out.splitlines()) <= 20
-    assert "flip [s], log" in given.out
-    plain = robodyn("plot", sweep, *MAP, "outcome", "--format", "text", "--ascii").succeeds().out
-    assert plain.isascii()
-    assert "* flips" in plain
-
-
-@pytest.mark.parametrize("deep", [False, True])
-def test_on_a_terminal(sweep: Path, monkeypatch: pytest.MonkeyPatch, deep: bool) -> None:
-    from terminals import on_terminal
-
-    monkeypatch.setenv("COLORTERM", "truecolor" if deep else "")
-    shown = on_terminal("plot", str(sweep), *MAP, "flip", "--log", columns=70)
-    assert ("\x1b[38;2;" in shown) == deep
-    assert ("\x1b[38;5;" in shown) != deep
-    assert "▀" in shown
-    assert max(map(len, re.sub(r"\x1b\[[\d;]*m", "", shown).splitlines())) <= 70
-
-
-def test_text_needs_no_matplotlib(shell: Run, sweep: Path) -> None:
-    words = ["plot", str(sweep), *MAP, "flip", "--format", "text"]
-    code = f"import sys; from robodyn import cli; cli.run({words!r}); "
-    code += "sys.exit(bool({'matplotlib', 'scipy', 'PIL'} & set(sys.modules)))"
-    assert shell(f'python -c "{code}"').code == 0
 
 
 def test_rows_without_a_place_are_left_out_and_told(

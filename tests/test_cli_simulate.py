@@ -30,7 +30,7 @@ ARM = ("simulate", "robots/2r.yaml", "--q", "0.3,-0.7", "--qd", "1,2")
 CRANK = ("simulate", "robots/four-bar.yaml", "--q", "1", "--qd", "3")
 OPEN = "t,q1,q2,qd1,qd2,qdd1,qdd2,tau1,tau2,energy"
 CLOSED = "t,q1,q2,q3,qd1,qd2,qd3,qdd1,qdd2,qdd3,tau1,fx1,fy1,energy,gap"
-METHODS = ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA")
+METHODS = ("DOP853", "RK45", "Radau")
 
 
 def numbers(given: Outcome, *names: str) -> np.ndarray:
@@ -321,9 +321,9 @@ def test_the_summary_of_an_open_chain(robodyn: Run) -> None:
 
 
 def test_the_summary_of_a_driven_four_bar(robodyn: Run) -> None:
-    given = robodyn(*CRANK, "--time", 1, "--tau", "0.5", "--method", "LSODA")
+    given = robodyn(*CRANK, "--time", 1, "--tau", "0.5", "--method", "Radau")
     assert given.code == 0
-    for part in ("finished", "LSODA", "energy balance", "work done", "largest gap", "m/s"):
+    for part in ("finished", "Radau", "energy balance", "work done", "largest gap", "m/s"):
         assert part in given.err
     assert re.search(r"nearest to singular: 0\.\d+ at t = [\d.]+ s", given.err)
 
@@ -594,7 +594,7 @@ def test_an_interrupted_run_leaves_the_older_file(tmp_path: Path) -> None:
     assert len(list(folder.iterdir())) == 2
 
 
-@pytest.mark.parametrize("method", ["DOP853", "LSODA", "taylor"])
+@pytest.mark.parametrize("method", ["DOP853", "Radau", "taylor"])
 def test_a_run_within_one_long_step_is_interrupted(tmp_path: Path, method: str) -> None:
     rows = tmp_path / "rows.csv"
     run = (
@@ -794,7 +794,7 @@ def test_huge_numbers_end_with_an_outcome(robodyn: Run) -> None:
     robodyn(*start, "--quiet").fails(1)
 
 
-@pytest.mark.parametrize("method", ["DOP853", "LSODA", "taylor"])
+@pytest.mark.parametrize("method", ["DOP853", "Radau", "taylor"])
 @pytest.mark.parametrize("end", ["1e308", "-9e19", "1e13"])
 def test_an_end_that_is_never_reached_is_told_after_the_first_steps(
     robodyn: Run, method: str, end: str

@@ -34,12 +34,11 @@ G = 9.81
 ENGINES = [
     ("DOP853", "auto"),
     ("RK45", "auto"),
-    ("RK23", "auto"),
     ("Radau", "auto"),
     ("taylor", "python"),
     ("taylor", "compiled"),
 ]
-METHODS = ("DOP853", "RK45", "Radau", "LSODA", "taylor")
+METHODS = ("DOP853", "RK45", "Radau", "taylor")
 
 
 def slide(
@@ -109,19 +108,6 @@ def test_times_of_bounces_are_a_geometric_series(e: float, method: str, engine: 
         v = e**k * math.sqrt(2.0 * G)
         exact = (0.0 if k else 1.0) + (v if k else 0.0) * (t - begun) - 0.5 * G * (t - begun) ** 2
         assert abs(q - exact) < 1e-11
-
-
-@pytest.mark.parametrize("method", ["BDF", "LSODA"])
-@pytest.mark.parametrize("e", [0.0, 0.5, 0.9])
-@pytest.mark.thinned
-def test_bounces_by_multistep_methods_end_in_rest(e: float, method: str) -> None:
-    motion = simulate(ball(e), [1.0], [0.0], 10.0, method=method, rtol=1e-10, atol=1e-10)
-    found = times_of(motion, "block hits its min")
-    assert motion.outcome is Outcome.FINISHED
-    assert np.abs(found[:10] - bounces(e, len(found))[:10]).max() < 1e-7
-    assert motion.qd[-1, 0] == 0.0
-    assert abs(found[-1] - math.sqrt(2.0 / G) * (1.0 + 2.0 * e / (1.0 - e))) < 1e-3
-    assert motion.report.steps < 5000
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -598,7 +584,7 @@ def test_what_stands_on_what_starts_is_taken_along(held: float, start: float) ->
     assert not times_of(motion, "upper stops").size
 
 
-@pytest.mark.parametrize("method", ["DOP853", "Radau", "LSODA", "taylor"])
+@pytest.mark.parametrize("method", ["DOP853", "Radau", "taylor"])
 def test_a_loop_with_friction_at_every_joint_stops_and_stays(method: str) -> None:
     each = dry(0.4, 0.7, 0.1)
     mechanism = four_bar(crank=each, coupler=each, rocker=each)

@@ -41,7 +41,7 @@ ARM = load(ROBOTS / "2r.yaml")
 FOUR_BAR = load(ROBOTS / "four-bar.yaml")
 ONE = random_mechanisms.mechanism("links: [{name: arm, m: 0.7, l: 0.9, r: 0.4, I: 0.03}]\n")
 INERTIA = 0.03 + 0.7 * 0.4**2  # kg m^2, of it
-SCIPYS = ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA")
+SCIPYS = ("DOP853", "RK45", "Radau")
 METHODS = (*SCIPYS, "taylor")
 TIGHT = {"rtol": 1e-11, "atol": 1e-11}
 
@@ -123,14 +123,12 @@ class TestComputedTorque:
         known = swing(2, 1.0, 6, given=2)
         assert known.jumps
         tau = controller(ARM, known, "computed-torque", 40.0, 9.0)
-        low = method == "RK23"  # of order 3
-        tight = {"rtol": 1e-8, "atol": 1e-8} if low else TIGHT
-        motion = simulate(ARM, [0.2, 0.1], [0.0, 0.0], 1.0, tau=tau, method=method, **tight)
+        motion = simulate(ARM, [0.2, 0.1], [0.0, 0.0], 1.0, tau=tau, method=method, **TIGHT)
         assert set(known.times) <= set(motion.t.tolist())
         found = errors(motion, known)
         gains = np.full(2, 40.0), np.full(2, 9.0)
         apart = np.abs(found - error_equation(motion.t, found[0], *gains)).max()
-        assert apart < (2e-6 if low else 1e-8)
+        assert apart < 1e-8
         at = np.isin(motion.t, known.times[1:-1])
         ahead = forward_dynamics(ARM, motion.q, motion.qd, motion.tau)[at]
         wanted = 2.0 * known.coefficients[1:, :, 2]  # qdd_ref of the piece ahead
@@ -291,8 +289,7 @@ class TestSampled:
         rate, count = 16.0, 48
         tau = controller(ONE, reference, "pd", 3.0, 0.8, most, rate)
         stamps = np.arange(count + 1) / rate
-        tight = {"rtol": 1e-12, "atol": 1e-12} if method in ("BDF", "LSODA") else TIGHT
-        motion = simulate(ONE, [1.0], [-0.5], 3.0, tau, method, t_eval=stamps, **tight)
+        motion = simulate(ONE, [1.0], [-0.5], 3.0, tau, method, t_eval=stamps, **TIGHT)
         known, torques = sampled_double_integrator(
             list(self.MOTION), (1.0, -0.5), rate, count, most
         )
@@ -301,7 +298,7 @@ class TestSampled:
         assert motion.q[:, 0] == pytest.approx(known[:, 0], abs=1e-9)
         assert motion.qd[:, 0] == pytest.approx(known[:, 1], abs=1e-9)
 
-    @pytest.mark.parametrize("method", ["DOP853", "Radau", "LSODA", "taylor"])
+    @pytest.mark.parametrize("method", ["DOP853", "Radau", "taylor"])
     def test_of_an_arm_against_runs_from_sample_to_sample(self, method: str) -> None:
         kp, kd, rate = np.array([70.0, 9.0]), np.array([11.0, 0.9]), 40.0
         reference = swing(2, 1.0)
@@ -413,7 +410,7 @@ class TestSampled:
 class TestRuns:
     """What the report says of a run; that a controller serves again and again."""
 
-    @pytest.mark.parametrize("method", ["DOP853", "RK45", "LSODA"])
+    @pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
     def test_tracking(self, method: str) -> None:
         kp, kd = np.array([30.0, 50.0]), np.array([2.0, 9.0])
         reference = swing(2)

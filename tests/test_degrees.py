@@ -91,28 +91,6 @@ def test_results_with_parts(robodyn: Run) -> None:
     assert float(lines[0]["high"]) - float(lines[0]["low"]) == pytest.approx(360.0)
 
 
-def test_check_tells_a_scene_in_degrees(robodyn: Run, tmp_path: Path) -> None:
-    scene = tmp_path / "scene.yaml"
-    friction, limits = "{torque: 1, speed: 3deg/s}", "{min: -30 deg, max: 90deg}"
-    motor = "{ratio: 50, inertia: 1e-4, speed_max: 3000rpm, torque_max: 1}"
-    scene.write_text(
-        "gravity: 9.81\nlinks:\n"
-        f"  - {{name: a, l: 1, m: 1, r: 0.5, I: 0.1, friction: {friction}, limits: {limits},\n"
-        f"     motor: {motor}}}\n"
-        "  - {name: b, from: a, l: 1, m: 1, r: 0.5, I: 0.1}\n"
-        "springs: [{joint: b, stiffness: 3, angle: 20 deg}]\n"
-        "couplings: [q2 = -2 q1 + 30 deg]\n"
-    )
-    found = robodyn("check", str(scene), "--degrees").json
-    link = found["links"][0]
-    told = [link["friction"]["speed_deg"], link["motor"]["speed_max_deg"]]
-    told += [link["limits"]["max_deg"], found["springs"][0]["angle_deg"]]
-    assert told == pytest.approx([3.0, 18000.0, 90.0, 20.0])
-    out = robodyn("check", str(scene), "--degrees", "--format", "table").out
-    for words in ("angle [°]", "+ 30 deg", "speed 3 °/s", "speed max 18000 °/s", "min -30 °"):
-        assert words in out
-
-
 def test_columns_in_degrees_are_read(robodyn: Run, tmp_path: Path) -> None:
     """What --degrees wrote gives the same numbers, wherever rows are read."""
     line = "trajectory robots/2r.yaml --from 0,0 --to 1,2 --time 1 --points 9"
@@ -148,7 +126,7 @@ def test_an_angle_that_is_there_twice_is_refused(robodyn: Run, tmp_path: Path) -
             f"torque robots/2r.yaml {path} --degrees",
             f"trajectory robots/2r.yaml --via {path}",
         ),
-        *(f"draw robots/2r.yaml {path} --format text", f"animate robots/2r.yaml {path} -o {out}"),
+        *(f"draw robots/2r.yaml {path} --format svg", f"animate robots/2r.yaml {path} -o {out}"),
         f"simulate robots/2r.yaml --q 0,0 --track {path} --control pd --kp 9 --kd 1",
         f"plot {path} --y q2 --x q1 --format text",
     ):

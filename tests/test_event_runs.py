@@ -18,7 +18,7 @@ from robodyn.simulation.report import Outcome
 from robodyn.simulation.simulation import Motion, simulate
 
 METHODS: list[dict[str, Any]] = [
-    *({"method": name} for name in ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA")),
+    *({"method": name} for name in ("DOP853", "RK45", "Radau")),
     {"method": "taylor", "engine": "python"},
     {"method": "taylor", "engine": "compiled"},
 ]
@@ -150,9 +150,7 @@ def test_a_parabola_grazes_a_height(made: Any) -> None:
                 )
                 apart = math.sqrt(2 * abs(depth) / g)
                 assert times(motion, "apex") == pytest.approx([speed / g], abs=1e-11)
-                if how["method"] in ("BDF", "LSODA"):  # whose own errors are larger
-                    assert len(times(motion, "high")) in (0, 2)
-                elif depth > 0.0 and (depth > 1e-12 or motion.events[0].name == "high"):
+                if depth > 0.0 and (depth > 1e-12 or motion.events[0].name == "high"):
                     expected = [speed / g - apart, speed / g + apart]
                     assert times(motion, "high") == pytest.approx(
                         expected, abs=1e-15 / apart + 1e-9
@@ -216,7 +214,7 @@ def test_limit_positions_of_a_four_bar(how: dict[str, Any], stabilize: str) -> N
         mechanism,
         q,
         qd,
-        1.0 if how["method"] in ("RK23", "BDF", "LSODA", "Radau") else 3.0,
+        1.0 if how["method"] == "Radau" else 3.0,
         rtol=1e-9,
         atol=1e-9,
         stabilize=stabilize,

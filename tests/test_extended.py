@@ -11,11 +11,12 @@ from mpmath import mp, mpf
 
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn import load
-from robodyn.errors import RobodynError
+from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation import extended
-from robodyn.simulation.extended import EXTRAPOLATED, ORDER, SUBSTEPS, TOLERANCE, reference
+from robodyn.simulation.extended import ORDER, TOLERANCE, reference
+from robodyn.simulation.run_torques import as_actuation
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
 
@@ -24,8 +25,6 @@ REFERENCES = Path(__file__).parent / "references"
 FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it
 LONGEST = 5.0 if FRESH else 0.5  # s
 NAMES = sorted(path.stem for path in REFERENCES.glob("*.json"))
-SLOW = ("stephenson-six-bar", "five-bar", "spring-slider-crank")  # to extrapolate
-TWICE = NAMES if FRESH else [name for name in NAMES if name not in SLOW][::4]
 SLIDING = {"2r-chaotic": 2.0}  # s, where errors of the constants grow exponentially
 DISC = "gravity: 0\nlinks: [{name: disc, m: 0, l: 1, r: 0, I: 0.7, damping: %s}]\n"
 
@@ -34,15 +33,8 @@ def at_rest(n):
     return Actuation((0.0,) * n)
 
 
-def both(mech, state, times, torques):
-    """The rows (T, 2n) of the series and of the extrapolation, in extended precision."""
-    task = extended._Task(mech, state, times, torques)
-    extrapolation = extended._Extrapolation(task, SUBSTEPS, EXTRAPOLATED)
-    return by_series(*task), extended._followed(task, extrapolation)
-
-
 def by_series(*given):
-    """The rows of the series."""
+    """The rows (T, 2n) of the series, in extended precision."""
     task = extended._Task(*given)
     return extended._followed(task, extended._Series(task, ORDER, TOLERANCE))
 
@@ -68,20 +60,17 @@ def _by_floats(mech, start, times, torques):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_both_computations_reach_the_known_digits(name):
+def test_the_known_digits_are_reached(name):
     mech, torques, times, states = known(name)
     start = states[0].astype(float)
-    given = mech, start, times[1:], torques
-    rows = both(*given) if name in TWICE else [by_series(*given)] * 2
-    errors = [float(np.abs(row - states[1:]).max()) for row in rows]
+    rows = by_series(mech, start, times[1:], torques)
     # the scene's numbers, rounded, are another mechanism's: this is how far its motion is off
     nearby = start.copy()
     nearby[: mech.n] *= 1.0 + 1e-9
     nearby[0] += 1e-9
     moved = np.concatenate(_by_floats(mech, nearby, times[1:], torques))
-    sensitivity = float(np.abs(moved - rows[0]).max()) / 1e-9
-    assert max(errors) < 4e-15 * max(1.0, sensitivity)
-    assert float(np.abs(rows[0] - rows[1]).max()) < 2e-15 * max(1.0, sensitivity)
+    sensitivity = float(np.abs(moved - rows).max()) / 1e-9
+    assert float(np.abs(rows - states[1:]).max()) < 4e-15 * max(1.0, sensitivity)
 
 
 def test_the_uncertainty_bounds_the_error_of_an_exact_pendulum():
@@ -131,13 +120,12 @@ def test_loops_stay_closed(shape):
     scene = seeded_scene(2, LOOPS[shape])
     mech, arrays = scene.mechanism, scene.mechanism.arrays
     state = np.concatenate([scene.q, scene.qd])
-    for rows in both(mech, state, np.array([0.1, 0.2]), at_rest(scene.n)):
-        for y in rows:
-            turns = arrays.P * np.exp(1j * (arrays.J @ y[: scene.n]))
-            gap = turns.sum(axis=1).real + np.asarray(arrays.offset, np.longdouble)
-            rate = turns.imag @ (arrays.J @ y[scene.n :])
-            assert float(np.abs(gap).max()) < 1e-17
-            assert float(np.abs(rate).max()) < 1e-16
+    for y in by_series(mech, state, np.array([0.1, 0.2]), at_rest(scene.n)):
+        turns = arrays.P * np.exp(1j * (arrays.J @ y[: scene.n]))
+        gap = turns.sum(axis=1).real + np.asarray(arrays.offset, np.longdouble)
+        rate = turns.imag @ (arrays.J @ y[scene.n :])
+        assert float(np.abs(gap).max()) < 1e-17
+        assert float(np.abs(rate).max()) < 1e-16
 
 
 def test_a_large_mechanism():
@@ -147,13 +135,18 @@ def test_a_large_mechanism():
     assert EPS <= found.uncertainty < 1e-13
 
 
-@pytest.mark.parametrize(
-    ("tau", "bound"), [("abs(sin(5*t)), 0", 1e-13), ("1 if t < 0.3 else 0, 0", 1e-10)]
-)
-def test_torques_without_a_series_are_extrapolated_twice(tau, bound):
+@pytest.mark.parametrize("tau", ["abs(sin(5*t)), 0", "1 if t < 0.3 else 0, 0"])
+def test_torques_that_switch_by_the_time_have_a_series_between(tau):
     mech = load(ROOT / "robots/2r.yaml")
     torques = actuation.expressions(mech, tau, "tau")
-    assert reference(mech, np.zeros(4), np.array([0.5]), torques).uncertainty < bound
+    assert reference(mech, np.zeros(4), np.array([0.5]), torques).uncertainty < 1e-13
+
+
+def test_torques_without_a_series_are_refused():
+    mech = load(ROOT / "robots/2r.yaml")
+    for tau, what in (("abs(q1), 0", "function abs"), (lambda t, q, qd: [t, 0.0], "Python")):
+        with pytest.raises(InputError, match=f"{what} has no series: errors are measured"):
+            reference(mech, np.zeros(4), np.array([0.5]), as_actuation(mech, tau))
 
 
 @pytest.mark.parametrize("tau", ["sqrt(0.3 - t), 0", "1/(t - 0.3), 0", "log(t - 1), 0"])

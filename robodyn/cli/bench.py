@@ -40,7 +40,7 @@ def bench(
     """Speed against error of every method on one motion.
 
     Each method runs at tolerances 1e-3 to 1e-13.  Errors are the largest of q and qd over 20 times
-    (and at the end), against a reference in extended precision that two computations agree on.
+    (and at the end), against two Taylor series in extended precision, which torques must have.
     `front` marks the runs that none is both faster and better than.
 
     \b

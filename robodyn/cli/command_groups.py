@@ -26,12 +26,12 @@ GROUPS = {
 HEADINGS = {name: heading for heading, names in GROUPS.items() for name in names.split()}
 # which print angles, and take --degrees
 _TELLING = "torque accel reactions points assemble terms energy simulate trajectory sweep "
-_TELLING += "equilibrium linearize regressor identify fit check"
+_TELLING += "equilibrium linearize regressor identify fit"
 TELL_ANGLES = frozenset(_TELLING.split())
 
 _OUTPUT = (
     "--every --points --sensitivity --event --events --differentiate --unwrap --extremes --degrees "
-    "--quiet --report --size --dpi --ascii --format --out"
+    "--quiet --report --size --dpi --format --out"
 )
 _CONTROL = "--control --track --unwrap --hold --kp --kd --ki --gain --at --tau-max --control-rate "
 _CONTROL += "--control-model"
@@ -87,6 +87,18 @@ def group_options(command: str, parameters: Iterable[Any]) -> None:
             parameter.rich_help_panel = of_flag[flags[0]]
 
 
+def _successor(message: str) -> str:
+    """Return what to type in place of a removed option or value that the message refuses, or ""."""
+    from robodyn.simulation.settings import REMOVED  # only a faulty option pays for the import
+
+    if "No such option: --ascii" in message:
+        return "; it was removed: charts are plain where stdout is not UTF-8, others take -o x.svg"
+    for value, successor in REMOVED.items():
+        if f"'{value}' is not one of" in message:
+            return f" {value} was removed: take {successor}."
+    return ""
+
+
 def _heading(parameter: Any) -> str:
     if parameter.param_type_name == "argument":
         return "Arguments"
@@ -109,6 +121,7 @@ class Command(TyperCommand):
             return super().parse_args(ctx, given)
         except USAGE_ERROR as error:
             self._propose(error, getattr(error, "option_name", ""), args)
+            error.message += _successor(error.message)
             if not meant or "unexpected extra" not in error.message:
                 raise
         return super().parse_args(ctx, args)  # the option tells what is wrong

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from robodyn.errors import InputError
 from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
-from robodyn.pictures.drawing import Trace, drawing, drawing_lines, even_rows, traced
+from robodyn.pictures.drawing import Trace, drawing, even_rows, traced
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -53,17 +53,15 @@ def draw(
     With --forces: m1 g is the weight of link 1, r1 the force on link 1 at its own joint, f1 that
     on the side of closure 1 that the scene names first, as in `reactions`; tau1 drives link 1.
 
-    Without --out a terminal gets a picture of characters.
-
     \b
     Examples:
       robodyn draw four-bar --q 60deg --labels names -o four-bar.svg
       robodyn draw 2r --q 30deg,45deg --qd 1,0.5 --forces -o forces.png
-      robodyn draw five-bar --q 120deg,60deg --format text
+      robodyn draw five-bar --q 120deg,60deg -o five-bar.pdf
     """
     mechanism = model.load()
-    chosen = picture.checked()
-    _check(states, q, {"qd": qd, "qdd": qdd, "tau": tau}, forces, poses, chosen)
+    picture.checked()
+    _check(states, q, {"qd": qd, "qdd": qdd, "tau": tau}, forces, poses)
     marked = points_given(mechanism, of)
     found: list[Force] = []
     traces: list[Trace] = []
@@ -96,15 +94,9 @@ def draw(
     if labels != "names":
         texts = [str(k + 1) for k in range(mechanism.n)] if labels else []
 
-    def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
-        return drawing_lines(drawn, texts, width, height - 2, plain, bool(colours), traces)
+    from robodyn.pictures.mechanism_picture import mechanism_figure
 
-    def figure() -> Any:
-        from robodyn.pictures.mechanism_picture import mechanism_figure
-
-        return mechanism_figure(drawn, texts, traces, found, picture.extent)
-
-    picture.show(lines, figure)
+    picture.save(mechanism_figure(drawn, texts, traces, found, picture.extent))
 
 
 def _check(
@@ -113,7 +105,6 @@ def _check(
     loads: Mapping[str, str | None],
     forces: bool,
     poses: int,
-    format: str,
 ) -> None:
     """InputError for options that do not go together; `loads` are those of --forces."""
     if loads["qdd"] is not None and loads["tau"] is not None:
@@ -124,8 +115,6 @@ def _check(
         raise InputError("STATES", limit="are drawn without --q and --forces")
     if not 1 <= poses <= MOST_POSES:
         raise InputError("--poses", value=poses, limit=f"must be from 1 to {MOST_POSES}")
-    if forces and format == "text":
-        raise InputError("--forces", limit="needs a picture: give --out with .png, .svg or .pdf")
 
 
 def _rows(

@@ -11,15 +11,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Size, Text, option, switch
+from robodyn.cli.options import Size, Text, option
 from robodyn.errors import InputError
 from robodyn.pictures.chart_figure import DOTS, check_matplotlib, save
 from robodyn.tables.csv_fields import finite
 from robodyn.tables.output_file import on_terminal, open_output
 
-PictureFormat = Literal["text", "png", "svg", "pdf"]  # how a picture is written
-Lines = Callable[[int, int, bool, str], list[str]]  # of a width and height, plain, in colours
-KINDS: dict[str, PictureFormat] = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+FigureFormat = Literal["png", "svg", "pdf"]
+ChartFormat = Literal["text", "png", "svg", "pdf"]
+Lines = Callable[[int, int, bool, bool], list[str]]  # of a width and height, plain, in colours
+KINDS: dict[str, FigureFormat] = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 MOST_DOTS = 1200
 LEAST_SIZE, MOST_SIZE = 1.0, 50.0  # inches
 WIDTH, HEIGHT = 80, 24  # characters, where there is no terminal
@@ -39,8 +40,10 @@ def check_directory(path: str) -> None:
         raise InputError("cannot be written", where=path, limit="no such directory")
 
 
-_OUT = "Write here, all or nothing: .png, .svg, .pdf, or .txt."
-_SUFFIX = "Default: by the suffix of --out; on a terminal text, made of characters."
+_OUT = "Write here, all or nothing: .png, .svg or .pdf."
+_SUFFIX = "Default: by the suffix of --out."
+_CHART_OUT = "Write here, all or nothing: .png, .svg, .pdf, or .txt."
+_CHART_SUFFIX = "Default: by the suffix of --out; on a terminal text, made of characters."
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,7 @@ class PictureOptions:
 
     size: Size = None
     dpi: int = option("Dots an inch of a .png: 300 is twice as sharp.", "N", default=DOTS)
-    format: PictureFormat | None = option(_SUFFIX)
-    ascii: bool = switch("Text of plain characters, not of braille dots.")
+    format: FigureFormat | None = option(_SUFFIX)
     out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None
 
     @property
@@ -58,38 +60,57 @@ class PictureOptions:
         """Width and height, inches; InputError naming the option."""
         return parse_size(self.size)
 
-    def checked(self) -> PictureFormat:
-        """The form, by --format, by the suffix, or text on a terminal.
+    @property
+    def file(self) -> str:
+        """The file of --out, "" if it is stdout."""
+        return "" if self.out in (None, "-") else str(self.out)
 
-        Raises before the work where it could not be made.
-        """
+    def check(self) -> None:
+        """Raise InputError for a number that no picture has, or a file in no directory."""
         parse_size(self.size)
         if not 10 <= self.dpi <= MOST_DOTS:
             raise InputError("--dpi", value=self.dpi, limit=f"must be from 10 to {MOST_DOTS}")
-        format, file = self.format, "" if self.out in (None, "-") else str(self.out)
-        if format is None:
-            suffix = Path(file).suffix.lower()
-            if file and suffix not in (*KINDS, ".txt"):
-                limit = f"must end in {', '.join(KINDS)} or .txt; or give --format"
-                raise InputError("--out", value=self.out, limit=limit)
-            if not file and not sys.stdout.isatty():
-                limit = "give a file (.png, .svg, .pdf), or --format text for characters"
-                raise InputError("--out", limit=limit)
-            format = KINDS.get(suffix, "text")
-        if file:
-            check_directory(file)
-        elif format != "text" and on_terminal(self.out):
-            raise InputError("--format", value=format, limit="is not for a terminal: give --out")
-        if format != "text":
-            check_matplotlib(f"a picture ({format})")
-        return format
+        if self.file:
+            check_directory(self.file)
 
-    def show(self, lines: Lines, figure: Callable[[], Any]) -> None:
-        """Write the picture, of characters or by matplotlib."""
-        if (format := self.checked()) == "text":
-            write_characters(lines, self.ascii, self.out)
-        else:
-            save(figure(), self.out, format, self.dpi)
+    def checked(self) -> FigureFormat:
+        """The form of the figure, by --format or the suffix.
+
+        Raises before the work if it could not be made.
+        """
+        self.check()
+        form: Any = self.format or KINDS.get(Path(self.file).suffix.lower())
+        if form == "text":
+            limit = "is for charts alone: give a file, as -o x.svg"
+            raise InputError("--format", value=form, limit=limit)
+        if form is None and not self.file:
+            raise InputError("--out", limit="missing: give a file (.png, .svg, .pdf), as -o x.svg")
+        if form is None:
+            limit = f"must end in {', '.join(KINDS)}; or give --format"
+            raise InputError("--out", value=self.out, limit=limit)
+        if not self.file and on_terminal(self.out):
+            raise InputError("--format", value=form, limit="is not for a terminal: give --out")
+        check_matplotlib(f"a picture ({form})")
+        return form  # type: ignore[no-any-return]
+
+    def save(self, figure: Any) -> None:
+        """Write the figure."""
+        save(figure, self.out, self.checked(), self.dpi)
+
+
+@dataclass(frozen=True)
+class ChartOptions(PictureOptions):
+    """The same of a chart, which may be made of characters."""
+
+    format: ChartFormat | None = option(_CHART_SUFFIX)  # type: ignore[assignment]
+    out: Annotated[Text, output_file("--out", "-o", help=_CHART_OUT)] = None
+
+    @property
+    def text(self) -> bool:
+        """Whether the chart is made of characters."""
+        if self.format is None:
+            return self.file.lower().endswith(".txt") if self.file else sys.stdout.isatty()
+        return self.format == "text"
 
 
 def parse_size(size: str | None) -> tuple[float, float] | None:
@@ -103,18 +124,16 @@ def parse_size(size: str | None) -> tuple[float, float] | None:
     return sides[0], sides[1]
 
 
-def write_characters(lines: Lines, ascii: bool, out: str | None) -> None:
-    """The `lines` of a width and height, plain or not, and in colours: "", "palette" or "deep".
+def write_characters(lines: Lines, out: str | None) -> None:
+    """Write the `lines` of a width and height, plain or not, and in colours or not.
 
-    As wide as the terminal.  Files are UTF-8; plain is also what a terminal without braille gets.
+    As wide as the terminal.  Files are UTF-8; an output without braille gets plain characters.
     """
     size = shutil.get_terminal_size((WIDTH, HEIGHT))
     width, height = max(30, min(size.columns, WIDEST)), max(10, min(size.lines, HIGHEST))
     encoding = "utf-8" if out not in (None, "-") else sys.stdout.encoding or "ascii"
-    deep = os.environ.get("COLORTERM") in ("truecolor", "24bit")
     coloured = on_terminal(out) and not os.environ.get("NO_COLOR")
-    colours = ("deep" if deep else "palette") if coloured else ""
-    drawn = lines(width - 1, height, ascii or not _has_dots(encoding), colours)
+    drawn = lines(width - 1, height, not _has_dots(encoding), coloured)
     with open_output(out, styled=True) as stream:
         stream.write(("\n".join(drawn) + "\n").encode(encoding, "replace"))
 

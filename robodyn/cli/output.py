@@ -202,9 +202,7 @@ def write_structure(
         stream.write(text.encode())
 
 
-def in_told_units(
-    content: Mapping[str, Any], units: Mapping[str, str] = TURNING
-) -> Mapping[str, Any]:
+def in_told_units(content: Mapping[str, Any], units: Mapping[str, str]) -> Mapping[str, Any]:
     """A result with parts, with --degrees its angles in degrees, under keys such as `q_deg`."""
     return structure_in_degrees(content, units) if degrees.get() else content
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from typer import Option
 
-from robodyn.cli.figures import PictureOptions
+from robodyn.cli.figures import ChartOptions, write_characters
 from robodyn.cli.files import load_scene, model_file, rows_argument
 from robodyn.cli.options import Degrees, Text, option, switch
 from robodyn.cli.output import note
@@ -34,7 +34,7 @@ def plot(
     points: bool = switch("Points in place of lines."),
     degrees: Degrees = False,
     title: Text = option("Above it.", "TEXT"),
-    picture: PictureOptions = PictureOptions(),
+    picture: ChartOptions = ChartOptions(),
 ) -> None:
     """Columns of CSV files against time, or against each other; a map of one over two others.
 
@@ -51,7 +51,7 @@ def plot(
     degrees; those of joints need --model.
 
     Without --out a terminal gets a chart of characters, as wide as it is; in a pipe it takes
-    --format text.
+    --format text.  A map needs --out.
 
     \b
     Examples:
@@ -62,7 +62,8 @@ def plot(
         robodyn plot - --model rp-arm -o motion.svg
       robodyn plot sweep.csv --model 2r --x q1 --y q2 --colour flip -o x.png
     """
-    picture.checked()
+    in_characters = colour is None and picture.text
+    picture.check() if in_characters else picture.checked()
     if files.count("-") > 1:
         raise InputError("CSV", value="-", limit="is given twice: stdin can be read once")
     patterns = None if y is None else [word for word in map(str.strip, y.split(",")) if word]
@@ -75,26 +76,22 @@ def plot(
     if points and colour is not None:
         raise InputError("--points", limit="is for charts: leave it out with --colour")
     units = ANY_SCENE if model is None else scene_units(load_scene(model))
-    opened, above = map(open_input, files), [f"  {shown(title)}"] if title else []
+    opened = map(open_input, files)
     if colour is not None:
         mapped = read_map(opened, x or "", patterns or [], colour, log, units, degrees, note)
-
-        def cells(width: int, height: int, plain: bool, colours: str) -> list[str]:
-            from robodyn.pictures.characters import map_lines
-
-            return above + map_lines(mapped, width, height - 1 - len(above), plain, colours)
-
-        figure = chart_figure.map_figure
-        picture.show(cells, lambda: figure(mapped, picture.extent, shown(title or "")))
+        picture.save(chart_figure.map_figure(mapped, picture.extent, shown(title or "")))
         return
     content = read_chart(opened, x, patterns, units, degrees, note, points)
+    if not in_characters:
+        picture.save(chart_figure.chart_figure(content, picture.extent, shown(title or "")))
+        return
 
-    def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
+    def lines(width: int, height: int, plain: bool, coloured: bool) -> list[str]:
         from robodyn.pictures.characters import chart_lines
 
         panels = len(content.panels)
         rows = max(5, min(12 + 6 // panels, (height - 4) // panels - 1))
-        return above + chart_lines(content, width, rows, plain, bool(colours))
+        above = [f"  {shown(title)}"] if title else []
+        return above + chart_lines(content, width, rows, plain, coloured)
 
-    chart = chart_figure.chart_figure
-    picture.show(lines, lambda: chart(content, picture.extent, shown(title or "")))
+    write_characters(lines, picture.out)

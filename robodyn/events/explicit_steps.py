@@ -1,9 +1,9 @@
 """The states within a step of an explicit Runge-Kutta method, from its stages alone.
 
-RK45 and RK23 interpolate by these themselves.  DOP853 needs further stages, a quarter of a step's
-cost; the polynomial here, of degree 5, has the slopes of five of its stages and is right to some
-digits less.  Each comes with a second one that is further off, so that the difference of the two
-tells how far a function of the states may be off.
+RK45 interpolates by these itself.  DOP853 needs further stages, a quarter of a step's cost; the
+polynomial here, of degree 5, has the slopes of five of its stages and is right to some digits less.
+Each comes with a second one that is further off, so that the difference of the two tells how far a
+function of the states may be off.
 """
 
 from __future__ import annotations

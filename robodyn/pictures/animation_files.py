@@ -31,7 +31,6 @@ from robodyn.pictures.picture_plan import Frame, Size, frame, scale_bar, scale_b
 from robodyn.tables.output_file import open_output, write_text
 
 DOTS = 100  # an inch
-COLOURS_OF_GIF = 128
 DIGITS = 4  # of coordinates, in powers of ten below the width of the picture
 BEHIND = 2.9  # the height of traces, below that of links
 
@@ -135,17 +134,13 @@ def durations(count: int, rate: float) -> list[int]:
 
 
 def write_gif(film: Film, rate: float, out: str, watch: Watch) -> None:
-    """A gif that repeats, all frames with one palette."""
+    """Write a gif that repeats."""
     from PIL import Image
-
-    some = [np.asarray(film.image(pose)) for pose in {0, film.count // 2, film.count - 1}]
-    sample = Image.fromarray(np.concatenate(some))
-    palette = sample.quantize(COLOURS_OF_GIF, Image.Quantize.MAXCOVERAGE)
 
     def images() -> Iterator[Any]:
         for pose in range(film.count):
             watch(pose / film.count)
-            yield film.image(pose).quantize(palette=palette, dither=0)
+            yield film.image(pose).quantize(method=Image.Quantize.MAXCOVERAGE)
 
     each, drawn = images(), BytesIO()  # Pillow's own writing tells no reason where it fails
     with open_output(out) as stream:

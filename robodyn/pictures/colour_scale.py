@@ -87,7 +87,8 @@ def angle_ticks(low: float, high: float, most: int) -> tuple[list[float], list[s
         if len(numbers) <= most:
             break
     if not 3 <= len(numbers) <= most:
-        return axis_ticks("", low, high, most)
+        values = ticks(low, high, most)
+        return values, tick_texts(values)
     return [k * apart for k in numbers], [_multiple_of_pi(k * factor, parts) for k in numbers]
 
 
@@ -96,17 +97,6 @@ def _multiple_of_pi(number: int, parts: int) -> str:
     number, parts = number // shared, parts // shared
     text = {0: "0", 1: "π", -1: "-π"}.get(number, f"{number}π")
     return f"{text}/{parts}" if parts > 1 and number else text
-
-
-def axis_ticks(
-    unit: str, low: float, high: float, most: int, ascii: bool = False
-) -> tuple[list[float], list[str]]:
-    """At most `most` ticks of an axis whose values have this unit, and their texts."""
-    if unit == "rad":
-        values, texts = angle_ticks(low, high, most)
-        return values, [text.replace("π", "pi") for text in texts] if ascii else texts
-    values = ticks(low, high, most)
-    return values, tick_texts(values)
 
 
 def rgb(colour: str) -> Rgb:

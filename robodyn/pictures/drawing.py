@@ -2,8 +2,8 @@
 
 Points of the plane are complex numbers, m.  Each shape is a polygon or a line in the frame of a
 body; a pose says where each body is, `place + turn * points`, where |turn| = 1 but for springs:
-these are stretched along their x axis alone.  So a figure, an animation and a terminal draw the
-same things.  Symbols are as large as a part of the mechanism's span.
+these are stretched along their x axis alone.  So a figure and an animation draw the same
+things.  Symbols are as large as a part of the mechanism's span.
 """
 
 from __future__ import annotations
@@ -22,15 +22,12 @@ from robodyn.loops.assembly import assembly_plan, attempt
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.bodies import Body, bodies
-from robodyn.pictures.characters import TALL, Canvas
 from robodyn.pictures.outlines import Shape, at, direction
 from robodyn.scene.scene import Point
 from robodyn.tables.arrays import Array, Complex
 
 HALF_WIDTH = 0.024  # of a link, as a part of the span
 LARGEST = 1e100  # m, of a half width
-# outlines that characters show
-LINES = ("link", "support", "guide", "block", "spring", "rail", "slider", "rod")
 TURNS = 48  # poses of a turn that tell how long a slot is
 SHORTEST = 1e-12  # m, of a spring whose ends coincide
 
@@ -153,46 +150,3 @@ def span(mechanism: Mechanism, q: Array) -> float:
     points += [tree.point(Point(k, 0j)) for k in mechanism.slides]
     z = np.concatenate([at(point, X) for point in points])
     return float(max(np.ptp(z.real), np.ptp(z.imag))) or 1.0
-
-
-def drawing_lines(
-    drawn: Drawing,
-    names: Sequence[str],
-    width: int,
-    height: int,
-    ascii: bool = False,
-    colour: bool = False,
-    traces: Sequence[Trace] = (),
-) -> list[str]:
-    """The poses of a mechanism to scale, as at most `height` lines of `width` characters at most.
-
-    Outlines of links, supports and guides, an o for each joint, and the links' `names`, if any,
-    at the last pose; the paths of `traces`, with a + and the name at the end.
-    """
-    left, bottom, right, top = drawn.box([z for trace in traces for z in trace.path.tolist()])
-    canvas = Canvas(width, height, ascii)
-    stretch = canvas.up / canvas.across / TALL  # dots up for one across
-    scale = min((canvas.width - 1) / (right - left), (canvas.height - 1) / (top - bottom) / stretch)
-    rows = min(height, int((top - bottom) * scale * stretch / canvas.up) + 1)
-    canvas = Canvas(width, rows, ascii)
-
-    def dots(z: Complex) -> Complex:
-        return np.asarray(scale * ((z.real - left) + 1j * stretch * (z.imag - bottom)), complex)
-
-    shapes = [shape for pose in range(len(drawn.q)) for shape in drawn.placed(pose)]
-    for b, shape, z in shapes:
-        if shape.kind in LINES:
-            canvas.line(dots(np.append(z, z[0]) if shape.closed else z), drawn.bodies[b].link or 0)
-    for k, (name, z) in enumerate(traces):
-        canvas.line(dots(z), k + 1)
-        column, row = canvas.cell(dots(z)[-1])
-        canvas.text(column, row, f"+ {name}", k + 1)
-    for _, shape, z in shapes:
-        if shape.kind == "joint":
-            canvas.text(*canvas.cell(dots(z).mean()), "o")
-    for k, name in enumerate(names):
-        b = drawn.body_of(k)
-        middle = 0.5 * drawn.mechanism.description.links[k].l
-        column, row = canvas.cell(dots(drawn.place[-1:, b] + middle * drawn.turn[-1:, b])[0])
-        canvas.text(max(0, min(column + 2, width - len(name))), row, name, k)
-    return canvas.lines(colour)

@@ -1,22 +1,20 @@
 """Motions in extended precision: what errors are measured against.
 
-Two computations of the program's rows run in numpy's longdouble (64 bits of mantissa where the
-platform has them): Taylor series of two orders and steps, or, of torques without a series, two
-extrapolations of the midpoint rule.  What the two differ by is the uncertainty of the reference: no
-error below it can be claimed.  Rounding of the constants themselves, which every run shares, is no
-part of it.
+Taylor series of two orders and steps run over numpy's longdouble (64 bits of mantissa where the
+platform has them).  What the two differ by is the uncertainty of the reference: no error below it
+can be claimed.  Rounding of the constants themselves, which every run shares, is no part of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import jacobian_at, scaled_jacobian
-from robodyn.dynamics.placed import joint_ways, placed_at, relative_matrix
+from robodyn.dynamics.placed import joint_ways, placed_at
 from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
 from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.engines.singular_values import svd
@@ -38,10 +36,7 @@ LONG, COMPLEX = np.longdouble, np.clongdouble
 NUMPY = {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}  # what numpy calls them
 ORDER = 30
 TOLERANCE = 0.1  # of the series, in units of rounding
-SUBSTEPS = (2, 4, 6, 8, 10, 12, 14, 16)  # of the extrapolated midpoint rule
-EXTRAPOLATED = 100.0  # what a step of it may miss, in units of rounding
 SMALLEST_STEP = 1e-12  # s
-LARGEST_STEP = 0.25  # s, of the extrapolation
 ROUNDING = 100.0 * float(np.finfo(np.longdouble).eps)  # part of a rate
 AGREE = 1e-9  # part of a torque's terms by which its series may miss it, where it does not bend
 TOO_NEAR = 1e-8  # s/L below which nothing is closed
@@ -58,7 +53,7 @@ class Reference(NamedTuple):
 def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actuation) -> Reference:
     """The motion from `state` (2n,) at t = 0, at increasing `times` > 0.
 
-    Raises RobodynError where the motion cannot be followed.
+    Raises InputError if a torque has no series, RobodynError if the motion cannot be followed.
     """
     if mechanism.switches:
         raise _lost(mechanism, "has joints that stick or end: the reference is of smooth motions")
@@ -67,7 +62,12 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
     actuation = over_a_scene_run(mechanism, actuation, state.tolist(), float(times[-1]))
     with np.errstate(all="ignore"):
         try:
-            first, second = _by_two(_Task(mechanism, state, times, actuation))
+            task = _Task(mechanism, state, times, actuation)
+            first = _followed(task, _Series(task, ORDER, TOLERANCE))
+            second = _followed(task, _Series(task, ORDER - 9, 100.0 * TOLERANCE))
+        except InputError as error:
+            limit = "errors are measured against one: give arithmetic and smooth functions"
+            raise InputError(error.what, limit=limit) from None
         except (ArithmeticError, ValueError) as error:  # of torques; a singular matrix
             raise _lost(mechanism, f"is not defined: {error}") from None
     apart = float(np.abs(first - second).max())
@@ -84,23 +84,8 @@ class _Task(NamedTuple):
     actuation: Actuation
 
 
-def _by_two(task: _Task) -> tuple[Long, Long]:
-    try:
-        both: list[_Series | _Extrapolation] = [
-            _Series(task, ORDER, TOLERANCE),
-            _Series(task, ORDER - 9, 100.0 * TOLERANCE),
-        ]
-    except InputError:  # a torque without a series
-        fewer = _Extrapolation(task, SUBSTEPS[:-1], 10.0 * EXTRAPOLATED)
-        both = [_Extrapolation(task, SUBSTEPS, EXTRAPOLATED), fewer]
-    first, second = (_followed(task, each) for each in both)
-    return first, second
-
-
-def _followed(task: _Task, step: Callable[[Any, Long, Any], tuple[Any, Long] | None]) -> Long:
-    """The states at the times asked for; `step` from t and y at most to `stop` tells how far, and
-    the new state, or 0 to be asked again, or nothing where it cannot go on.
-    """
+def _followed(task: _Task, step: _Series) -> Long:
+    """Return the states (T, 2n) at the times of the task, by steps of a series."""
     mechanism, state, times, actuation = task
     closing = _Closing(mechanism)
     y, t, rows = closing(state.astype(LONG)), LONG(0.0), []
@@ -114,10 +99,9 @@ def _followed(task: _Task, step: Callable[[Any, Long, Any], tuple[Any, Long] | N
             if taken is None:
                 raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
             h, new = taken
-            if h:
-                y = closing(new)
-                t = stop if t + h >= stop else t + h
-                reach(actuation, float(t), y)
+            y = closing(new)
+            t = stop if t + h >= stop else t + h
+            reach(actuation, float(t), y)
         rows.append(y)
     return np.array(rows)
 
@@ -154,7 +138,10 @@ class _Series:
         self.lightest = min(mechanism.inertias.values())
 
     def __call__(self, t: Any, y: Long, stop: Any) -> tuple[Any, Long] | None:
-        """See `_followed`."""
+        """Return a step's length from t and y, at most to `stop`, and the state after it.
+
+        None if no step leads on.
+        """
         held = None if self.actuation.pieces is None else self.actuation.pieces.at(float(t))
         if held not in self.made:
             self.made[held] = MotionProgram(self.mechanism, self.actuation, False, held)
@@ -213,66 +200,6 @@ def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
     slope = (z[:, 1:] * (orders[1:] * powers[:-1])).sum(axis=1)
     way, rates = joint_ways(mechanism, y, turn, slope)
     return np.concatenate([y[:n] + way, rates])
-
-
-class _Extrapolation:
-    """Steps of the midpoint rule, each as long as the error of the one before allows."""
-
-    def __init__(self, task: _Task, substeps: Sequence[int], tolerance: float) -> None:
-        self.rates = _rates(task.mechanism, task.actuation)
-        self.substeps, self.tolerance = substeps, tolerance * float(np.finfo(LONG).eps)
-        self.h = LONG(LARGEST_STEP / 8)
-
-    def __call__(self, t: Any, y: Long, stop: Any) -> tuple[Any, Long] | None:
-        """See `_followed`."""
-        step = min(self.h, stop - t)
-        new, error = _extrapolated(self.rates, t, y, step, self.substeps)
-        scale = self.tolerance * (1.0 + float(np.abs(y).max()))
-        factor = 0.9 * (scale / max(error, 1e-25)) ** (1.0 / (2 * len(self.substeps) - 1))
-        least = step <= SMALLEST_STEP  # where a torque jumps or bends, no step is small enough
-        if error <= scale or (least and np.isfinite(error)):
-            # a step that was cut says nothing against longer ones
-            longer = max(float(step) * min(2.0, factor), float(self.h) if step < self.h else 0.0)
-            self.h = LONG(min(LARGEST_STEP, max(longer, SMALLEST_STEP)))
-            return step, new
-        self.h = LONG(max(SMALLEST_STEP, float(step) * max(0.3, factor)))
-        return None if least else (LONG(0.0), y)
-
-
-def _extrapolated(
-    rates: Any, t: Any, y: Long, step: Any, substeps: Sequence[int]
-) -> tuple[Long, float]:
-    """Gragg's midpoint rule with more and more substeps, extrapolated to none; its error."""
-    table: list[Long] = []
-    for k, count in enumerate(substeps):
-        h = step / count
-        before, now = y, y + h * rates(t, y)
-        for i in range(1, count):
-            before, now = now, before + 2 * h * rates(t + i * h, now)
-        row = [(before + now + h * rates(t + step, now)) / 2]
-        for j in range(1, k + 1):
-            ratio = LONG(count) / substeps[k - j]
-            row.append(row[-1] + (row[-1] - table[j - 1]) / (ratio * ratio - 1))
-        table = row
-    return table[-1], float(np.abs(table[-1] - table[-2]).max())
-
-
-def _rates(mechanism: Mechanism, actuation: Actuation) -> Callable[[Any, Long], Long]:
-    """dy/dt by the first orders of the series, the torques held."""
-    n, torques = mechanism.n, actuation.function(mechanism.n)
-    motion = MotionProgram(mechanism, Actuation(None, linear=True), False)
-    numbers, relative = [LONG(x) for x in motion.program.numbers], relative_matrix(mechanism)
-
-    def rates(t: Any, y: Long) -> Long:
-        try:
-            tau = [LONG(x) for x in torques(float(t), y.astype(float).tolist())]
-        except (ArithmeticError, ValueError):  # outside the domain: a shorter step may not leave it
-            return np.full(2 * n, LONG(np.nan))
-        start = motion.state(LONGS, t, list(y), (tau, [0.0] * n))
-        theta = motion.expand(LONGS, numbers, 1, start).theta
-        return np.concatenate([y[n:], relative @ np.array([2 * each[2] for each in theta])])
-
-    return rates
 
 
 def _constants(mechanism: Mechanism) -> Any:

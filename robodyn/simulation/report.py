@@ -35,8 +35,7 @@ class Outcome(Enum):
     )
     STIFF = (
         "stiff",
-        "the explicit method is held to tiny steps by its stability: take --method Radau "
-        "(or BDF, LSODA)",
+        "the explicit method is held to tiny steps by its stability: take --method Radau",
     )
     LIMIT = (
         "limit",

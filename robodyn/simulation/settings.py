@@ -25,10 +25,11 @@ NUMBERS = {
     "max_step": "max_step",
     "max_evaluations": "max_evals",
 }
-Method = Literal["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"]
+Method = Literal["DOP853", "RK45", "Radau", "taylor"]
 Engine = Literal["auto", "python", "compiled"]  # of the Taylor series
 Stabilize = Literal["projection", "baumgarte", "none"]
 METHODS: tuple[str, ...] = get_args(Method)
+REMOVED = {"RK23": "RK45", "BDF": "Radau", "LSODA": "Radau"}  # what to take in place of each
 ORDERS = (4, 60)  # of the Taylor series
 CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize), "engine": get_args(Engine)}
 SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
@@ -66,7 +67,10 @@ class Settings:
     def _check(self) -> None:
         for name, words in CHOICES.items():
             if (value := getattr(self, name)) not in words:
-                raise InputError(name, value=value, limit=f"must be of {', '.join(words)}")
+                limit = f"must be of {', '.join(words)}"
+                if name == "method" and str(value) in REMOVED:
+                    limit = f"was removed: take {REMOVED[str(value)]}"
+                raise InputError(name, value=value, limit=limit)
         if not self.smallest_rtol <= self.rtol < 1.0:
             limit = f"must be in [{self.smallest_rtol:g}, 1)"
             raise InputError("rtol", value=self.rtol, limit=limit)

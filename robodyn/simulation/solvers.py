@@ -3,7 +3,7 @@
 `projected(method)` subclasses one of scipy's solvers.  After each step that the solver accepts
 
 1. the state is brought back onto positions and velocities that close, by the least change;
-2. what the solver keeps of the state (its derivative, a multistep solver's history) follows;
+2. what the solver keeps of the state (its derivative) follows;
 3. a torque that may jump there, at a kink, is told, and the next step starts the method afresh;
 4. an observer sees the step.
 
@@ -22,7 +22,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, DenseOutput, OdeSolver, Radau
+from scipy.integrate import DOP853, RK45, DenseOutput, OdeSolver, Radau
 
 from robodyn.loops.projection import Projection
 from robodyn.mechanics.actuation import Actuation
@@ -36,22 +36,13 @@ from robodyn.tables.arrays import Array
 
 Observer = Callable[[Any], None]
 
-METHODS: dict[str, type[OdeSolver]] = {
-    "DOP853": DOP853,
-    "RK45": RK45,
-    "RK23": RK23,
-    "Radau": Radau,
-    "BDF": BDF,
-    "LSODA": LSODA,
-}
-EXPLICIT = ("DOP853", "RK45", "RK23")
-MULTISTEP = (BDF, LSODA)  # which look at the rates at the ends of a step alone
-FIRST = 0.1  # of a pulse, how far their first step goes into it: it may end as it begins, at zero
+METHODS: dict[str, type[OdeSolver]] = {"DOP853": DOP853, "RK45": RK45, "Radau": Radau}
+EXPLICIT = ("DOP853", "RK45")
 COUNTS = ("nfev", "njev", "nlu")  # what scipy's solvers count
 UNBOUNDED = 1e50  # a tolerance from which what it is for chooses no step
 STIFF_STEPS = 1000  # so many steps in a row at the edge of stability are called stiff
 STIFF_SAMPLE = 10  # every so many steps are looked at
-STABILITY_EDGE = {"DOP853": 4.5, "RK45": 2.5, "RK23": 1.0}  # |h lambda| near the stable limit
+STABILITY_EDGE = {"DOP853": 4.5, "RK45": 2.5}  # |h lambda| near the stable limit
 
 
 class StiffError(Exception):
@@ -85,6 +76,7 @@ class Projecting(_Solver):  # type: ignore[misc]
     ) -> None:
         super().__init__(fun, t0, y0, t_bound, **options)
         self.t: float
+        self.t_bound: float
         self.y: Array
         self.f: Any
         self.h_abs: float
@@ -120,24 +112,20 @@ class Projecting(_Solver):  # type: ignore[misc]
         return counted
 
     def _step_impl(self) -> tuple[bool, str | None]:
-        fresh = self._jumped or not self.steps
         if self._jumped:
             self._restart()
         end = self.t_bound
         begun = self.t, self.y, self.f if self.explicit else None
-        self._begun = self.y
         stop = next_stop(self.kinks, self.leaves, self.t, end, NEAR)
-        if fresh and self.leaves and isinstance(self, MULTISTEP):
-            stop = self.t + FIRST * (stop - self.t)
-        self._bound(stop)
+        self.t_bound = stop
         self._hold()
         if self._longest < abs(self.t_bound - self.t):
-            self._bound(self.t + self.direction * self._longest)
+            self.t_bound = self.t + self.direction * self._longest
         try:
             success, message = self._take_step()
         except ValueError as error:  # an implicit method met a rate that is not finite
             success, message = False, str(error)
-        self._bound(end)
+        self.t_bound = end
         if success and not self.explicit:  # those go on where a rate is not finite
             success = bool(np.isfinite(np.asarray(self._rates(self.t, self.y))).all())
         if not success:
@@ -161,7 +149,7 @@ class Projecting(_Solver):  # type: ignore[misc]
             if self.misses is not None and self.misses.leaps(times, ends):
                 return True
             if closed is not self.y:
-                self._accept(closed)
+                self.y, self.f = closed, self.fun(self.t, closed)
         if self._slipping is None:
             return False
         over = falls_over(self._slipping, y.tolist(), self.y.tolist(), self.t - t)
@@ -174,7 +162,7 @@ class Projecting(_Solver):  # type: ignore[misc]
             return
         longest, fine, rounding = self.misses.holds(self.y)
         if longest < abs(self.t_bound - self.t):
-            self._bound(self.t + self.direction * longest)
+            self.t_bound = self.t + self.direction * longest
         if self._tolerances is None:
             if fine == np.inf:
                 return
@@ -184,8 +172,6 @@ class Projecting(_Solver):  # type: ignore[misc]
         self.atol = np.where(atol < UNBOUNDED, np.minimum(atol, fine), atol)
         n = self.misses.mechanism.n
         self.atol[n : 2 * n] = np.maximum(self.atol[n : 2 * n], rounding)
-        if isinstance(self, LSODA):
-            self._lsoda_solver._integrator.call_args[:2] = self.rtol, self.atol
 
     def _reach(self, told: Steps) -> None:
         """Tell a kink that the step ended on.  The dense output of the step stays as it is."""
@@ -230,26 +216,7 @@ class Projecting(_Solver):  # type: ignore[misc]
 
     def _dense_output_impl(self) -> DenseOutput:
         dense = super()._dense_output_impl()
-        if isinstance(self, LSODA):  # whose polynomial misses where the step began by its tolerance
-            dense = _JoinedOutput(dense, self._begun)
         return dense if self.projection is None else _ProjectedOutput(dense, self.projection)
-
-    def _bound(self, t: float) -> None:
-        self.t_bound = t
-        if isinstance(self, LSODA):  # its core keeps the bound in its work array
-            self._lsoda_solver._integrator.rwork[0] = t
-
-    def _accept(self, y: Array) -> None:
-        """Make the projected state the solver's own."""
-        self.y = y
-        if isinstance(self, BDF):
-            self.D[0] = y
-        elif isinstance(self, LSODA):
-            solver = self._lsoda_solver
-            solver._y = y.copy()
-            solver._integrator.rwork[20 : 20 + self.n] = y
-        else:
-            self.f = self.fun(self.t, y)
 
     def _watch_stability(self) -> None:
         """Hairer's test: the last stage and the new state tell |h lambda| where it is large."""
@@ -305,21 +272,6 @@ def solver_of(
         max_step=max_step,
     )
     return solver
-
-
-class _JoinedOutput(DenseOutput):
-    """A solver's dense output, which begins where the step did."""
-
-    def __init__(self, dense: DenseOutput, begun: Array) -> None:
-        super().__init__(dense.t_old, dense.t)
-        self._dense, self._missed = dense, begun - dense(dense.t_old)
-
-    def _call_impl(self, t: Array) -> Array:
-        left = (self.t - t) / (self.t - self.t_old)
-        y: Array = self._dense(t) + (
-            self._missed[:, None] * left if t.ndim else self._missed * left
-        )
-        return y
 
 
 class _ProjectedOutput(DenseOutput):

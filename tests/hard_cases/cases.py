@@ -328,7 +328,7 @@ def stiff() -> Iterator[Row]:
     motion = simulate(mechanism, [0.5, 0.8], [0, 0], 2.0)
     named = motion.outcome is Outcome.STIFF and "Radau" in motion.outcome.advice
     yield Row("stiff, DOP853", hard, "does not say so", 0, truth(named))
-    for method in ("Radau", "BDF", "LSODA", "taylor"):  # the last by 330,000 short steps
+    for method in ("Radau", "taylor"):  # the last by 330,000 short steps
         motion = simulate(mechanism, [0.5, 0.8], [0, 0], 2.0, method=method)
         works = motion.outcome is Outcome.FINISHED
         yield Row(f"stiff, {method}", hard, "not finished", 0, truth(works))
