@@ -19,11 +19,10 @@ from robodyn.simulation.simulation import Motion, simulate
 
 METHODS: list[dict[str, Any]] = [
     *({"method": name} for name in ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA")),
-    {"method": "taylor", "engine": "python"},
-    {"method": "taylor", "engine": "compiled"},
+    {"method": "taylor"},
 ]
 TIGHT = {"rtol": 1e-13, "atol": 1e-13}
-EXACT = [METHODS[0], *METHODS[-2:]]
+EXACT = [METHODS[0], METHODS[-1]]
 NAMES = [" ".join(each.values()) for each in METHODS]
 ROWS = [None, np.linspace(0.0, 1.0, 41), np.array([1.0])]  # of the time of a run
 
@@ -248,11 +247,10 @@ def kinked() -> tuple[Motion, int]:
     return motion, int((signs[1:-1] * signs[2:] < 0).sum())
 
 
-@pytest.mark.parametrize("engine", ["python", "compiled"])
-def test_engines_agree_with_kinked_torques(engine: str, kinked: tuple[Motion, int]) -> None:
+def test_methods_agree_with_kinked_torques(kinked: tuple[Motion, int]) -> None:
     """The same events by DOP853 and by series, under a torque that jumps."""
     one, changes = kinked
-    two = simulate(load("robots/2r.yaml"), *FROM, method="taylor", engine=engine, **KINKED)
+    two = simulate(load("robots/2r.yaml"), *FROM, method="taylor", **KINKED)
     assert len(one.events) > 5
     assert [event.name for event in one.events] == [event.name for event in two.events]
     assert [x.t for x in one.events] == pytest.approx([x.t for x in two.events], abs=1e-8)
@@ -260,7 +258,7 @@ def test_engines_agree_with_kinked_torques(engine: str, kinked: tuple[Motion, in
         assert len(times(motion, "a")) == changes
 
 
-@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], *NAMES[-2:]])
+@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], NAMES[-1]])
 def test_held_control(robodyn: Any, how: dict[str, Any], tmp_path: Path) -> None:
     """Where a controller holds its torque between samples, a run with events is the same run."""
     reference = tmp_path / "ref.csv"
@@ -279,7 +277,6 @@ def test_held_control(robodyn: Any, how: dict[str, Any], tmp_path: Path) -> None
         "0.01",
     ]
     base += ["--quiet", "--method", how["method"]]
-    base += ["--engine", how["engine"]] if "engine" in how else []
     plain = robodyn(*base).succeeds()
     events = tmp_path / "events.csv"
     more = ["--event", "half=q1 > 45deg", "--event", "rate=qd2", "--events", str(events)]
@@ -292,7 +289,7 @@ def test_held_control(robodyn: Any, how: dict[str, Any], tmp_path: Path) -> None
     assert sum(line.startswith("half,") for line in lines) == crossings == 1
 
 
-@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], *NAMES[-2:]])
+@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], NAMES[-1]])
 @pytest.mark.parametrize(
     ("scene", "start", "rate"),
     [
@@ -346,7 +343,7 @@ def test_all_scenes_against_fine_rows(
             assert (len(rows) - len(changes)) % 2 == 0 or abs(values[-1]) < 1e-9
 
 
-@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], *NAMES[-2:]])
+@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], NAMES[-1]])
 def test_what_closures_keep_at_zero_is_told_to_be_zero(how: dict[str, Any]) -> None:
     """States next to a change point scatter by more than rounding: no look goes on and on."""
     mechanism = load("robots/parallelogram.yaml")

@@ -21,7 +21,7 @@ from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.settings import METHODS, Settings
 from robodyn.simulation.simulation import run
 from robodyn.tables.arrays import Array
-from robodyn.taylor.engine_choice import compiled_engine, stepping_engine
+from robodyn.taylor.compiled import check_served
 
 Watch = Callable[[float], object]  # the part that is done
 
@@ -140,15 +140,10 @@ def _methods(
     names = [(method, Settings(method)) for method in METHODS if method != "taylor"]
     left_out = []
     try:
-        stepping_engine(mechanism, actuation, 1e-9, 1e-9)
-        names.append(("taylor", Settings("taylor", engine="python")))
+        check_served(mechanism, actuation)
+        names.append(("taylor", Settings("taylor")))
     except RobodynError as error:
-        left_out.append(f"taylor: {error}")
-    if compiled_engine(mechanism, actuation, 1e-9, 1e-9, None) is not None:
-        names.append(("taylor compiled", Settings("taylor", engine="compiled")))
-    else:
-        needs = "pip install '.[fast]', a torque that has a series, and a small mechanism"
-        left_out.append(f"taylor compiled: needs {needs}")
+        left_out.append(f"taylor: {error.limit if error.what == 'method' else error}")
     return names, left_out
 
 

@@ -1,9 +1,8 @@
 """A Taylor-series integrator for planar mechanisms: what its engines have in common.
 
 The series of a motion costs a few convolutions an order and a link for any planar linkage, as
-`engines/series.py` says.  Three engines make them: straight-line floats, the rows of the program
-one by one (`steps.py`), and machine code (`compiled.py`, with the extra `fast`); `engine_choice.py`
-chooses one, `run.py` drives it.
+`engines/series.py` says.  Machine code makes them (`compiled.py`, with the extra `fast`), and
+`run.py` drives it.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class Status(IntEnum):
 
 
 class NoCodeError(RobodynError):
-    """There is no machine code for a scene: the engines in Python serve."""
+    """There is no machine code for a scene, or a phase of its motion: DOP853 serves."""
 
 
 class Chunk(NamedTuple):
@@ -97,7 +96,7 @@ class Engine(Protocol):
 
 
 def order_where_steps_cost(tolerance: float) -> int:
-    """The order that measured cheapest for one run in machine code, and for many in numpy's arrays.
+    """The order that measured cheapest for one run, and for many in numpy's arrays.
 
     There a step costs much beside its series.
     """
@@ -105,7 +104,7 @@ def order_where_steps_cost(tolerance: float) -> int:
 
 
 def order_where_series_cost(tolerance: float) -> int:
-    """The same for one run in plain Python, and for many side by side in lanes of machine code.
+    """The same for many side by side in lanes of machine code.
 
     There the series is most of a step.
     """

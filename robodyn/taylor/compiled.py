@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cached_property, lru_cache
 from itertools import accumulate
 from struct import Struct
@@ -14,13 +15,16 @@ import numpy as np
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
+from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.machine_motion import RUNNING, Loaded
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
 from robodyn.events.told import Found
+from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, order_where_steps_cost
@@ -32,6 +36,7 @@ from robodyn.taylor.zero_code import FOUND, ROOM, WATCH, ZERO
 
 MOST_STEPS = 4096  # of a call
 WORK = 200_000  # links times orders times steps of a call, which takes some 20 ms
+DEPENDENT = 1e-12  # quality of closings below which rows of Psi depend on one another everywhere
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 _BEGUN, _ASKED = Struct("5d").pack_into, Struct("6q").pack_into  # faster than a slice of an array
 NONE, NO_LOOKS = np.zeros((0, 0)), (0, 0)
@@ -106,10 +111,8 @@ class CompiledEngine:
         self._watch = array("q", bytes(8 * len(WATCH)))
         self._at_watch = self._watch.buffer_info()[0]
         self._signs = np.zeros(0)
-        if not serves(mechanism):
-            raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
-        if not machine.available():
-            raise NoCodeError("needs the extra `fast`")
+        if not (machine.available() and serves(mechanism)):
+            raise NoCodeError("no machine code serves")
         self._made(None if actuation.pieces is None else actuation.pieces.at(0.0))
 
     def _made(self, held: tuple[float, ...] | None) -> _Ready:
@@ -126,7 +129,7 @@ class CompiledEngine:
                     found = _kept(self.mechanism, given.constants, *rest)
                 else:
                     found = _ready(self.mechanism, given, *rest)
-            except (ZeroDivisionError, InputError) as error:
+            except ZeroDivisionError as error:
                 raise NoCodeError("no state has a series") from error
             block = found.code.block()
             block[:] = found.block
@@ -295,10 +298,36 @@ class CompiledEngine:
 
 
 @lru_cache(maxsize=64)
+def refused(mechanism: Mechanism) -> str:
+    """Return why machine code does not serve a mechanism, or "": it does.
+
+    Of a mechanism with contacts, each mode is one for itself.
+    """
+    if mechanism.switches:
+        return "contacts change how it moves"
+    if loop_terms(mechanism) > LARGEST:
+        return "it has too many links and loops: some 160 loops are served"
+    if not elimination_is_safe(mechanism):
+        return "masses are missing, or differ too much, for it to be solved without pivots"
+    rows = len(mechanism.rows)
+    if rows and (regular_rank(mechanism) < rows or suspect_quality(mechanism) < DEPENDENT):
+        return "its closures depend on one another"
+    return ""
+
+
 def serves(mechanism: Mechanism) -> bool:
-    """Whether code of this length is worth it, and M and Psi are regular but at single states."""
-    if mechanism.switches:  # each of its modes is served for itself
-        return False
-    if loop_terms(mechanism) > LARGEST or not elimination_is_safe(mechanism):
-        return False
-    return not mechanism.rows or regular_rank(mechanism) == len(mechanism.rows)
+    """Return whether machine code serves a mechanism."""
+    return not refused(mechanism)
+
+
+def check_served(mechanism: Mechanism, actuation: Actuation) -> None:
+    """Raise InputError if no machine code serves a scene under its torques, with the reason."""
+    if not machine.available():
+        limit = "needs the extra `fast`: pip install '.[fast]'"
+        raise InputError("method", value="taylor", limit=limit)
+    free = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
+    if why := refused(free):
+        limit = f"{why}: take DOP853"
+        raise InputError("method", where=mechanism.source, value="taylor", limit=limit)
+    with suppress(ZeroDivisionError):  # of numbers that no switch of an expression holds
+        MotionProgram(free, actuation, False)  # raises InputError for a torque without a series
