@@ -7,15 +7,20 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
+from example_starts import start
 from named_case import case
 
 from robodyn.errors import InputError
+from robodyn.events.told import Events
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly import assemble
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.simulation import Motion, simulate
+from robodyn.taylor import Status
+from robodyn.taylor.compiled import CompiledEngine
 
 METHODS: list[dict[str, Any]] = [
     *({"method": name} for name in ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA")),
@@ -368,3 +373,62 @@ def test_what_closures_keep_at_zero_is_told_to_be_zero(how: dict[str, Any]) -> N
 def test_arguments_of_another_kind_are_refused_by_name(given: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=told):
         simulate(load("robots/pendulum.yaml"), [0.1], [0.0], 0.1, **given)
+
+
+def test_a_pendulum_by_elliptic_integrals() -> None:
+    """Turning points and passages of the lowest point."""
+    pendulum, *_ = start("pendulum", 0.0)
+    link = 0.4, 0.26, 0.0088
+    frequency = mpmath.sqrt(link[0] * 9.81 * link[1] / (link[2] + link[0] * link[1] ** 2))
+    amplitude = 2.0
+    quarter = mpmath.ellipk(mpmath.sin(amplitude / 2) ** 2) / frequency
+    low = -float(mpmath.pi / 2)
+    motion = simulate(
+        pendulum, [low + amplitude], [0.0], 20.0, method="taylor",
+        rtol=1e-14, atol=1e-14, events={"turns": "qd1", "low": "q1 + 90deg"},
+    )  # fmt: skip
+    assert len(motion.events) == int(20.0 / quarter) > 50
+    for k, event in enumerate(motion.events, 1):
+        assert event.name == ("turns", "low")[k % 2]
+        assert abs(event.t - float(k * quarter)) < 1e-11
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-9])
+def test_a_step_next_to_a_change_point_is_made_again(tol: float) -> None:
+    """It ends where it did: there too no shorter one would land on a good state."""
+    met = 0
+    for rate, bound in ((20.0, 3.0), (20.0, -3.0), (-60.0, 3.0), (5.0, -3.0)):
+        mechanism, q, qd = start("parallelogram", rate)
+        engine = CompiledEngine(mechanism, Actuation((0.0,) * 3), rtol=tol, atol=tol)
+        y = np.concatenate([q, qd])
+        chunk = engine.advance(0.0, y, bound, np.zeros(0), 64)
+        met += chunk.status is Status.SINGULAR
+        times, states = np.append(0.0, chunk.t), np.concatenate([y[None], chunk.y])
+        for j in range(len(chunk.t)):
+            again = engine.dense(times[j], states[j], times[j + 1])
+            found = again(np.linspace(times[j], times[j + 1], 9))
+            np.testing.assert_allclose(found[[0, -1]], states[j : j + 2], rtol=1e-10)
+        np.testing.assert_allclose(engine.within(chunk.t[-1:]), chunk.y[-1:], rtol=1e-10)
+    assert met == 4
+
+
+def test_no_more_events_are_held_than_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are made when they are asked for, the first of them; all are counted."""
+    monkeypatch.setattr("robodyn.events.told.MOST", 100)
+    pendulum, *_ = start("pendulum", 0.0)
+    named = {"method": "taylor", "rtol": 1e-4, "atol": 1e-4}
+    given = pendulum, [0.3], [0.0], 600.0
+    motion = simulate(*given, **named, events={"turns": "qd1"})
+    events = motion.events
+    assert isinstance(events, Events)
+    packed = sum(map(len, events._record.packed))
+    assert len(events) == 100 <= packed < 2000
+    assert motion.report.events["turns"] > 700
+    assert "the first 100 events are kept" in motion.report.remarks
+    assert len(list(events)) == len(events) == 100
+    assert events[:3] == list(events)[:3]
+    assert events[-1] is list(events)[-1]
+    both = simulate(*given, **named, events={"back": "qd1 < 0", "down": "q1 < -90deg"})
+    assert [e.name for e in both.events[:4]] == ["down", "back", "down", "back"]
+    assert (np.diff([e.t for e in both.events]) > 0.0).all()
+    assert sum(both.report.events.values()) > 700

@@ -8,9 +8,8 @@ The series of a motion costs a few convolutions an order and a link for any plan
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,12 +17,10 @@ from robodyn.errors import RobodynError
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
-    from robodyn.events.told import Found
     from robodyn.taylor.step_boxes import Kept
 
 
 STEPS = 128  # at a time, at first: between them the run can be watched and interrupted
-Forms = tuple[Sequence[Any], list[int]]  # linear functions of events, and their signs
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 
 
@@ -53,7 +50,7 @@ class Chunk(NamedTuple):
     row_t: Array
     row_y: Array
     status: Status
-    kept: Kept | Found | None = None
+    kept: Kept | None = None
 
     def first(self, steps: int, direction: float) -> Chunk:
         """The first steps, and the rows within them."""
@@ -61,38 +58,6 @@ class Chunk(NamedTuple):
         end = t[-1] * direction if steps else -np.inf
         rows = int(np.searchsorted(self.row_t * direction, end, "right"))
         return Chunk(t, self.y[:steps], self.row_t[:rows], self.row_y[:rows], Status.FULL)
-
-
-class Engine(Protocol):
-    """What advances a state by steps of the Taylor series; it `keeps` more where asked to.
-
-    `most` are the steps that it takes at a time.  Where it has `forms` it may find their events.
-    """
-
-    order: int
-    keeps: bool
-    forms: Forms | None
-    most: int
-
-    def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
-        """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
-
-        `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
-        The step in which they run out is the last, so that there may be more than are given.
-        """
-        ...
-
-    def within(self, times: Array) -> Array:
-        """The states (k, N) at times (k,) in the last step."""
-        ...
-
-    def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
-        """The states (k, N) at times (k,) in a step from (t, y) to `end`, as a function."""
-        ...
-
-    def closed(self, rows: Array) -> Array:
-        """States (k, 2n), where there are closures moved to the nearest that close."""
-        ...
 
 
 def order_where_steps_cost(tolerance: float) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property, lru_cache
@@ -19,7 +18,6 @@ from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.machine_motion import RUNNING, Loaded
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
-from robodyn.events.told import Found
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
@@ -27,19 +25,15 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
-from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, order_where_steps_cost
-from robodyn.taylor.coordinate_code import binomials
+from robodyn.taylor import STEPS, Chunk, NoCodeError, Status, order_where_steps_cost
 from robodyn.taylor.kept_code import ASKED, GIVEN, TABLE, Rows
-from robodyn.taylor.step_boxes import Kept, terms_of
-from robodyn.taylor.watched_code import looks
-from robodyn.taylor.zero_code import FOUND, ROOM, WATCH, ZERO
+from robodyn.taylor.step_boxes import Kept, boxes_along, terms_of
 
 MOST_STEPS = 4096  # of a call
 WORK = 200_000  # links times orders times steps of a call, which takes some 20 ms
 DEPENDENT = 1e-12  # quality of closings below which rows of Psi depend on one another everywhere
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
-_BEGUN, _ASKED = Struct("5d").pack_into, Struct("6q").pack_into  # faster than a slice of an array
-NONE, NO_LOOKS = np.zeros((0, 0)), (0, 0)
+_BEGUN, _ASKED = Struct("5d").pack_into, Struct("3q").pack_into  # faster than a slice of an array
 _STATUS = {RUNNING: Status.FULL} | {float(status): status for status in Status}
 
 
@@ -105,12 +99,6 @@ class CompiledEngine:
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps = False
         self.most = max(STEPS, min(MOST_STEPS, WORK // (mechanism.n * self.order)))
-        self.forms: Forms | None = None
-        self._functions: Sequence[Any] = ()  # those that `_watch` tells of
-        self._tables: tuple[Any, ...] = ()
-        self._watch = array("q", bytes(8 * len(WATCH)))
-        self._at_watch = self._watch.buffer_info()[0]
-        self._signs = np.zeros(0)
         if not (machine.available() and serves(mechanism)):
             raise NoCodeError("no machine code serves")
         self._made(None if actuation.pieces is None else actuation.pieces.at(0.0))
@@ -137,11 +125,6 @@ class CompiledEngine:
         return found
 
     @cached_property
-    def _zeros(self) -> Array:
-        """Where machine code leaves zeros."""
-        return np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
-
-    @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
         return self.actuation.function(self.mechanism.n)
 
@@ -152,44 +135,11 @@ class CompiledEngine:
         `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
         The step in which they run out is the last.
         """
-        chunk = None
-        if self.keeps and self.forms is not None:
-            chunk = self._watched(self.forms, t, y, bound, times, steps)
-        if chunk is None:
-            chunk = self._advance(t, y, bound, times, steps, self.keeps)
+        chunk = self._advance(t, y, bound, times, steps, self.keeps)
         if count := len(chunk.t):
             begun = (float(chunk.t[-2]), chunk.y[-2]) if count > 1 else (t, y)
             self._last = *begun, float(chunk.t[-1])
         return chunk
-
-    def _watched(
-        self, forms: Forms, t: float, y: Array, bound: float, times: Array, steps: int
-    ) -> Chunk | None:
-        """The same, in which the code finds events itself; None where it is unsure of one."""
-        functions, signs = forms
-        if functions is not self._functions:
-            self._look_for(functions)
-        self._signs[:], self._watch[FOUND] = signs, 0
-        made = self._advance(t, y, bound, times, steps, watches=True)
-        return made if made.kept is not None else None
-
-    def _look_for(self, functions: Sequence[Any]) -> None:
-        """Tell machine code what to watch for."""
-        forms = np.pad([function.linear for function in functions], ((0, 0), (0, 1)))
-        each = forms[:, 2 + 2 * self.mechanism.n : -1].reshape(len(forms), 2, -1).any(axis=1)
-        used = np.vstack([each.any(axis=0), each]).astype(np.int64)  # by any, and by each
-        self._functions, self._signs = functions, forms[:, -1]
-        self._tables = tables = forms, self._zeros, binomials(self.order), used
-        places = [table.ctypes.data for table in tables]
-        self._watch[:FOUND] = array("q", [*places, len(forms)])
-
-    def _found(self) -> Found | None:
-        watch, count = self._watch, self._watch[FOUND]
-        if watch[-1]:  # unsure
-            watch[-1] = 0  # or no later call takes a step
-            return None
-        zeros = self._zeros[:count].copy() if count else NONE
-        return Found(zeros, list(map(int, self._signs.tolist())))
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""
@@ -237,7 +187,6 @@ class CompiledEngine:
         times: Array,
         steps: int,
         keeps: bool = False,
-        watches: bool = False,
         lands: bool = True,
     ) -> Chunk:
         pieces = self.actuation.pieces
@@ -261,18 +210,19 @@ class CompiledEngine:
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
         laid = self._laid(len(times), N, steps, keeps)
-        _, at, table, asked, rows, ends, states, boxes, series = laid
-        at_looks = looks(scene, code.code) if keeps or watches else NO_LOOKS
-        _ASKED(table.data, 8 * ASKED, *at_looks, len(times), 0, keeps, watches)
+        _, at, table, asked, rows, ends, states, series = laid
+        _ASKED(table.data, 8 * ASKED, len(times), 0, keeps)
         asked[:] = times
         code.advance(address, steps, at)
         block[place["suspect"]] = suspect
         taken, given = int(block[place["steps"]]), int(table[GIVEN])
         found = _STATUS[block[place["status"]]]
-        kept: Kept | Found | None = self._found() if watches else None
-        if keeps:
-            kept = Kept(boxes[:taken], lambda at, h: terms_of(series[at].T, h))
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
+        kept = None
+        if keeps and taken:
+            h = np.diff(made[0], prepend=t)
+            terms = terms_of(series[:taken].T, h)
+            kept = Kept(boxes_along(self.mechanism, np.vstack([y, made[1]]), terms, h), terms)
         return Chunk(*made, found, kept)
 
     def _laid(self, wanted: int, N: int, steps: int, keeps: bool) -> tuple[Any, ...]:
@@ -283,17 +233,16 @@ class CompiledEngine:
             return self._views
         wide, orders = 2 * self.mechanism.n, self.order + 2
         turns = most * wide * keeps
-        sizes = len(TABLE), wanted, wanted * N, most, most * N, 2 * turns, turns * orders
-        a, b, c, d, e, f, end = accumulate(sizes)
+        sizes = len(TABLE), wanted, wanted * N, most, most * N, turns * orders
+        a, b, c, d, e, end = accumulate(sizes)
         if len(self._room) < end:
             self._room = np.empty(end)
         room, at = self._room, self._room.ctypes.data
         table = room[:a].view(np.int64)
-        table[:6] = [at + 8 * x for x in (a, b, c, d, e, f)]
-        table[6] = self._at_watch
-        boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end]
+        table[:5] = [at + 8 * x for x in (a, b, c, d, e)]
+        series = room[e:end].reshape(-1, orders, wide // 2, 2)
         parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(most, N)
-        self._views = layout, at, table, *parts, boxes, series.reshape(-1, orders, wide // 2, 2)
+        self._views = layout, at, table, *parts, series
         return self._views
 
 

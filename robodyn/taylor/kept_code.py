@@ -7,16 +7,11 @@ from collections.abc import Callable
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.machine_motion import Observer
 from robodyn.engines.machine_steps import Scene
-from robodyn.taylor.zero_code import WATCH
 
 ROWS = 16384  # of one call: no step begins when there are more
-# what the observer is told: addresses, of the functions `box` and `look` too, how many times, rows
-# so far, whether boxes and series are kept, whether functions are watched
-TABLE = (
-    "times", "rows", "ends", "states", "boxes", "series", "watch", "box", "look",
-    "count", "given", "keeps", "watches",
-)  # fmt: skip
-ASKED, GIVEN = TABLE.index("box"), TABLE.index("given")  # what each call tells anew begins there
+# what the observer is told: addresses, how many times, rows so far, whether series are kept
+TABLE = ("times", "rows", "ends", "states", "series", "count", "given", "keeps")
+ASKED, GIVEN = TABLE.index("count"), TABLE.index("given")  # what each call tells anew begins there
 
 
 class Rows(Observer):
@@ -28,8 +23,6 @@ class Rows(Observer):
         self.scene = scene
 
     def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
-        watch = self._told(k, own, "watch")
-        leave(k.compare("sge", k.load(k.at(watch, WATCH.index("unsure")), WHOLE), k.whole(1)))
         given, count = self._told(k, own, "given"), self._told(k, own, "count")
         leave(k.compare("sge", given, k.whole(ROWS)))
         wanted = k.compare("sge", count, k.whole(1))
@@ -57,13 +50,6 @@ class Rows(Observer):
                 source = scene.row(k, block, m)
                 target = k.at(self._told(k, own, "series"), place)
                 k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
-            box = k.at(self._told(k, own, "boxes"), k.multiply(taken, k.whole(2 * turns)))
-            k.call(self._told(k, own, "box"), block, end, there, box)
-            self._again(k, there, to)
-        with k.when(k.compare("sge", self._told(k, own, "watches"), k.whole(1))):
-            watch = self._told(k, own, "watch")
-            k.call(self._told(k, own, "look"), block, watch, there, end)
-            self._again(k, there, to)
         with k.forever() as done:
             given = self._told(k, own, "given")
             k.leave(k.compare("sge", given, self._told(k, own, "count")), done)

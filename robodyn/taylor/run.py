@@ -181,12 +181,11 @@ class TaylorRun:
         steps = max(1, min(engine.most, left + 1)) if self.max_step == math.inf else 1
         engine.keeps = events is not None
         steps = min(steps, self.ahead) if events is not None else steps
-        engine.forms = events.forms() if events else None
         chunk = engine.advance(self.t, self.y, bound, recorder.times_until(bound), steps)
         within: Callable[[Array], Array] = engine.within
         stop: Stop | None = None
         variations = self.variations
-        if events is not None and len(chunk.t) and not events.took(chunk.kept):
+        if events is not None and len(chunk.t):
             from robodyn.taylor.watched_steps import with_events
 
             given = events, self.mechanism, chunk, self.t, self.y, engine

@@ -8,20 +8,26 @@ import numpy as np
 
 from robodyn.events.pieces import Step
 from robodyn.events.signs import NODES
+from robodyn.events.single_zeros import Places
 from robodyn.events.told import Stop
 from robodyn.events.watch import EventWatch
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
-from robodyn.taylor import Chunk, Engine, Status
-from robodyn.taylor.step_boxes import Kept, Places, states_along, states_at
+from robodyn.taylor import Chunk, Status
+from robodyn.taylor.compiled import CompiledEngine
+from robodyn.taylor.step_boxes import Kept, states_along, states_at
 
 
 def with_events(
-    events: EventWatch, mechanism: Mechanism, chunk: Chunk, t: float, y: Array, engine: Engine
+    events: EventWatch,
+    mechanism: Mechanism,
+    chunk: Chunk,
+    t: float,
+    y: Array,
+    engine: CompiledEngine,
 ) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
     """A chunk from (t, y) up to the event that ends it, and the states in its last step."""
     assert isinstance(chunk.kept, Kept)
-    events.doubts += engine.forms is not None
     terms = chunk.kept.terms
     times, before = np.concatenate([[t], chunk.t]), np.concatenate([y[None], chunk.y[:-1]])
     forward = 1.0 if times[1] > times[0] else -1.0
@@ -33,11 +39,11 @@ def with_events(
 
     def sampled(places: Places) -> Array:
         some = h[places]
-        return states_along(mechanism, before[places], terms(places, some), some, NODES)
+        return states_along(mechanism, before[places], terms[..., places], some, NODES)
 
     def within(places: Places, t: Array) -> Array:
         some, x = h[places], t - times[places]
-        found = states_at(mechanism, before[places], terms(places, some), x, x / some)
+        found = states_at(mechanism, before[places], terms[..., places], x, x / some)
         return engine.closed(found) if mechanism.rows else found
 
     ends, exact = chunk.y[:, : 2 * mechanism.n], not mechanism.rows
