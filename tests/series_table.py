@@ -91,7 +91,7 @@ def compiled(name, which):
     return CompiledEngine(one.mech, actuation, **options)
 
 
-def by_program(one, actuation, kind, grounded=False, order=ORDER):
+def by_program(one, actuation, kind, order=ORDER):
     """By the rows of the program, in numbers of a kind."""
     arithmetic, number = NUMBERS[kind]
     with mp.workdps(DIGITS):
@@ -99,7 +99,7 @@ def by_program(one, actuation, kind, grounded=False, order=ORDER):
         y = [number(x) for x in (*one.q, *one.qd)]
         start = motion.state(arithmetic, number(one.t), y, ((), ()))
         numbers = [number(x) for x in motion.program.numbers]
-        found = motion.expand(arithmetic, numbers, order, start, grounded)
+        found = motion.expand(arithmetic, numbers, order, start)
         turns = np.array([[longs(c) for c in part] for part in (found.rho, found.theta)])
         watched = [longs(x) for x in found.watched]
         power, (rho, theta) = longs(found.power or ()), turns.astype(float)
@@ -109,9 +109,9 @@ def by_program(one, actuation, kind, grounded=False, order=ORDER):
     return Found(turns, power, watched, longest)
 
 
-def by_rows(name, which, kind, grounded=False):
+def by_rows(name, which, kind):
     one, actuation, _ = known(name, which)
-    return by_program(one, actuation, kind, grounded)
+    return by_program(one, actuation, kind)
 
 
 def by_machine_code(name, which, lanes=1):
@@ -151,7 +151,6 @@ FINE = float(np.finfo(np.longdouble).eps) * 2.0**52
 ROUGH = 0.1  # machine code takes rough roots
 ENGINES = {
     "rows in floats": Engine(lambda *scene: by_rows(*scene, "floats")),
-    "rows in floats, grounded": Engine(lambda *scene: by_rows(*scene, "floats", grounded=True)),
     "rows in longdouble": Engine(lambda *scene: by_rows(*scene, "longdouble"), FINE),
     "machine code": Engine(by_machine_code, step=ROUGH, compiles=True),
     "machine code, side by side": Engine(

@@ -71,11 +71,11 @@ def _kept(mechanism: Mechanism, constants: tuple[float, ...] | None, *rest: Any)
 
 
 class CompiledEngine:
-    """Steps of the Taylor series in machine code (`taylor.Engine`), of any torques that have one.
+    """Steps of the Taylor series in machine code, of any torques that have a series.
 
     Tolerances are those of angles (rad) and rates (rad/s) over one step.  With `work` states have
-    the work done appended; without `project` closures are left to drift.  Raises NoCodeError where
-    there is no machine code or a torque has no series, and so does `advance`.
+    the work done appended; without `project` closures are left to drift.  Raises NoCodeError if
+    there is no machine code, InputError if a torque has no series, and so does `advance`.
     """
 
     def __init__(
@@ -147,7 +147,10 @@ class CompiledEngine:
         return self._again(t, y, end, times)
 
     def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
-        """See `Engine`: the step is made once more for each call."""
+        """Return the states (k, N) at times (k,) in a step from (t, y) to `end`, as a function.
+
+        The step is made once more for each call.
+        """
         forward = 1.0 if end > t else -1.0
 
         def states(times: Array) -> Array:
@@ -168,7 +171,7 @@ class CompiledEngine:
         return rows
 
     def closed(self, rows: Array) -> Array:
-        """See `Engine`."""
+        """Move states (k, 2n or more) to the nearest that close, in place, and return them."""
         scene, code, block, address = next(iter(self._blocks.values()))  # they close alike
         if code.close is not None:
             first = scene.place["to_q0"]
@@ -278,5 +281,6 @@ def check_served(mechanism: Mechanism, actuation: Actuation) -> None:
     if why := refused(free):
         limit = f"{why}: take DOP853"
         raise InputError("method", where=mechanism.source, value="taylor", limit=limit)
-    with suppress(ZeroDivisionError):  # of numbers that no switch of an expression holds
-        MotionProgram(free, actuation, False)  # raises InputError for a torque without a series
+    if actuation.constants is None and not actuation.linear:
+        with suppress(ZeroDivisionError):  # of numbers that no switch of an expression holds
+            MotionProgram(free, actuation, False)  # raises InputError for a torque without a series
