@@ -26,9 +26,13 @@ from robodyn.simulation.settings import SCIPY_RTOL
 from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk, NoCodeError, Status
 from robodyn.taylor.compiled import CompiledEngine
+from robodyn.taylor.step_boxes import states_along, states_at
 
 if TYPE_CHECKING:
+    from robodyn.events.pieces import Step
+    from robodyn.events.single_zeros import Places
     from robodyn.events.told import Stop
+    from robodyn.events.watch import EventWatch
     from robodyn.loops.misses import Misses
     from robodyn.simulation.right_hand_side import RightHandSide
     from robodyn.taylor.variations import Variations
@@ -186,10 +190,8 @@ class TaylorRun:
         stop: Stop | None = None
         variations = self.variations
         if events is not None and len(chunk.t):
-            from robodyn.taylor.watched_steps import with_events
-
             given = events, self.mechanism, chunk, self.t, self.y, engine
-            chunk, within, stop = with_events(*given)
+            chunk, within, stop = _with_events(*given)
         told = chunk
         if variations is not None:
             told, within = variations.along(self.t, self.y, chunk, engine, within)
@@ -228,3 +230,48 @@ def reach(actuation: Actuation, t: float, y: Array) -> None:
     """Tell a torque that depends on the run's steps that one of them ended on a kink."""
     if actuation.told is not None and (kink := kink_at(actuation.kinks, t)) is not None:
         actuation.told.reach(kink, y.tolist())
+
+
+def _with_events(
+    events: EventWatch,
+    mechanism: Mechanism,
+    chunk: Chunk,
+    t: float,
+    y: Array,
+    engine: CompiledEngine,
+) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
+    """Return a chunk from (t, y) up to the event that ends it, and the states in its last step."""
+    from robodyn.events.pieces import Step  # runs without events do not import it
+    from robodyn.events.signs import NODES
+
+    assert chunk.kept is not None
+    terms = chunk.kept.terms
+    times, before = np.concatenate([[t], chunk.t]), np.concatenate([y[None], chunk.y[:-1]])
+    forward = 1.0 if times[1] > times[0] else -1.0
+    h = times[1:] - times[:-1]
+
+    def step(j: int) -> Step:
+        begin, end = float(times[j]), float(times[j + 1])
+        return Step(begin, end, chunk.y[j], engine.dense(begin, before[j], end))
+
+    def sampled(places: Places) -> Array:
+        some = h[places]
+        return states_along(mechanism, before[places], terms[..., places], some, NODES)
+
+    def within(places: Places, t: Array) -> Array:
+        some, x = h[places], t - times[places]
+        found = states_at(mechanism, before[places], terms[..., places], x, x / some)
+        return engine.closed(found) if mechanism.rows else found
+
+    ends, exact = chunk.y[:, : 2 * mechanism.n], not mechanism.rows
+    found = events.series(times, chunk.kept.boxes, sampled, ends, step, exact, within)
+    if found is None:
+        return chunk, engine.within, None
+    j, stop = found
+    whole, last = chunk.first(j, forward), step(j)
+    if stop.t == last.begin:
+        return whole, last.states, stop
+    before = chunk.row_t * forward <= stop.t * forward
+    ends, states = np.append(whole.t, stop.t), np.concatenate([whole.y, stop.y[None]])
+    cut = Chunk(ends, states, chunk.row_t[before], chunk.row_y[before], Status.FULL)
+    return cut, last.states, stop
