@@ -19,7 +19,6 @@ from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
-from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -35,7 +34,6 @@ TABLE = ("times", "rows", "ends", "states", "series", "count", "given", "keeps")
 ASKED, GIVEN = TABLE.index("count"), TABLE.index("given")  # what each call tells anew begins there
 MOST_STEPS = 4096  # of a call
 WORK = 200_000  # links times orders times steps of a call, which takes some 20 ms
-DEPENDENT = 1e-12  # quality of closings below which rows of Psi depend on one another everywhere
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 _BEGUN, _ASKED = Struct("5d").pack_into, Struct("3q").pack_into  # faster than a slice of an array
 _STATUS = {RUNNING: Status.FULL} | {float(status): status for status in Status}
@@ -327,8 +325,7 @@ def refused(mechanism: Mechanism) -> str:
         return "it has too many links and loops: some 160 loops are served"
     if not elimination_is_safe(mechanism):
         return "masses are missing, or differ too much, for it to be solved without pivots"
-    rows = len(mechanism.rows)
-    if rows and (regular_rank(mechanism) < rows or suspect_quality(mechanism) < DEPENDENT):
+    if mechanism.rows and regular_rank(mechanism) < len(mechanism.rows):
         return "its closures depend on one another"
     return ""
 
