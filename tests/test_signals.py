@@ -588,9 +588,9 @@ def test_a_load_without_a_value_at_a_state_is_named(text, at):
         inverse_dynamics(mech, [0.0], [0.0], [0.0])
     with pytest.raises(SignalError, match=told):
         forward_dynamics(mech, [[0.0]] * 3, [0.0], [0.0])
-    for method, engine in ENGINES:
+    for method in METHODS:
         with pytest.raises(SignalError, match=told):
-            run(mech, 0.0, 0.0, 0.1, method, engine)
+            run(mech, 0.0, 0.0, 0.1, method)
 
 
 def test_a_law_without_a_value_is_named_at_its_row(scene, robodyn):

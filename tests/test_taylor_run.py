@@ -32,6 +32,7 @@ from robodyn.taylor import compiled
 
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 
+
 def taylor(mech, q, qd, t_end, tau=None, tolerance=1e-9, **options):
     options = {"rtol": tolerance, "atol": tolerance, **options}
     return simulate(mech, q, qd, t_end, tau, "taylor", **options)

@@ -163,8 +163,10 @@ class CompiledEngine:
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps = False
         self.most = max(STEPS, min(MOST_STEPS, WORK // (mechanism.n * self.order)))
-        if not (machine.available() and serves(mechanism)):
-            raise NoCodeError("no machine code serves")
+        if why := refused(mechanism):
+            raise NoCodeError(why)
+        if not machine.available():
+            raise NoCodeError("needs the extra `fast`")
         self._made(None if actuation.pieces is None else actuation.pieces.at(0.0))
 
     def _made(self, held: tuple[float, ...] | None) -> _Ready:
