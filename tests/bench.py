@@ -32,7 +32,6 @@ from bench_motions import (
     code_of_many_loops,
     many_loops,
     motions,
-    series_engines,
     sliding_joints,
     watched_runs,
 )
@@ -352,7 +351,6 @@ MEASURES = [
     taylor_process,
     what_acts,
     frontier,
-    series_engines,
     sliding_joints,
     derivatives,
     sensitivities,

@@ -45,18 +45,13 @@ def derivatives(bench: Any) -> list[Any]:
     return rows
 
 
-# scene, actuated joints and rates, time, names, method and engine
+# scene, actuated joints and rates, time, names, method
 RUNS: list[tuple[Any, ...]] = [
-    ("2r", [0.5, 0.8], [0.3, -0.4], 2.0, ["q1"], "taylor", "python"),
-    ("2r", [0.5, 0.8], [0.3, -0.4], 0.3, ["links.forearm.m"], "taylor", "python"),
-    ("pendulum", [0.5], [0.0], 0.3, ["links.rod.m"], "taylor", "python"),
-    ("four-bar", [1.0], [2.0], 0.3, ["links.coupler.m"], "taylor", "python"),
-    ("watt-six-bar", [1.0], [2.0], 0.6, ["q1"], "taylor", "python"),
-    ("pendulum", [0.5], [0.0], 0.3, ["links.rod.m"], "taylor", "compiled"),
-    ("2r", [0.5, 0.8], [0.3, -0.4], 0.2, ["links.forearm.m"], "taylor", "compiled"),
-    ("2r", [0.5, 0.8], [0.3, -0.4], 20.0, ["links.forearm.m", "q1"], "taylor", "compiled"),
-    ("four-bar", [1.0], [2.0], 1.0, ["links.coupler.m"], "taylor", "compiled"),
-    ("2r", [0.5, 0.8], [0.3, -0.4], 2.0, ["q1"], "DOP853", "auto"),
+    ("pendulum", [0.5], [0.0], 0.3, ["links.rod.m"], "taylor"),
+    ("2r", [0.5, 0.8], [0.3, -0.4], 0.2, ["links.forearm.m"], "taylor"),
+    ("2r", [0.5, 0.8], [0.3, -0.4], 20.0, ["links.forearm.m", "q1"], "taylor"),
+    ("four-bar", [1.0], [2.0], 1.0, ["links.coupler.m"], "taylor"),
+    ("2r", [0.5, 0.8], [0.3, -0.4], 2.0, ["q1"], "DOP853"),
 ]
 RUN_BOUND = 2.0  # runs a number
 # laws and what they take of each scene, the pose that they keep to, and where the run begins
@@ -79,8 +74,6 @@ STARTS: dict[str, tuple[Any, ...]] = {
     "four-bar": ([1.4], [1.0], [2.0], "links.coupler.m"),
 }
 RATE, END = 50.0, 2.0  # samples a second, s
-# of sampled laws
-HELD = [("DOP853", "auto"), ("taylor", "python"), ("taylor", "compiled")]
 
 
 def sensitivities(bench: Any) -> list[Any]:
@@ -88,13 +81,13 @@ def sensitivities(bench: Any) -> list[Any]:
     from bench import ROOT
 
     rows = []
-    for name, driven, rates, end, names, method, engine in RUNS:
+    for name, driven, rates, end, names, method in RUNS:
         mechanism = load(ROOT / f"robots/{name}.yaml")
         q = robodyn.assemble(mechanism, driven)
         qd = robodyn.loop_velocities(mechanism, q, rates)
-        what = f"{name}, {end:g} s, {method} {engine}"
-        given = (mechanism, q, qd, end, None, method), engine
-        rows.append(_more(bench, what, names, *given, 20))
+        what = f"{name}, {end:g} s, {method}"
+        given = (mechanism, q, qd, end, None, method)
+        rows.append(_more(bench, what, names, given, 20))
     for name, control, gains in LAWS:
         mechanism = load(ROOT / f"robots/{name}.yaml")
         pose, driven, rates, number = STARTS[name]
@@ -102,22 +95,20 @@ def sensitivities(bench: Any) -> list[Any]:
         qd = robodyn.loop_velocities(mechanism, q, rates)
         keep = robodyn.ReferenceTable.set_point(pose, END)
         law = partial(robodyn.controller, mechanism, keep, control, **gains)
-        acting = [("DOP853", "auto", "", law())]
-        acting += [(*way, f" {RATE:g}/s", law(control_rate=RATE)) for way in HELD]
-        for method, engine, shown, tau in acting:
-            what = f"{name} {control}{shown}, {method} {engine}"
-            given = (mechanism, q, qd, END, tau, method), engine
-            rows.append(_more(bench, what, [number], *given, 2))
+        acting = [("DOP853", "", law())]
+        acting += [(way, f" {RATE:g}/s", law(control_rate=RATE)) for way in ("DOP853", "taylor")]
+        for method, shown, tau in acting:
+            what = f"{name} {control}{shown}, {method}"
+            given = (mechanism, q, qd, END, tau, method)
+            rows.append(_more(bench, what, [number], given, 2))
     return rows
 
 
-def _more(
-    bench: Any, what: str, names: list[str], given: tuple[Any, ...], engine: str, times: int
-) -> Any:
+def _more(bench: Any, what: str, names: list[str], given: tuple[Any, ...], times: int) -> Any:
     from bench import compared, in_turn
 
     def run(by: Any = ()) -> object:
-        return robodyn.simulate(*given, engine=engine, sensitivity=by)
+        return robodyn.simulate(*given, sensitivity=by)
 
     pairs = in_turn(lambda: run(names), run, times * bench.repeats, time.process_time)
     more = [(max(x - y, 0.0), len(names) * y) for x, y in pairs]

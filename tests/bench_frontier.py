@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from scipy.integrate import ode, odeint
 
 import robodyn
-from robodyn.engines import machine
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
-from robodyn.taylor.engine_choice import compiled_engine, stepping_engine
+from robodyn.taylor.compiled import CompiledEngine
 from yardsticks import four_bar_rates, two_link_rates
 
 Array = NDArray[np.float64]
@@ -65,14 +64,10 @@ def case(reference: str, time: float) -> Case:
     return Case(f"{reference}, {time:g} s", mechanism, states[0.0], time, states[time], by_hand)
 
 
-def taylor(case: Case, engine: str, tolerance: float) -> Run:
+def taylor(case: Case, tolerance: float) -> Run:
     """A run of the Taylor integrator, prepared."""
     still = Actuation((0.0,) * case.mechanism.n)
-    if engine == "compiled":
-        made = compiled_engine(case.mechanism, still, tolerance, tolerance, None)
-        assert made is not None
-    else:
-        made = stepping_engine(case.mechanism, still, tolerance, tolerance)
+    made = CompiledEngine(case.mechanism, still, rtol=tolerance, atol=tolerance)
     none = np.zeros(0)
 
     def run() -> Array:
@@ -81,7 +76,7 @@ def taylor(case: Case, engine: str, tolerance: float) -> Run:
     return run
 
 
-def call(case: Case, engine: str, tolerance: float) -> Array:
+def call(case: Case, tolerance: float) -> Array:
     n = case.mechanism.n
     motion = robodyn.simulate(
         case.mechanism,
@@ -92,7 +87,6 @@ def call(case: Case, engine: str, tolerance: float) -> Array:
         rtol=tolerance,
         atol=tolerance,
         t_eval=[case.time],
-        engine=engine,
     )
     return np.concatenate([motion.q[-1], motion.qd[-1]])
 
@@ -148,15 +142,11 @@ def curves(problem: Case, repeats: int) -> dict[str, Curve]:
     found = {
         "dop853": Curve(problem, [partial(dop853, problem, x) for x in loose if x > 0.9e-13]),
         "lsoda": Curve(problem, [partial(lsoda, problem, x) for x in loose if x > 0.9e-12]),
-        "python": Curve(problem, [taylor(problem, "python", x) for x in loose]),
+        "taylor": Curve(problem, [taylor(problem, x) for x in loose]),
     }
-    if machine.available():
-        found["compiled"] = Curve(problem, [taylor(problem, "compiled", x) for x in loose])
-    for engine in found.keys() & {"python", "compiled"}:
-        # in machine code fewer than engines that are kept for the next call
-        chosen = loose if engine == "python" else loose[::2]
-        calls: list[Run] = [partial(call, problem, engine, x) for x in chosen]
-        found[f"whole call, {engine}"] = Curve(problem, calls)
+    # fewer than engines that are kept for the next call
+    calls: list[Run] = [partial(call, problem, x) for x in loose[::2]]
+    found["whole call, taylor"] = Curve(problem, calls)
     for curve in found.values():
         curve.measure()
     for _ in range(repeats):
@@ -180,7 +170,7 @@ def frontier(bench: Any) -> list[Any]:
         found = curves(problem, repeats)
         scipy = [found.pop("dop853"), found.pop("lsoda")]
         for what in [name for name in found if "call" in name]:
-            curve, bound = found.pop(what), 1.2 if "python" in what else 0.1
+            curve, bound = found.pop(what), 0.1
             for target in targets:
                 theirs, ours = scipy[0].time(target), curve.time(target)
                 text = f"dop853, by hand: {1e3 * theirs:.4g} ms", f"{1e3 * ours:.4g} ms"
@@ -191,9 +181,7 @@ def frontier(bench: Any) -> list[Any]:
             for target in targets:
                 yardstick = min(other.time(target) for other in scipy)
                 seconds = curve.time(target)
-                bound = {"python": 1.2}.get(engine, 0.1 if target <= 1e-6 else None)
-                if engine == "python" and reference == "2r-chaotic":
-                    bound = None
+                bound = 0.1 if target <= 1e-6 else None
                 row = Row(
                     f"{problem.name}, to {target:g}, {engine}",
                     seconds / yardstick,
@@ -232,18 +220,16 @@ def what_acts(bench: Any) -> list[Any]:
     """Series of scenes in which something acts, beside the same scene without it."""
     from bench import compared, in_turn
 
-    def run(text: str, engine: str) -> Run:
+    def run(text: str) -> Run:
         mechanism = build(from_text(text, "bench"))
         start = np.array([0.4, 0.8]), np.zeros(2)
         problem = Case("", mechanism, np.concatenate(start), 5.0, np.zeros(0), lambda t, y: [])
-        return partial(call, problem, engine, 1e-9)
+        return partial(call, problem, 1e-9)
 
-    rows = []
-    for engine in ("python", "compiled") if machine.available() else ("python",):
-        plain = run(PLAIN, engine)
-        for name, text in SCENES.items():
-            times = in_turn(run(text, engine), plain, 5 if bench.quick else 15, process_time)
-            rows.append(compared(f"{name} in series, {engine}", times, 1, "without it", bound=3.0))
+    rows, plain = [], run(PLAIN)
+    for name, text in SCENES.items():
+        times = in_turn(run(text), plain, 5 if bench.quick else 15, process_time)
+        rows.append(compared(f"{name} in series", times, 1, "without it", bound=3.0))
     return rows
 
 

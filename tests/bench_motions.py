@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import ctypes
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from importlib.util import find_spec
 from time import process_time
@@ -23,12 +23,9 @@ from random_mechanisms import mechanism as read
 from robodyn.engines import machine, machine_motion, object_cache
 from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.mechanism import build
-from robodyn.scene.description import from_text
 from robodyn.simulation.benchmark import benchmark
 from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.taylor.engine_choice import compiled_engine, stepping_engine
-from robodyn.taylor.python_series import InterpretedEngine, StraightEngine, step_text
+from robodyn.taylor.compiled import CompiledEngine
 
 TIME = 0.5  # s, of the N-four-bar falling from the vertical: before the horizontal
 LOOPS = (1, 2, 5, 10, 20, 40)
@@ -62,17 +59,16 @@ def motions(bench: Any) -> list[Any]:
             able = [x for x in result.measurements if x.error <= target]
             best = {
                 method: min((x.least for x in able if x.method == method), default=np.inf)
-                for method in ("DOP853", "taylor", "taylor compiled")
+                for method in ("DOP853", "taylor")
             }
-            for method in ("taylor", "taylor compiled"):
-                rows.append(
-                    Row(
-                        f"{problem.name}, simulate to {target:g}, {method}",
-                        best[method] / best["DOP853"],
-                        yardstick=f"DOP853: {1e3 * best['DOP853']:.4g} ms",
-                        ours=f"{1e3 * best[method]:.4g} ms",
-                    )
+            rows.append(
+                Row(
+                    f"{problem.name}, simulate to {target:g}, taylor",
+                    best["taylor"] / best["DOP853"],
+                    yardstick=f"DOP853: {1e3 * best['DOP853']:.4g} ms",
+                    ours=f"{1e3 * best['taylor']:.4g} ms",
                 )
+            )
         noise = result.reference.uncertainty
         rows.append(Row(f"{problem.name}, uncertainty of the reference", noise, bound=1e-10))
     return rows
@@ -92,17 +88,10 @@ def many_loops(bench: Any) -> list[Any]:
         y = np.concatenate([y, np.full(n + 1, -1.0), np.full(n, 1.0)])
         exact = float(n_four_bar_exact(n, TIME)[0])
         still = Actuation((0.0,) * m)
-        engines = {"taylor": stepping_engine(mechanism, still, 1e-9, 1e-9)}
-        compiled = compiled_engine(mechanism, still, 1e-9, 1e-9, None)
-        if compiled is not None:
-            engines["taylor compiled"] = compiled
-        runs = {
-            name: partial(engine.advance, 0.0, y, TIME, np.zeros(0), 10**6)
-            for name, engine in engines.items()
-        }
-        for name, run in runs.items():
-            assert abs(run().y[-1][0] - exact) < 1e-7
-            costs.setdefault(name, []).append(min(timeit(run, number=1) for _ in range(9)))
+        engine = CompiledEngine(mechanism, still)
+        run = partial(engine.advance, 0.0, y, TIME, np.zeros(0), 10**6)
+        assert abs(run().y[-1][0] - exact) < 1e-7
+        costs.setdefault("taylor", []).append(min(timeit(run, number=1) for _ in range(9)))
         simulate = partial(
             robodyn.simulate, mechanism, y[:m], y[m:], TIME, rtol=1e-9, atol=1e-9, t_eval=[TIME]
         )
@@ -114,17 +103,16 @@ def many_loops(bench: Any) -> list[Any]:
         ]
         shown = ", ".join(f"{n}: {1e3 * x:.3g} ms" for n, x in zip(counts, seconds, strict=True))
         rows.append(Row(f"N-four-bar, exponent of N, {name}", float(exponent), ours=shown))
-    if compiled is not None:
-        rates = right_hand_side(mechanism, still).rates
+    rates = right_hand_side(mechanism, still).rates
 
-        def dop853() -> None:
-            solver = ode(rates).set_integrator("dop853", rtol=1e-9, atol=1e-9, nsteps=10**6)
-            solver.set_initial_value(y, 0.0)
-            solver.integrate(TIME)
+    def dop853() -> None:
+        solver = ode(rates).set_integrator("dop853", rtol=1e-9, atol=1e-9, nsteps=10**6)
+        solver.set_initial_value(y, 0.0)
+        solver.integrate(TIME)
 
-        times = in_turn(runs["taylor compiled"], dop853, 5)
-        what = f"{counts[-1]}-four-bar, {TIME:g} s at 1e-9, compiled"
-        rows.append(compared(what, times, 1, "scipy ode, generated", bound=0.1))
+    times = in_turn(run, dop853, 5)
+    what = f"{counts[-1]}-four-bar, {TIME:g} s at 1e-9, taylor"
+    rows.append(compared(what, times, 1, "scipy ode, generated", bound=0.1))
     return rows
 
 
@@ -138,9 +126,8 @@ def code_of_many_loops(bench: Any) -> list[Any]:
         for n in (2, *counts) if machine.available() else ():  # the first loads LLVM
             mechanism = n_four_bar(n)
             begin = process_time()
-            engine = compiled_engine(mechanism, Actuation((0.0,) * mechanism.n), 1e-9, 1e-9, None)
+            engine = CompiledEngine(mechanism, Actuation((0.0,) * mechanism.n))
             made.append(process_time() - begin)
-            assert engine is not None
             q = robodyn.assemble(mechanism, [1.0])
             y = np.concatenate([q, robodyn.loop_velocities(mechanism, q, [1.0])])
             run = partial(engine.advance, 0.0, y, 0.3, np.zeros(0), 10**5)
@@ -159,40 +146,6 @@ def code_of_many_loops(bench: Any) -> list[Any]:
     ]
 
 
-def series_engines(bench: Any) -> list[Any]:
-    """Where straight-line series and those of numpy cross: ratio of the times of a step.
-
-    What generating straight-line code takes, against such a step, tells how many pay for it.
-    """
-    from bench import chain_text, compared, in_turn
-
-    rows = []
-    scenes = [(f"{n}R chain", build(from_text(chain_text(n), str(n)))) for n in (4, 8, 16)]
-    scenes += [(f"{n}-four-bar", n_four_bar(n)) for n in (2, 5, 10)]
-    for what, mechanism in scenes[:: 3 if bench.quick else 1]:
-        n = mechanism.n
-        q = np.full(n, 1.0)
-        if mechanism.rows:
-            q[n // 2 + 1 :] = -1.0
-        y = np.concatenate([q, np.zeros(n)]).tolist()
-        free = Actuation((0.0,) * n)
-        arguments = (mechanism, None, 14, 1e-9, 1e-9, free, False)
-        kinds = [kind(*arguments) for kind in (StraightEngine, InterpretedEngine)]
-        steps = [partial(engine.expand, 0.0, y, 1.0, 1.0) for engine in kinds]
-        times = in_turn(
-            lambda steps=steps: [steps[0]() for _ in range(20)],
-            lambda steps=steps: [steps[1]() for _ in range(20)],
-            bench.repeats,
-        )
-        made = min(
-            timeit(lambda m=mechanism, free=free: step_text(m, free, 14, False), number=1)
-            for _ in range(3)
-        )
-        row = compared(f"step of the series, straight-line, {what}", times, 20, "arrays")
-        rows.append(replace(row, ours=f"{row.ours}; generated in {1e3 * made:.3g} ms"))
-    return rows
-
-
 def watched_runs(bench: Any) -> list[Any]:
     """A run that is watched for an event, against the same run without.
 
@@ -202,15 +155,13 @@ def watched_runs(bench: Any) -> list[Any]:
     from bench import compared, in_turn
 
     rows = []
-    ways = [("DOP853", "auto", 10.0), ("taylor", "python", 10.0), ("taylor", "python", 40.0)]
-    if machine.available():
-        ways += [("taylor", "compiled", 10.0), ("taylor", "compiled", 40.0)]
+    ways = [("DOP853", 10.0), ("taylor", 10.0), ("taylor", 40.0)]
     events = {"high": "q1 > 2000deg"}, {"turns": "qd1"}, {"passes": "q1"}
     for scene, start in (("2r", [0.5, 0.8]), ("four-bar", [1.0]), ("pendulum", [1.0])):
         mechanism = robodyn.load(ROOT / f"robots/{scene}.yaml")
         q, rest = robodyn.assemble(mechanism, np.array(start)), np.zeros(mechanism.n)
-        for method, engine, time in ways:
-            run = partial(robodyn.simulate, mechanism, q, rest, time, method=method, engine=engine)
+        for method, time in ways:
+            run = partial(robodyn.simulate, mechanism, q, rest, time, method=method)
             for given in events:
                 ((name, text),) = given.items()
 
@@ -219,10 +170,9 @@ def watched_runs(bench: Any) -> list[Any]:
 
                 count = len(watched())
                 assert count == 0 if name == "high" else count > 5
-                repeats = 3 if bench.quick else 105 if engine == "compiled" else 35
+                repeats = 3 if bench.quick else 105 if method == "taylor" else 35
                 times = in_turn(watched, run, repeats, process_time)
-                how = f"{time:g} s, {method} {engine}".removesuffix(" auto")
-                what = f"{count} events {text}, {scene}, {how}"
+                what = f"{count} events {text}, {scene}, {time:g} s, {method}"
                 rows.append(compared(what, times, 1, "without", bound=1.2))
     return rows
 

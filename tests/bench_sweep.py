@@ -37,7 +37,7 @@ def sweeps(bench: Any) -> list[Any]:
     scene = (ROOT / "robots/2r.yaml").read_text()
     plan = Plan(scene, "2r", Variation(axes, points, 1), (0.0, 0.0), (0.0, 0.0), t_end=TIME)
     starts = plan.variation.points(0, singles)
-    exact = np.array([single(bench.arm, q, "taylor", "python", 1e-15) for q in starts])
+    exact = np.array([single(bench.arm, q, "taylor", 1e-15) for q in starts])
 
     def loosest(run: Callable[[float], Array]) -> float:
         """The first tolerance that reaches the target at every second point."""
@@ -46,8 +46,8 @@ def sweeps(bench: Any) -> list[Any]:
                 return tolerance
         raise RuntimeError("no tolerance reaches the error")
 
-    def calls(method: str, engine: str, tolerance: float) -> Array:
-        return np.array([single(bench.arm, q, method, engine, tolerance) for q in starts])
+    def calls(method: str, tolerance: float) -> Array:
+        return np.array([single(bench.arm, q, method, tolerance) for q in starts])
 
     rows = []
     for engine in ("python", "compiled")[: 2 if machine.available() else 1]:
@@ -62,8 +62,8 @@ def sweeps(bench: Any) -> list[Any]:
         tolerance = loosest(at)
         ours = partial(sweep, replace(here, rtol=tolerance, atol=tolerance))
         for method in ("DOP853", "taylor"):
-            theirs = loosest(partial(calls, method, engine if method == "taylor" else "auto"))
-            yardstick = partial(calls, method, engine if method == "taylor" else "auto", theirs)
+            theirs = loosest(partial(calls, method))
+            yardstick = partial(calls, method, theirs)
             times = [
                 (a, b * points / singles)
                 for a, b in in_turn(ours, yardstick, 1 if bench.quick else 5)
@@ -144,7 +144,7 @@ def flip_map(bench: Any) -> list[Any]:
     return [Row(what, ours / (theirs * side**2), None, 0.008, None, *text)]
 
 
-def single(arm: robodyn.Mechanism, q: Array, method: str, engine: str, tolerance: float) -> Array:
+def single(arm: robodyn.Mechanism, q: Array, method: str, tolerance: float) -> Array:
     """The state at the end, by one call."""
     motion = robodyn.simulate(
         arm,
@@ -154,7 +154,6 @@ def single(arm: robodyn.Mechanism, q: Array, method: str, engine: str, tolerance
         method=method,
         rtol=max(tolerance, 3e-14) if method != "taylor" else tolerance,
         atol=tolerance,
-        engine=engine,
         t_eval=[TIME],
     )
     return np.concatenate([motion.q[-1], motion.qd[-1]])

@@ -21,10 +21,8 @@ from robodyn.engines import machine_motion
 from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
 from robodyn.engines.machine_motion import Observer
 from robodyn.engines.machine_steps import Scene
-from robodyn.loops.projection import float_closing
 from robodyn.mechanics.actuation import Actuation, expressions
 from robodyn.taylor.compiled import CompiledEngine
-from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 
 ORDER = 12 if FRESH else 8
 TOLERANCE = 1e-12  # of a step
@@ -86,17 +84,14 @@ def known(name, which) -> tuple[Case, Actuation, Found]:
 
 
 @functools.cache
-def engine(kind, name, which):
-    """One that makes steps; it is made once for all that is asked of it."""
+def compiled(name, which):
+    """The engine of steps; it is made once for all that is asked of it."""
     one, actuation, _ = known(name, which)
-    if kind is CompiledEngine:
-        options = {"rtol": TOLERANCE, "atol": TOLERANCE, "order": ORDER, "work": True}
-        return kind(one.mech, actuation, **options)
-    closing = float_closing(one.mech) if one.mech.rows else None
-    return kind(one.mech, closing, ORDER, TOLERANCE, TOLERANCE, actuation, True)
+    options = {"rtol": TOLERANCE, "atol": TOLERANCE, "order": ORDER, "work": True}
+    return CompiledEngine(one.mech, actuation, **options)
 
 
-def by_program(one, actuation, kind, grounded=False, order=ORDER):
+def by_program(one, actuation, kind, order=ORDER):
     """By the rows of the program, in numbers of a kind."""
     arithmetic, number = NUMBERS[kind]
     with mp.workdps(DIGITS):
@@ -104,7 +99,7 @@ def by_program(one, actuation, kind, grounded=False, order=ORDER):
         y = [number(x) for x in (*one.q, *one.qd)]
         start = motion.state(arithmetic, number(one.t), y, ((), ()))
         numbers = [number(x) for x in motion.program.numbers]
-        found = motion.expand(arithmetic, numbers, order, start, grounded)
+        found = motion.expand(arithmetic, numbers, order, start)
         turns = np.array([[longs(c) for c in part] for part in (found.rho, found.theta)])
         watched = [longs(x) for x in found.watched]
         power, (rho, theta) = longs(found.power or ()), turns.astype(float)
@@ -114,27 +109,16 @@ def by_program(one, actuation, kind, grounded=False, order=ORDER):
     return Found(turns, power, watched, longest)
 
 
-def by_rows(name, which, kind, grounded=False):
+def by_rows(name, which, kind):
     one, actuation, _ = known(name, which)
-    return by_program(one, actuation, kind, grounded)
-
-
-def by_steps(name, which, kind):
-    """By the engines that make steps in Python."""
-    one, made = known(name, which)[0], engine(kind, name, which)
-    n, y = one.mech.n, [*one.q.tolist(), *one.qd.tolist(), 0.0]
-    longest, _, series = made.expand(one.t, y, np.inf, 1.0)
-    series = [longs(x) for x in series]
-    turns, rest = np.reshape(series[: 2 * n], (2, n, -1)), series[2 * n :]
-    power = rest.pop(0) if made._now.works else longs(())
-    return Found(turns, power, rest[: len(made._now.arms)], longest)
+    return by_program(one, actuation, kind)
 
 
 def by_machine_code(name, which, lanes=1):
     """By the code of steps; of one lane it is that which `CompiledEngine` runs."""
     one, actuation, _ = known(name, which)
     if lanes == 1:
-        made, code, _, _ = engine(CompiledEngine, name, which)._made(None)
+        made, code, _, _ = compiled(name, which)._made(None)
     else:
         made = Scene(one.mech, actuation, ORDER, work=True, closes=False)
         code = machine_motion.compile(made, Observer(), lanes)
@@ -167,13 +151,7 @@ FINE = float(np.finfo(np.longdouble).eps) * 2.0**52
 ROUGH = 0.1  # machine code takes rough roots
 ENGINES = {
     "rows in floats": Engine(lambda *scene: by_rows(*scene, "floats")),
-    "rows in floats, grounded": Engine(lambda *scene: by_rows(*scene, "floats", grounded=True)),
     "rows in longdouble": Engine(lambda *scene: by_rows(*scene, "longdouble"), FINE),
-    "steps as text": Engine(
-        lambda *scene: by_steps(*scene, StraightEngine),
-        scenes=(*KINDS, *(ROBOTS if FRESH else ROBOTS[::3])),
-    ),
-    "steps row by row": Engine(lambda *scene: by_steps(*scene, InterpretedEngine)),
     "machine code": Engine(by_machine_code, step=ROUGH, compiles=True),
     "machine code, side by side": Engine(
         lambda *scene: by_machine_code(*scene, LANES),

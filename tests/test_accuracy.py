@@ -82,7 +82,7 @@ def random_motion(name, tau):
 def tightest(mech, start, times, torques):
     """States by the tightest series; test_engines.py holds series and motions against others."""
     rows = []
-    settings = Settings("taylor", 1e-14, 1e-14, engine="python")
+    settings = Settings("taylor", 1e-14, 1e-14)
     run(mech, start, times[-1], torques, settings, lambda t, y, _: rows.append(y), times)
     return np.concatenate(rows)
 

@@ -37,7 +37,7 @@ def flags(texts: Sequence[str] = OPTIONS) -> list[str]:
         *("energy --q 1 --qd 5", "torque -", "accel -", "reactions -", "energy -"),
         "simulate --q 1 --qd 5 --time 0.3",
         "simulate --q 1 --qd 5 --time 0.3 --method taylor",
-        "simulate --q 1 --time 0.2 --method taylor --engine python",
+        "simulate --q 1 --time 0.2 --method taylor",
     ],
 )
 def test_is_a_load_of_the_scene(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 import random
-from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -31,14 +30,8 @@ from robodyn.simulation.recording import Outcome
 from robodyn.simulation.simulation import Motion, simulate
 
 G = 9.81
-ENGINES = [
-    ("DOP853", "auto"),
-    ("RK45", "auto"),
-    ("Radau", "auto"),
-    ("taylor", "python"),
-    ("taylor", "compiled"),
-]
 METHODS = ("DOP853", "RK45", "Radau", "taylor")
+EACH = pytest.mark.parametrize("method", METHODS)
 
 
 def slide(
@@ -74,10 +67,10 @@ def bounces(e: float, count: int, height: float = 1.0) -> np.ndarray:
     return first * (1.0 + 2.0 * np.cumsum(np.r_[0.0, e ** np.arange(1, count)]))
 
 
-@pytest.mark.parametrize(("method", "engine"), ENGINES)
+@EACH
 @pytest.mark.parametrize("e", [0.0, 0.5, 0.9])
 @pytest.mark.thinned
-def test_times_of_bounces_are_a_geometric_series(e: float, method: str, engine: str) -> None:
+def test_times_of_bounces_are_a_geometric_series(e: float, method: str) -> None:
     end = 3.0 if e < 0.8 else 10.0
     rows = np.linspace(0.0, end, 101)
     motion = simulate(
@@ -86,7 +79,6 @@ def test_times_of_bounces_are_a_geometric_series(e: float, method: str, engine: 
         [0.0],
         end,
         method=method,
-        engine=engine,
         rtol=1e-10,
         atol=1e-10,
         t_eval=rows,
@@ -122,11 +114,9 @@ def test_no_bounce_ends_beyond_the_end(method: str) -> None:
             assert motion.q[-1] == end
 
 
-@pytest.mark.parametrize(("method", "engine"), ENGINES[::2])
-def test_energy_of_an_elastic_ball(method: str, engine: str) -> None:
-    motion = simulate(
-        ball(1.0), [1.0], [0.0], 60.0, method=method, engine=engine, rtol=1e-10, atol=1e-10
-    )
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "taylor"])
+def test_energy_of_an_elastic_ball(method: str) -> None:
+    motion = simulate(ball(1.0), [1.0], [0.0], 60.0, method=method, rtol=1e-10, atol=1e-10)
     found = times_of(motion, "block hits its min")
     assert len(found) == 66
     assert np.abs(found - bounces(1.0, 66)).max() < 2e-10
@@ -142,22 +132,22 @@ def test_an_event_on_a_rate_happens_in_the_impact() -> None:
     assert len(times_of(motion, "up")) == 1
 
 
-@pytest.mark.parametrize(("method", "engine"), ENGINES)
-def test_an_event_where_a_joint_stops_is_told_at_that_very_time(method: str, engine: str) -> None:
+@EACH
+def test_an_event_where_a_joint_stops_is_told_at_that_very_time(method: str) -> None:
     block = slide(dry(1.0, 1.5, 0.3, "force"))
     for rate in np.linspace(0.5, 2.0, 12):
         motion = simulate(
-            block, [0.0], [rate], 3.0, "0.2*sin(t)", method=method, engine=engine, rtol=1e-6,
+            block, [0.0], [rate], 3.0, "0.2*sin(t)", method=method, rtol=1e-6,
             atol=1e-6, events={"rest": "qd1 <= 0"},
         )  # fmt: skip
         assert [event.name for event in motion.events] == ["rest", "block stops"]
         assert motion.events[0].t == motion.events[1].t
 
 
-@pytest.mark.parametrize(("method", "engine"), ENGINES)
-def test_events_where_a_motion_turns_back_or_stays_at_zero(method: str, engine: str) -> None:
+@EACH
+def test_events_where_a_motion_turns_back_or_stays_at_zero(method: str) -> None:
     """What touches its end is never beyond it, and a rate passes zero where it leaves it."""
-    given = {"method": method, "engine": engine}
+    given = {"method": method}
     for end in (0.0, 0.3):
         signs = {"at": "-", "below": "<", "above": ">", "on": "<="}
         events = {name: f"q1 {sign} {end}" for name, sign in signs.items()}
@@ -426,10 +416,8 @@ def test_no_method_leaps_over_the_bell_of_stribeck(method: str) -> None:
     )
 
 
-@pytest.mark.parametrize(("method", "engine"), ENGINES)
-def test_a_rate_that_turns_round_within_a_step_goes_through_the_bell(
-    method: str, engine: str
-) -> None:
+@EACH
+def test_a_rate_that_turns_round_within_a_step_goes_through_the_bell(method: str) -> None:
     """As it does by short steps, where both ends of a step are far above the rate `stribeck`."""
     block = slide(dry(0.1, 2.0, 0.01, "force"))
     for rate in (0.15, 0.18):
@@ -437,7 +425,7 @@ def test_a_rate_that_turns_round_within_a_step_goes_through_the_bell(
             simulate, block, [0.0], [rate], 0.0135, "-60 + 9000*t", rtol=1e-9, atol=1e-9
         )
         exact = run(max_step=2e-5)
-        motion = run(method=method, engine=engine)
+        motion = run(method=method)
         assert [x.name for x in motion.events] == [x.name for x in exact.events]
         assert abs(motion.qd[-1, 0] - exact.qd[-1, 0]) < 1e-6
 
@@ -505,30 +493,25 @@ def test_what_a_motion_meets_and_leaves_within_a_step_acts(
     """
     monkeypatch.chdir(tmp_path)
     Path("F.csv").write_text("x,F\n-1,0\n0.0018,0\n0.0022,-20\n1,-20\n")
-    engines = ["python", "compiled"] if find_spec("llvmlite") else ["python"]
     given = {"method": "taylor", "rtol": 1e-9, "atol": 1e-9}
     for keys, rest, more, (a, b, rate, end), force in DIPS:
         exact = solve_ivp(
             lambda t, y, a=a, b=b, force=force: (y[1], a * t + b + force(*y)),
             (0.0, end), [0.0, rate], "DOP853", rtol=1e-12, atol=1e-14, max_step=2e-5,
         )  # fmt: skip
-        for engine in engines:
-            motion = simulate(
-                slide(keys, rest=rest), [0.0], [rate], end, f"{a}*t + {b}{more}", engine=engine,
-                **given,
-            )  # fmt: skip
-            with case(keys, rest, more, engine):
-                assert abs(motion.qd[-1, 0] - exact.y[1, -1]) < 1e-7
+        motion = simulate(slide(keys, rest=rest), [0.0], [rate], end, f"{a}*t + {b}{more}", **given)
+        with case(keys, rest, more):
+            assert abs(motion.qd[-1, 0] - exact.y[1, -1]) < 1e-7
 
 
 def test_machine_code_holds_steps_at_the_bell_of_stribeck() -> None:
     pytest.importorskip("llvmlite", reason="the extra `fast`")
     for stribeck in (0.1, 0.03, 0.1):  # one code for both
         found = []
-        for engine in ("python", "compiled"):
+        for method in ("DOP853", "taylor"):
             motion = simulate(
                 arm(dry(1.0, 2.0, stribeck)), [0.0], [0.0], 4.0, "3 if sin(2*t) > 0 else -3",
-                method="taylor", engine=engine, rtol=1e-10, atol=1e-10,
+                method=method, rtol=1e-10, atol=1e-10,
             )  # fmt: skip
             assert motion.outcome is Outcome.FINISHED
             found.append([motion.q[-1, 0], motion.qd[-1, 0]])
@@ -598,8 +581,8 @@ def test_a_loop_with_friction_at_every_joint_stops_and_stays(method: str) -> Non
     assert not motion.qd[-1].any()
 
 
-@pytest.mark.parametrize(("method", "engine"), ENGINES)
-def test_what_stands_does_not_move_in_any_time(method: str, engine: str) -> None:
+@EACH
+def test_what_stands_does_not_move_in_any_time(method: str) -> None:
     """To the last bit, what is tied to held joints too, and as sensitivities have it."""
     each = "m: 0.7, l: 0.4, r: 0.2, I: 0.03"
     geared = scene(
@@ -609,7 +592,7 @@ def test_what_stands_does_not_move_in_any_time(method: str, engine: str) -> None
     )
     closed = four_bar(coupler=dry(50.0, 60.0), rocker="limits: {min: 0, max: 2, restitution: 0.3}")
     for mechanism, q in ((geared, [0.3, -0.69, 0.4]), (closed, robodyn.assemble(closed, [1.0]))):
-        given = {"method": method, "engine": engine, "events": {"first": "qd1", "other": "qd2"}}
+        given = {"method": method, "events": {"first": "qd1", "other": "qd2"}}
         for end, tau, names in product((1e5, 3.0), ("2", "3*sin(t)"), ([], ["gravity"])):
             if end < 10.0 or tau == "2":
                 times = np.linspace(0.0, end, 7)
@@ -657,7 +640,7 @@ def test_a_driven_loop_starts_with_all_its_joints(method: str) -> None:
 
 @pytest.mark.parametrize("seed", range(3 if FRESH else 1))
 def test_two_freedoms_with_friction_at_four_joints(seed: int) -> None:
-    """All engines agree on which joints stick and when."""
+    """All methods agree on which joints stick and when."""
     mechanism = scene(FIVE_BAR.format(each=dry(0.3, 0.5, 0.2)))
     q = robodyn.assemble(mechanism, [2.0, 1.0])
     rates = random.Random(seed)

@@ -470,14 +470,14 @@ def test_a_joint_without_ends_rests_at_none() -> None:
     assert phases.mode.slips == ((0, 1),)
 
 
-@pytest.mark.parametrize("how", [("DOP853", "auto"), ("taylor", "python"), ("taylor", "compiled")])
-def test_a_joint_that_starts_again_does_not_touch_zero(how: tuple[str, str]) -> None:
+@pytest.mark.parametrize("method", ["DOP853", "taylor"])
+def test_a_joint_that_starts_again_does_not_touch_zero(method: str) -> None:
     """Its rate was zero to rounding while it was held, and is so for a moment after."""
     block = "{name: block, joint: prismatic, axis: [1, 0], m: 1.3, l: 0, r: 0, I: 0"
     mechanism = scene(f"links:\n  - {block}, friction: {{force: 1, static: 1}}}}\n")
-    given = {"tau": "0.9 + 0.5*sin(20*t)", "events": {"v": "qd1"}, "engine": how[1]}
+    given = {"tau": "0.9 + 0.5*sin(20*t)", "events": {"v": "qd1"}}
     for tol in (1e-6, 1e-9, 1e-12):
-        motion = simulate(mechanism, [0.7], [0.0], 4.0, method=how[0], rtol=tol, atol=tol, **given)
+        motion = simulate(mechanism, [0.7], [0.0], 4.0, method=method, rtol=tol, atol=tol, **given)
         assert motion.report.events["block starts"] > 10
         assert not [x for x in motion.report.remarks if "touches zero" in x]
 

@@ -34,7 +34,6 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.accuracy import error_estimate, settings_for
 from robodyn.simulation.settings import Settings
-from robodyn.taylor.solver import TaylorSolver
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 ARM = load(ROBOTS / "2r.yaml")
@@ -392,13 +391,6 @@ class TestSampled:
         driven = list(mech.actuated)
         assert motion.tau[:, driven] == pytest.approx(20.0 * e + 4.0 * ed, abs=1e-9)
         assert motion.report.energy_drift < 1e-8
-
-    def test_a_solver_for_solve_ivp(self) -> None:
-        tau = controller(ARM, swing(2), "pd", 20.0, 2.0, control_rate=20.0)
-        y0 = [0.1, 0.2, 0.0, 0.5]
-        run = solve_ivp(None, (0.0, 1.0), y0, method=TaylorSolver, mechanism=ARM, tau=tau)
-        motion = simulate(ARM, y0[:2], y0[2:], 1.0, tau, "taylor", engine="python")
-        assert run.y[:2, -1] == pytest.approx(motion.q[-1], abs=1e-12)
 
     def test_it_does_not_run_backwards(self) -> None:
         reference = ReferenceTable([-1.0, 0.0], [[0.0, 0.0], [1.0, 1.0]])

@@ -230,7 +230,7 @@ class TestFaults:
         pytest.importorskip("llvmlite")
         mech = mechanism(FIVE_BAR)
         q, options = assemble(mech, [1.0]), {"t_eval": [0.5, 1.0], "rtol": 1e-10, "atol": 1e-10}
-        found = simulate(mech, q, np.zeros(4), 1.0, method="taylor", engine="compiled", **options)
+        found = simulate(mech, q, np.zeros(4), 1.0, method="taylor", **options)
         assert found.q == pytest.approx(simulate(mech, q, np.zeros(4), 1.0, **options).q, abs=1e-7)
 
     @pytest.mark.parametrize(

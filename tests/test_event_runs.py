@@ -7,23 +7,26 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
+from example_starts import start
 from named_case import case
 
 from robodyn.errors import InputError
+from robodyn.events.told import Events
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly import assemble
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.simulation import Motion, simulate
+from robodyn.taylor import Status
+from robodyn.taylor.compiled import CompiledEngine
 
 METHODS: list[dict[str, Any]] = [
-    *({"method": name} for name in ("DOP853", "RK45", "Radau")),
-    {"method": "taylor", "engine": "python"},
-    {"method": "taylor", "engine": "compiled"},
+    *({"method": name} for name in ("DOP853", "RK45", "Radau", "taylor")),
 ]
 TIGHT = {"rtol": 1e-13, "atol": 1e-13}
-EXACT = [METHODS[0], *METHODS[-2:]]
+EXACT = [METHODS[0], METHODS[-1]]
 NAMES = [" ".join(each.values()) for each in METHODS]
 ROWS = [None, np.linspace(0.0, 1.0, 41), np.array([1.0])]  # of the time of a run
 
@@ -246,11 +249,10 @@ def kinked() -> tuple[Motion, int]:
     return motion, int((signs[1:-1] * signs[2:] < 0).sum())
 
 
-@pytest.mark.parametrize("engine", ["python", "compiled"])
-def test_engines_agree_with_kinked_torques(engine: str, kinked: tuple[Motion, int]) -> None:
+def test_methods_agree_with_kinked_torques(kinked: tuple[Motion, int]) -> None:
     """The same events by DOP853 and by series, under a torque that jumps."""
     one, changes = kinked
-    two = simulate(load("robots/2r.yaml"), *FROM, method="taylor", engine=engine, **KINKED)
+    two = simulate(load("robots/2r.yaml"), *FROM, method="taylor", **KINKED)
     assert len(one.events) > 5
     assert [event.name for event in one.events] == [event.name for event in two.events]
     assert [x.t for x in one.events] == pytest.approx([x.t for x in two.events], abs=1e-8)
@@ -258,7 +260,7 @@ def test_engines_agree_with_kinked_torques(engine: str, kinked: tuple[Motion, in
         assert len(times(motion, "a")) == changes
 
 
-@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], *NAMES[-2:]])
+@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], NAMES[-1]])
 def test_held_control(robodyn: Any, how: dict[str, Any], tmp_path: Path) -> None:
     """Where a controller holds its torque between samples, a run with events is the same run."""
     reference = tmp_path / "ref.csv"
@@ -277,7 +279,6 @@ def test_held_control(robodyn: Any, how: dict[str, Any], tmp_path: Path) -> None
         "0.01",
     ]
     base += ["--quiet", "--method", how["method"]]
-    base += ["--engine", how["engine"]] if "engine" in how else []
     plain = robodyn(*base).succeeds()
     events = tmp_path / "events.csv"
     more = ["--event", "half=q1 > 45deg", "--event", "rate=qd2", "--events", str(events)]
@@ -290,7 +291,7 @@ def test_held_control(robodyn: Any, how: dict[str, Any], tmp_path: Path) -> None
     assert sum(line.startswith("half,") for line in lines) == crossings == 1
 
 
-@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], *NAMES[-2:]])
+@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], NAMES[-1]])
 @pytest.mark.parametrize(
     ("scene", "start", "rate"),
     [
@@ -344,7 +345,7 @@ def test_all_scenes_against_fine_rows(
             assert (len(rows) - len(changes)) % 2 == 0 or abs(values[-1]) < 1e-9
 
 
-@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], *NAMES[-2:]])
+@pytest.mark.parametrize("how", EXACT, ids=[NAMES[0], NAMES[-1]])
 def test_what_closures_keep_at_zero_is_told_to_be_zero(how: dict[str, Any]) -> None:
     """States next to a change point scatter by more than rounding: no look goes on and on."""
     mechanism = load("robots/parallelogram.yaml")
@@ -369,3 +370,62 @@ def test_what_closures_keep_at_zero_is_told_to_be_zero(how: dict[str, Any]) -> N
 def test_arguments_of_another_kind_are_refused_by_name(given: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=told):
         simulate(load("robots/pendulum.yaml"), [0.1], [0.0], 0.1, **given)
+
+
+def test_a_pendulum_by_elliptic_integrals() -> None:
+    """Turning points and passages of the lowest point."""
+    pendulum, *_ = start("pendulum", 0.0)
+    link = 0.4, 0.26, 0.0088
+    frequency = mpmath.sqrt(link[0] * 9.81 * link[1] / (link[2] + link[0] * link[1] ** 2))
+    amplitude = 2.0
+    quarter = mpmath.ellipk(mpmath.sin(amplitude / 2) ** 2) / frequency
+    low = -float(mpmath.pi / 2)
+    motion = simulate(
+        pendulum, [low + amplitude], [0.0], 20.0, method="taylor",
+        rtol=1e-14, atol=1e-14, events={"turns": "qd1", "low": "q1 + 90deg"},
+    )  # fmt: skip
+    assert len(motion.events) == int(20.0 / quarter) > 50
+    for k, event in enumerate(motion.events, 1):
+        assert event.name == ("turns", "low")[k % 2]
+        assert abs(event.t - float(k * quarter)) < 1e-11
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-9])
+def test_a_step_next_to_a_change_point_is_made_again(tol: float) -> None:
+    """It ends where it did: there too no shorter one would land on a good state."""
+    met = 0
+    for rate, bound in ((20.0, 3.0), (20.0, -3.0), (-60.0, 3.0), (5.0, -3.0)):
+        mechanism, q, qd = start("parallelogram", rate)
+        engine = CompiledEngine(mechanism, Actuation((0.0,) * 3), rtol=tol, atol=tol)
+        y = np.concatenate([q, qd])
+        chunk = engine.advance(0.0, y, bound, np.zeros(0), 64)
+        met += chunk.status is Status.SINGULAR
+        times, states = np.append(0.0, chunk.t), np.concatenate([y[None], chunk.y])
+        for j in range(len(chunk.t)):
+            again = engine.dense(times[j], states[j], times[j + 1])
+            found = again(np.linspace(times[j], times[j + 1], 9))
+            np.testing.assert_allclose(found[[0, -1]], states[j : j + 2], rtol=1e-10)
+        np.testing.assert_allclose(engine.within(chunk.t[-1:]), chunk.y[-1:], rtol=1e-10)
+    assert met == 4
+
+
+def test_no_more_events_are_held_than_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are made when they are asked for, the first of them; all are counted."""
+    monkeypatch.setattr("robodyn.events.told.MOST", 100)
+    pendulum, *_ = start("pendulum", 0.0)
+    named = {"method": "taylor", "rtol": 1e-4, "atol": 1e-4}
+    given = pendulum, [0.3], [0.0], 600.0
+    motion = simulate(*given, **named, events={"turns": "qd1"})
+    events = motion.events
+    assert isinstance(events, Events)
+    packed = sum(map(len, events._record.packed))
+    assert len(events) == 100 <= packed < 2000
+    assert motion.report.events["turns"] > 700
+    assert "the first 100 events are kept" in motion.report.remarks
+    assert len(list(events)) == len(events) == 100
+    assert events[:3] == list(events)[:3]
+    assert events[-1] is list(events)[-1]
+    both = simulate(*given, **named, events={"back": "qd1 < 0", "down": "q1 < -90deg"})
+    assert [e.name for e in both.events[:4]] == ["down", "back", "down", "back"]
+    assert (np.diff([e.t for e in both.events]) > 0.0).all()
+    assert sum(both.report.events.values()) > 700

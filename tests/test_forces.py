@@ -218,7 +218,7 @@ class TestFaults:
         pytest.importorskip("llvmlite")
         mech = mechanism(self.LINK + "springs: [{joint: a, stiffness: 1, angle: 0}]\n")
         start, options = ([0, 0], [0, 0], 1.0), {"t_eval": [1.0], "rtol": 1e-10, "atol": 1e-10}
-        found = simulate(mech, *start, method="taylor", engine="compiled", **options)
+        found = simulate(mech, *start, method="taylor", **options)
         assert found.q == pytest.approx(simulate(mech, *start, **options).q, abs=1e-7)
 
 

@@ -228,18 +228,16 @@ couplings: ["q2 = -q1"]
 actuated: [left]
 """
 PAIRS = [(0.2, 0.2), (0.2, 0.6), (0.6, 0.2), (0.0, 1.0)]
-ENGINES = [*((method, "auto") for method in METHODS), ("taylor", "python")]
+EACH = pytest.mark.parametrize("method", METHODS)
 
 
-@pytest.mark.parametrize(("method", "engine"), ENGINES)
+@EACH
 @pytest.mark.parametrize("pair", PAIRS)
 @pytest.mark.thinned
-def test_geared_fingers_meet_their_ends_at_once(
-    pair: tuple[float, float], method: str, engine: str
-) -> None:
+def test_geared_fingers_meet_their_ends_at_once(pair: tuple[float, float], method: str) -> None:
     """Under a constant torque, and the larger restitution is that of both."""
     mechanism, way = scene(FINGERS.format(*pair)), math.radians(20.0)
-    given = {"method": method, "engine": engine, "rtol": 1e-10, "atol": 1e-10}
+    given = {"method": method, "rtol": 1e-10, "atol": 1e-10}
     motion = simulate(mechanism, [way, -way], [0.0, 0.0], 0.5, "0.01", **given)
     assert motion.outcome is recording.Outcome.FINISHED
     speed_up, e = 0.01 / (2.0 * (5.0e-5 + 0.1 * 0.04**2)), max(pair)
@@ -333,17 +331,15 @@ links:
 """
 
 
-@pytest.mark.parametrize(("method", "engine"), ENGINES)
+@EACH
 @pytest.mark.parametrize("e", [0.0, 0.7])
 @pytest.mark.thinned
-def test_a_joint_on_its_end_takes_part_in_an_impact_unpressed(
-    e: float, method: str, engine: str
-) -> None:
+def test_a_joint_on_its_end_takes_part_in_an_impact_unpressed(e: float, method: str) -> None:
     """No force holds it there: what rounding makes of zero must not let it go.
 
     Of the law p = (3.724, 1.162) and rates of -0.4, 0 are the only solution.
     """
-    mechanism, given = scene(ARMS.format(e)), {"method": method, "engine": engine}
+    mechanism, given = scene(ARMS.format(e)), {"method": method}
     for begun in (0.4, 0.5):  # at the start too
         end = 0.2 + (0.5 - begun)
         motion = simulate(mechanism, [begun, 0.0], [1.0, 0.0], end, **given)

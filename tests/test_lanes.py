@@ -277,7 +277,6 @@ class TestResults:
                 method="taylor",
                 rtol=1e-13,
                 atol=1e-13,
-                engine="python",
                 t_eval=times,
             )
             rows = np.hstack([motion.q, motion.qd])

@@ -31,7 +31,7 @@ from robodyn.simulation.run_torques import as_actuation
 from robodyn.trajectories.motion_limits import LimitError
 
 SEEDS = range(FIRST_SEED, FIRST_SEED + (200 if FRESH else 24))
-ENGINES = (("DOP853", "auto"), ("Radau", "auto"), ("taylor", "python"), ("taylor", "compiled"))
+METHODS = "DOP853", "Radau", "taylor"
 Run = Callable[..., Outcome]
 
 ARM = """
@@ -132,16 +132,16 @@ def test_identities(seed: int) -> None:
 
 
 @pytest.mark.parametrize("text", [ARM, HUB, random_motors(1).text, random_motors(2).text])
-def test_every_engine_moves_alike(text: str) -> None:
+def test_every_method_moves_alike(text: str) -> None:
     mech = mechanism(text)
     sample = identities.sample_states(mech, 1)
     tau = np.zeros(mech.n)
     tau[list(mech.actuated)] = 0.3
     ends = []
-    for method, engine in ENGINES:
+    for method in METHODS:
         motion = robodyn.simulate(
             mech, sample.q[0], 0.5 * sample.qd[0], 0.6, tau=tau.tolist(), method=method,
-            engine=engine, rtol=1e-10, atol=1e-10,
+            rtol=1e-10, atol=1e-10,
         )  # fmt: skip
         assert motion.outcome.label == "finished"
         assert motion.report.energy_drift <= 1e-7
@@ -175,8 +175,8 @@ def test_a_rotor_alone_has_inertia_enough() -> None:
     qdd = 0.3 / (20**2 * 1e-4)
     found = robodyn.forward_dynamics(mech, np.zeros((300, 1)), np.zeros((300, 1)), [0.3])
     assert found == pytest.approx(qdd, rel=1e-14)
-    for method, engine in ENGINES:
-        motion = robodyn.simulate(mech, [0.0], [0.0], 1.0, [0.3], method=method, engine=engine)
+    for method in METHODS:
+        motion = robodyn.simulate(mech, [0.0], [0.0], 1.0, [0.3], method=method)
         assert motion.q[-1] == pytest.approx(qdd / 2, rel=1e-8)
 
 
@@ -432,15 +432,15 @@ def wheel_at(t: float, volt: float) -> tuple[float, float]:
     return end * (t - (1 - math.exp(-drag * t)) / drag), end * (1 - math.exp(-drag * t))
 
 
-@pytest.mark.parametrize(("method", "engine"), ENGINES)
-def test_voltages_drive_a_wheel(method: str, engine: str) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_voltages_drive_a_wheel(method: str) -> None:
     mech = mechanism(HUB)
     for volt in ("6", [6.0], lambda t, q, qd: [6.0]):
         if callable(volt) and method == "taylor":
             continue
         motion = robodyn.simulate(
             mech, [0.0], [0.0], 0.8, robodyn.voltages(mech, volt),
-            method=method, engine=engine, rtol=1e-10, atol=1e-10,
+            method=method, rtol=1e-10, atol=1e-10,
         )  # fmt: skip
         expected = wheel_at(0.8, 6.0)
         assert (motion.q[-1, 0], motion.qd[-1, 0]) == pytest.approx(expected, rel=2e-7)

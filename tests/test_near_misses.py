@@ -18,7 +18,7 @@ from robodyn.loops.closing import BITS, HALF_PI, _cos_sin, singular_size
 from robodyn.simulation.simulation import simulate
 from robodyn.trajectories.reference import reference_motion
 
-FAST = "taylor, python"
+FAST = "taylor"
 
 
 @functools.cache
@@ -88,7 +88,7 @@ def test_motions_past_the_narrowest_misses(way, factor):
 @pytest.mark.parametrize("rate", [4.0, 7.0, 11.0])
 def test_lanes_do_not_leap_at_loose_tolerances(rate):
     case = near_misses.slider_crank(1e-12)._replace(start=(0.6,), rates=(rate,), time=1.0)
-    end = near_misses.run(case, method="taylor", engine="python", rtol=1e-12, atol=1e-12)[0]
+    end = near_misses.run(case, method="taylor", rtol=1e-12, atol=1e-12)[0]
     for engine in ("python", "compiled"):
         assert np.abs(near_misses.swept(case, engine, 1e-6) - end).max() < 0.01, engine
 
@@ -101,7 +101,7 @@ def test_what_is_a_change_point(factor, crosses):
     assert found.crosses is crosses
     qd = robodyn.loop_velocities(mechanism, robodyn.assemble(mechanism, [0.5]), [-5.0])
     q = robodyn.assemble(mechanism, [0.5])
-    motion = simulate(mechanism, q, qd, 0.2, method="taylor", engine="python")
+    motion = simulate(mechanism, q, qd, 0.2, method="taylor")
     assert bool(abs(motion.q[-1, 0] - motion.q[-1, 2]) < 1e-6) is crosses
 
 

@@ -19,8 +19,6 @@ from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.run_statistics import RunStatistics
 from robodyn.simulation.settings import METHODS, Settings
 from robodyn.simulation.simulation import run
-from robodyn.taylor import Status
-from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 
 
 def least_singular(mech, q):
@@ -90,11 +88,7 @@ def test_a_motion_without_rows_has_no_accelerations():
 # Rows
 
 
-RUNS = [
-    *((method, "auto") for method in METHODS[:-1]),
-    ("taylor", "python"),
-    ("taylor", "compiled"),
-]
+EACH = pytest.mark.parametrize("method", METHODS)
 
 
 def rows_of(name, q, t_end, times, settings, watch=None):
@@ -111,11 +105,11 @@ def rows_of(name, q, t_end, times, settings, watch=None):
     return blocks, outcome, recorder.settle()
 
 
-@pytest.mark.parametrize(("method", "engine"), RUNS)
+@EACH
 @pytest.mark.parametrize("t_end", [0.5, -0.5])
 @pytest.mark.thinned
-def test_many_rows_of_one_step_leave_in_blocks(method, engine, t_end):
-    settings = Settings(method, 1e-6, 1e-6, engine=engine)
+def test_many_rows_of_one_step_leave_in_blocks(method, t_end):
+    settings = Settings(method, 1e-6, 1e-6)
     count = 6001
     blocks, outcome, report = rows_of("2r", [1.0, 0.3], t_end, even(t_end, count), settings)
     assert outcome is Outcome.FINISHED
@@ -129,11 +123,11 @@ def test_many_rows_of_one_step_leave_in_blocks(method, engine, t_end):
     assert np.abs(np.diff(y, axis=0)).max() < 0.01  # no row is from elsewhere
 
 
-@pytest.mark.parametrize(("method", "engine"), RUNS)
-def test_many_rows_of_a_loop_close(method, engine):
+@EACH
+def test_many_rows_of_a_loop_close(method):
     mech = load(ROOT / "robots/four-bar.yaml")
     q = assembly.assemble(mech, [1.0])
-    settings = Settings(method, 1e-6, 1e-6, engine=engine)
+    settings = Settings(method, 1e-6, 1e-6)
     blocks, outcome, _ = rows_of("four-bar", q, 0.1, even(0.1, 2001), settings)
     assert outcome is Outcome.FINISHED
     t, y = (np.concatenate(part) for part in zip(*blocks, strict=True))
@@ -142,11 +136,11 @@ def test_many_rows_of_a_loop_close(method, engine):
     assert np.abs(np.diff(y, axis=0)).max() < 0.01
 
 
-@pytest.mark.parametrize(("method", "engine"), [("DOP853", "auto"), *RUNS[-2:]])
-def test_memory_does_not_grow_with_the_rows(method, engine):
+@pytest.mark.parametrize("method", ["DOP853", "taylor"])
+def test_memory_does_not_grow_with_the_rows(method):
     def peak(count):
         mech = load(ROOT / "robots/2r.yaml")
-        settings = Settings(method, 1e-6, 1e-6, engine=engine)
+        settings = Settings(method, 1e-6, 1e-6)
         start = np.array([1.0, 0.3, 0.0, 0.0])
         tracemalloc.start()
         rows = []
@@ -163,9 +157,9 @@ def test_memory_does_not_grow_with_the_rows(method, engine):
     assert peak(100_001) < peak(10_001) + 200_000
 
 
-@pytest.mark.parametrize(("method", "engine"), RUNS)
-def test_a_run_ends_between_the_rows_of_a_step(method, engine):
-    settings = Settings(method, 1e-6, 1e-6, engine=engine)
+@EACH
+def test_a_run_ends_between_the_rows_of_a_step(method):
+    settings = Settings(method, 1e-6, 1e-6)
     blocks, outcome, report = rows_of(
         "pendulum", [-np.pi / 2], 10.0, even(10.0, 1_000_001), settings, lambda t: t > 0.1
     )
@@ -173,17 +167,6 @@ def test_a_run_ends_between_the_rows_of_a_step(method, engine):
     t = np.concatenate([t for t, _ in blocks])
     assert t == pytest.approx(np.arange(len(t)) * 1e-5, rel=1e-12)
     assert t[-1] == report.t_reached < 0.2 + 2 * ROWS_AT_ONCE * 1e-5
-
-
-@pytest.mark.parametrize("kind", [StraightEngine, InterpretedEngine])
-def test_an_engine_can_be_halted_after_a_step(kind):
-    mech = load(ROOT / "robots/2r.yaml")
-    engine = kind(mech, None, 12, 1e-9, 1e-9, Actuation((0.0, 0.0)), False)
-    seen = []
-    engine.halts = lambda t: seen.append(t) or len(seen) == 3
-    chunk = engine.advance(0.0, np.array([1.0, 0.3, 0, 0]), 10.0, np.zeros(0), 100)
-    assert chunk.status is Status.FULL
-    assert chunk.t.tolist() == seen
 
 
 def even(t_end, count):

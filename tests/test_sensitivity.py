@@ -78,14 +78,7 @@ def differences(
     return (4.0 * near - far) / (2.0 * h)
 
 
-WAYS = [  # method, engine, and whether the rows of the series go one by one
-    ("DOP853", "auto", False),
-    ("taylor", "python", False),
-    ("taylor", "compiled", False),
-    ("taylor", "python", True),
-]
-THREE = WAYS if FRESH else WAYS[:3]  # row by row takes long
-TWO = WAYS if FRESH else WAYS[:3:2]
+WAYS = ["DOP853", "taylor"]
 
 
 def check(
@@ -100,27 +93,20 @@ def check(
     size = np.abs(expected).max(axis=(0, 1)) + 1e-9
     first = None
     tau = tau(mech) if isinstance(tau, Law) else tau
-    for method, engine, one_by_one in ways:
-        with pytest.MonkeyPatch.context() as patch:
-            if one_by_one:
-                patch.setattr("robodyn.taylor.engine_choice.STRAIGHT", -1)
-            given = {"method": method, "engine": engine, "t_eval": times(end), **TIGHT}
-            run = rd.simulate(mech, *start, end, tau, sensitivity=names, **given)
-            plain = rd.simulate(mech, *start, end, tau, **given) if method == "taylor" else run
+    for method in ways:
+        given = {"method": method, "t_eval": times(end), **TIGHT}
+        run = rd.simulate(mech, *start, end, tau, sensitivity=names, **given)
+        plain = rd.simulate(mech, *start, end, tau, **given) if method == "taylor" else run
         found = run.sensitivity
         assert found is not None
         assert found.shape == (3, 2 * mech.n, len(names))
         missed = np.abs(found - expected)[bends:]  # the start itself may jump
-        assert (missed < 1e-6 * size).all(), (method, engine)
+        assert (missed < 1e-6 * size).all(), method
         if method == "taylor":  # the motion is that without them, bit for bit
-            assert run.report.evaluator == ("interpreted" if one_by_one else EVALUATORS[engine])
             assert np.array_equal(run.q, plain.q)
             assert np.array_equal(run.qd, plain.qd)
         first = found if first is None else first
-        assert (np.abs(found - first) < 1e-9 * size).all(), (method, engine)
-
-
-EVALUATORS = {"python": "straight", "compiled": "compiled"}
+        assert (np.abs(found - first) < 1e-9 * size).all(), method
 
 
 @pytest.mark.parametrize("tau", [None, "2*sin(3*t)", "0.2*cos(q1)*t - 0.01*qd1**3", [0.3]])
@@ -131,7 +117,6 @@ def test_a_pendulum_under_torques(tau: object) -> None:
         [0.4],
         [0.7],
         tau,
-        THREE,
     )
 
 
@@ -146,8 +131,8 @@ def test_a_four_bar() -> None:
 
 
 def test_a_slider_crank_and_gears() -> None:
-    check(ROOT / "robots/slider-crank.yaml", ["q1", "links[1].l"], [0.8], [1.5], ways=THREE)
-    check(ROOT / "robots/geared-five-bar.yaml", ["q1", "links[1].l"], [0.8], [0.5], ways=TWO)
+    check(ROOT / "robots/slider-crank.yaml", ["q1", "links[1].l"], [0.8], [1.5])
+    check(ROOT / "robots/geared-five-bar.yaml", ["q1", "links[1].l"], [0.8], [0.5])
 
 
 BLOCK = """
@@ -175,14 +160,13 @@ springs:
 
 def test_directions_and_angles_that_are_kept(scene: Scene) -> None:
     names = ["closures[0].aligned", "closures[0].on.along[1]", "closures[0].on.through[1]"]
-    check(scene(BLOCK), names, [0.4], [3.0], ways=TWO)
+    check(scene(BLOCK), names, [0.4], [3.0])
     names = ["links.boom.axis[0]", "links.boom.axis[1]", "springs[1].length", "links.arm.I"]
     check(
         scene(BOOM),
         [*names, "links.arm.friction.torque", "qd2"],
         [0.3, 0.1],
         [1.0, 0.2],
-        ways=THREE,
     )
 
 
@@ -195,7 +179,7 @@ def test_torques_that_bend_and_jump() -> None:
     )
     mech = rd.load(path)
     table = torque_table(mech, [0.0, 0.25, 0.7], [[1.0, 0.0], [-2.0, 1.0], [3.0, 0.5]])
-    check(path, names, [0.5, 0.8], [0.3, -0.4], table, THREE)
+    check(path, names, [0.5, 0.8], [0.3, -0.4], table)
 
 
 GAIN = StateFeedback((0, 1), [0.3, 0.6], [1.0, 0.5], [[40.0, 3, 8, 1], [2, 30, 1, 5]])
@@ -253,8 +237,8 @@ def test_compliant_ends_and_dry_friction(scene: Scene) -> None:
     """By modes: where their accelerations jump so do d(qd)/dp, by when that happens."""
     limits = [f"links.arm.limits.{x}" for x in ("min", "stiffness", "damping")]
     names = [*limits, "q1", "qd2", "links.rod.m"]
-    check(scene(ENDS), names[: 6 if FRESH else 3], *LOW, ways=THREE, end=0.3)
-    check(scene(STICKS), ["q1", "links.rod.m"], [0.6, 0.1], [3.0, 0.2], ways=TWO, end=0.5)
+    check(scene(ENDS), names[: 6 if FRESH else 3], *LOW, end=0.3)
+    check(scene(STICKS), ["q1", "links.rod.m"], [0.6, 0.1], [3.0, 0.2], end=0.5)
 
 
 def test_hard_stops(scene: Scene) -> None:
@@ -264,7 +248,7 @@ def test_hard_stops(scene: Scene) -> None:
         names = ["q1", "links.arm.limits.min"]
         names += ["links.arm.limits.restitution"] if e else ["links.rod.m"]
         more = ["qd2", "links.rod.I"] if FRESH else []
-        check(scene(given), [*names, *more], *LOW, ways=THREE, end=0.3)
+        check(scene(given), [*names, *more], *LOW, end=0.3)
 
 
 def test_friction_that_falls_as_a_joint_starts(scene: Scene) -> None:
@@ -272,7 +256,7 @@ def test_friction_that_falls_as_a_joint_starts(scene: Scene) -> None:
     names = ["q1", "links.arm.friction.torque", "links.arm.friction.static"]
     falls = STICKS.replace("static: 4.5", "static: 4.8")
     given = [0.6, 0.1], [3.0, 0.2], "2*sin(9*t) + 0.1*q2, 0"
-    check(scene(falls), names[0 if FRESH else 1 :], *given, TWO, 0.5)
+    check(scene(falls), names[0 if FRESH else 1 :], *given, end=0.5)
     bell = falls.replace("4.8}", "4.8, stribeck: 0.3}")
     names = [*names[1:], "links.arm.friction.stribeck"][0 if FRESH else 2 :]
     check(scene(bell), names, *given[:2], None, WAYS[:1], 0.5)
@@ -409,16 +393,12 @@ def test_backwards_events_and_rows_in_steps() -> None:
     t = np.linspace(0.0, -0.5, 301)
     given = {"rtol": 1e-11, "atol": 1e-11, "sensitivity": names}
     runs = [
-        rd.simulate(mech, *start, -0.5, None, method=method, engine=engine, t_eval=t, **given)
-        for method, engine, one_by_one in WAYS
-        if not one_by_one
+        rd.simulate(mech, *start, -0.5, None, method=method, t_eval=t, **given) for method in WAYS
     ]
     for run in runs[1:]:
         assert relative_error(run.sensitivity, runs[0].sensitivity) < 1e-8
     ended = [
-        rd.simulate(mech, *start, 2.0, method=method, engine=engine, until="qd1 < 1", **given)
-        for method, engine, one_by_one in WAYS
-        if not one_by_one
+        rd.simulate(mech, *start, 2.0, method=method, until="qd1 < 1", **given) for method in WAYS
     ]
     for run in ended[1:]:
         assert run.sensitivity is not None
@@ -430,7 +410,7 @@ def test_loose_steps_of_loops_vary_by_the_order_that_they_have() -> None:
     mechanism = rd.load("slider-crank")
     q = rd.assemble(mechanism, [1.0])
     qd = rd.loop_velocities(mechanism, q, [2.0])
-    told = {"rtol": 1e-4, "atol": 1e-4, "method": "taylor", "engine": "python"}
+    told = {"rtol": 1e-4, "atol": 1e-4, "method": "taylor"}
     own, ten = (
         rd.simulate(mechanism, q, qd, 0.3, order=order, sensitivity=["q1"], **told)
         for order in (None, 10)
@@ -439,10 +419,7 @@ def test_loose_steps_of_loops_vary_by_the_order_that_they_have() -> None:
     np.testing.assert_array_equal(own.sensitivity, ten.sensitivity)
 
 
-@pytest.mark.parametrize("engine", ["python", "compiled"])
-def test_near_a_singular_configuration_they_keep_close_to_the_motion(
-    engine: str, scene: Scene
-) -> None:
+def test_near_a_singular_configuration_they_keep_close_to_the_motion(scene: Scene) -> None:
     """The series of tangents fall off more slowly than those of the motion, whose steps they take.
 
     The rod is hardly longer than crank and offset are together: it stands nearly upright.
@@ -453,7 +430,7 @@ def test_near_a_singular_configuration_they_keep_close_to_the_motion(
     names = ["links.rod.l", "links.crank.m", "qd1", "q1"]
     start = mech, q, rd.loop_velocities(mech, q, [3.0]), 2.0
     given = {"t_eval": np.linspace(0.0, 2.0, 21), "sensitivity": names}
-    loose = rd.simulate(*start, method="taylor", engine=engine, rtol=1e-6, atol=1e-6, **given)
+    loose = rd.simulate(*start, method="taylor", rtol=1e-6, atol=1e-6, **given)
     tight = rd.simulate(*start, method="DOP853", **TIGHT, **given)
     assert np.abs(loose.q - tight.q).max() < 5e-6
     errors = np.abs(loose.sensitivity - tight.sensitivity).max(axis=(0, 1))
@@ -596,15 +573,9 @@ def test_random_scenes(kind: str, scene: Scene) -> None:
     end, torques = 0.05, ["0.1*sin(3*t)"] * len(mech.actuated)
     tight = {"rtol": 1e-12, "atol": 1e-12, "t_eval": [0.0, 0.5 * end, end], "sensitivity": names}
     runs = []
-    straight = FRESH or kind in KINDS[::8]  # its code is long, and takes long to write
-    for method, engine, one_by_one in WAYS:
-        with pytest.MonkeyPatch.context() as patch:
-            if one_by_one:
-                patch.setattr("robodyn.taylor.engine_choice.STRAIGHT", -1)
-            elif engine == "python" and not straight:
-                continue
-            given = {"method": method, "engine": engine, **tight}
-            runs.append(rd.simulate(mech, *start, end, ",".join(torques), **given).sensitivity)
+    for method in WAYS:
+        given = {"method": method, **tight}
+        runs.append(rd.simulate(mech, *start, end, ",".join(torques), **given).sensitivity)
     size = np.abs(runs[0]).max(axis=(0, 1)) + 1e-9
     for run in runs[1:]:
         assert (np.abs(run - runs[0]) < 1e-8 * size).all(), names
@@ -663,9 +634,9 @@ def exact_slopes(rates, state, numbers, places, steps=20):
         return np.array(found, float).T[: len(state)], end(0, 0)
 
 
-@pytest.mark.parametrize(("method", "engine"), [way[:2] for way in WAYS[:3]])
-def test_an_open_and_a_closed_scene_against_many_digits(method: str, engine: str) -> None:
-    given = {"method": method, "engine": engine, **TIGHT, "t_eval": [0.0, SOON]}
+@pytest.mark.parametrize("method", WAYS)
+def test_an_open_and_a_closed_scene_against_many_digits(method: str) -> None:
+    given = {"method": method, **TIGHT, "t_eval": [0.0, SOON]}
     numbers = 1.5, 0.36, 0.082, 0.8, 0.9, 0.25, 0.031, 9.81
     expected, _ = exact_slopes(two_links, (0.5, 0.8, 0.3, -0.4), numbers, (0, 7, 8))
     names = ["q1", "links.upper arm.l", "links.forearm.m"]

@@ -41,9 +41,8 @@ from robodyn.sweeps.lanes import Aims, Motions, integrate
 from robodyn.taylor import Status
 
 Run = Callable[..., Outcome]
-ENGINES = [("DOP853", "auto"), ("taylor", "python")]
-ENGINES += [("taylor", "compiled")] if machine.available() else []
-EVERY = pytest.mark.parametrize(("method", "engine"), ENGINES)
+METHODS = ["DOP853", *(["taylor"] if machine.available() else [])]
+EVERY = pytest.mark.parametrize("method", METHODS)
 ARM = "links:\n  - {name: arm, m: 1.0, l: 1.0, r: 0.5, I: 0.05}\n"  # 0.3 kg m^2 about its joint
 INERTIA = 0.3
 
@@ -52,9 +51,9 @@ def arm(rest: str):
     return mechanism(f"{ARM}{rest}")
 
 
-def run(mech, q, qd, t_end, method, engine, **given):
+def run(mech, q, qd, t_end, method, **given):
     tight = {"rtol": 1e-11, "atol": 1e-11} | given
-    return simulate(mech, [q], [qd], t_end, method=method, engine=engine, **tight)
+    return simulate(mech, [q], [qd], t_end, method=method, **tight)
 
 
 def table(folder: Path, name: str, header: str, rows) -> str:
@@ -67,7 +66,7 @@ def table(folder: Path, name: str, header: str, rows) -> str:
 class TestLaws:
     @EVERY
     @pytest.mark.parametrize("amplitude", [0.1, 1.2, 3.0])
-    def test_the_period_of_a_duffing_spring(self, method, engine, amplitude):
+    def test_the_period_of_a_duffing_spring(self, method, amplitude):
         """4 K(m)/w with w^2 = a + b A^2 and m = b A^2/(2 w^2), K by Legendre."""
         k, k3 = 10.0, 5.0
         mech = arm(f'springs: [{{joint: arm, law: "{k}*x + {k3}*x**3", angle: 0}}]')
@@ -75,7 +74,7 @@ class TestLaws:
         w2 = a + b * amplitude**2
         period = float(4 * mp.ellipk(b * amplitude**2 / (2 * w2)) / mp.sqrt(w2))
         times = np.array([period / 4, period / 2, period])
-        motion = run(mech, amplitude, 0.0, period, method, engine, t_eval=times)
+        motion = run(mech, amplitude, 0.0, period, method, t_eval=times)
         assert motion.q[:, 0] == pytest.approx([0.0, -amplitude, amplitude], abs=2e-9)
         assert motion.report.energy_drift < 1e-10
         assert motion.report.work == 0.0
@@ -139,9 +138,9 @@ def test_the_bend_of_a_repeating_table_counts_where_it_begins_again(tmp_path):
 
 class TestLoads:
     @EVERY
-    def test_a_force_of_time(self, method, engine):
+    def test_a_force_of_time(self, method):
         mech = arm('loads: [{link: arm, torque: "2*sin(3*t)"}]')
-        motion = run(mech, 0.0, 0.0, 2.0, method, engine)
+        motion = run(mech, 0.0, 0.0, 2.0, method)
         rate = 2.0 * (1.0 - math.cos(6.0)) / 3.0 / INERTIA
         assert motion.qd[-1, 0] == pytest.approx(rate, abs=1e-9)
         assert motion.report.work == pytest.approx(0.5 * INERTIA * rate**2, abs=1e-9)
@@ -149,23 +148,23 @@ class TestLoads:
         assert motion.qdd[-1, 0] == pytest.approx(2.0 * math.sin(6.0) / INERTIA, abs=1e-9)
 
     @EVERY
-    def test_a_narrow_pulse_is_not_passed_over(self, method, engine, tmp_path):
+    def test_a_narrow_pulse_is_not_passed_over(self, method, tmp_path):
         """Of an expression in t; of a table over t, and one over the angle between flat parts."""
         mech = arm('loads: [{link: arm, torque: "800*exp(-((t - 2.37)/1e-3)**2)"}]')
-        motion = run(mech, 0.0, 0.1, 4.0, method, engine)
+        motion = run(mech, 0.0, 0.1, 4.0, method)
         rate = 0.1 + 800e-3 * math.sqrt(math.pi) / INERTIA
         assert motion.qd[-1, 0] == pytest.approx(rate, abs=1e-8)
         rows = [(0.0, 0.0), (2.0, 0.0), (2.001, 600.0), (2.002, 0.0), (4.0, 0.0)]
         file = table(tmp_path, "pulse.csv", "t,M", rows)
         mech = arm(f"loads: [{{link: arm, torque: {{table: {file}, over: t, column: M}}}}]")
-        motion = run(mech, 0.0, 0.1, 4.0, method, engine)
+        motion = run(mech, 0.0, 0.1, 4.0, method)
         assert motion.qd[-1, 0] == pytest.approx(0.1 + 0.6 / INERTIA, abs=1e-8)
         if method == "DOP853":  # its errors alone tell of rows over an angle
             return
         rows = [(x + 0.5, y) for x, y in rows]
         file = table(tmp_path, "place.csv", "q1,M", [*rows, (90.0, 0.0)])
         mech = arm(f"loads: [{{link: arm, torque: {{table: {file}, over: q1, column: M}}}}]")
-        motion = run(mech, 0.5, 3.0, 4.0, method, engine)
+        motion = run(mech, 0.5, 3.0, 4.0, method)
         gained = 0.5 * INERTIA * (motion.qd[-1, 0] ** 2 - 9.0)
         assert gained == pytest.approx(0.6, abs=1e-7)
 
@@ -223,16 +222,14 @@ class TestGas:
         return load(tmp_path / "engine.yaml"), rows
 
     @EVERY
-    def test_its_work_is_that_of_a_quadrature(self, engine_scene, method, engine):
+    def test_its_work_is_that_of_a_quadrature(self, engine_scene, method):
         """Along x(q1) of the slider-crank, row by row, over the angle that was turned."""
         mech, rows = engine_scene
         q0, l, r = 0.3, mpf(0.18), mpf(0.05)
         start = np.array([q0, -q0 - math.asin(0.05 * math.sin(q0) / 0.18)])
         rate = -1.0 - 0.05 * math.cos(q0) / math.sqrt(0.18**2 - (0.05 * math.sin(q0)) ** 2)
         tight = {"rtol": 1e-11, "atol": 1e-11, "max_evals": 10**7}
-        motion = simulate(
-            mech, start, [60.0, 60.0 * rate], 0.25, method=method, engine=engine, **tight
-        )
+        motion = simulate(mech, start, [60.0, 60.0 * rate], 0.25, method=method, **tight)
         assert motion.outcome.label == "finished"
         end = float(motion.q[-1, 0])
         assert end > 13.0  # more than two turns: the table repeats
@@ -264,9 +261,7 @@ class TestGas:
         exact = reference(mech, state, np.array([0.02]), Actuation((0.0, 0.0)))
         assert exact.uncertainty < 1e-9
         for rtol, bound in ((1e-8, 1e-6), (1e-11, 1e-8)):
-            motion = simulate(
-                mech, q, state[2:], 0.02, method="taylor", engine="python", rtol=rtol, atol=rtol
-            )
+            motion = simulate(mech, q, state[2:], 0.02, method="taylor", rtol=rtol, atol=rtol)
             found = np.concatenate([motion.q[-1], motion.qd[-1]])
             assert np.abs(found - exact.y[-1]).max() < bound * 60.0
 
@@ -281,8 +276,8 @@ class TestGas:
             found = robodyn(command, scene, "--q", "2")
             assert found.code == 1
             assert "springs[0].table: x = 1.5: the rows of rope.csv end" in found.err
-        for method, engine in ENGINES:
-            motion = run(mech, 0.0, 9.0, 3.0, method, engine)
+        for method in METHODS:
+            motion = run(mech, 0.0, 9.0, 3.0, method)
             assert motion.outcome.label == "step too small"
             assert "it leaves the table" in motion.report.advice
             assert motion.q[-1, 0] == pytest.approx(1.5, abs=1e-3)
@@ -534,19 +529,19 @@ def test_the_schema_takes_such_scenes_and_no_others(tables):
 
 
 @EVERY
-def test_backwards_is_the_way_back(method, engine, tmp_path):
+def test_backwards_is_the_way_back(method, tmp_path):
     """Across the rows of tables over time and over a spring's extension."""
     file = table(tmp_path, "pulse.csv", "t,M", [(-1.0, 0.0), (0.2, 1.0), (0.7, -2.0), (2.0, 3.0)])
     rope = table(tmp_path, "rope.csv", "x,F", [(-9.0, -3.0), (0.0, 0.0), (9.0, 90.0)])
     text = f"springs: [{{joint: arm, table: {rope}, angle: 0.3}}]\n"
     text += f"loads: [{{link: arm, torque: {{table: {file}, over: t, column: M}}}}]"
     mech = arm(text)
-    back = run(mech, 0.5, 1.0, -0.8, method, engine)
+    back = run(mech, 0.5, 1.0, -0.8, method)
     assert back.outcome.label == "finished"
     # the same forwards, in the mirrored time: the rates change their signs
     rows = [(-2.0, 3.0), (-0.7, -2.0), (-0.2, 1.0), (1.0, 0.0)]
     table(tmp_path, "pulse.csv", "t,M", rows)
-    forth = run(arm(text), 0.5, -1.0, 0.8, method, engine)
+    forth = run(arm(text), 0.5, -1.0, 0.8, method)
     assert back.q[-1] == pytest.approx(forth.q[-1], abs=1e-7)
     assert back.qd[-1] == pytest.approx(-forth.qd[-1], abs=1e-6)
 
@@ -569,8 +564,7 @@ def test_many_of_a_kind_act_as_one_of_their_sum(entry, one, all_of_them, count, 
     torques = [inverse_dynamics(mech, [0.3], [0.7], [0.5], 0.2) for mech in mechs]
     np.testing.assert_allclose(torques[1], torques[0], rtol=1e-11)
     for method in methods:
-        engine = "python" if method == "taylor" else "auto"
-        runs = [simulate(x, [0.3], [0.7], 0.01, method=method, engine=engine) for x in mechs]
+        runs = [simulate(x, [0.3], [0.7], 0.01, method=method) for x in mechs]
         ends = [motion.q[-1] for motion in runs]
         np.testing.assert_allclose(ends[1], ends[0], rtol=1e-8)
 
@@ -593,9 +587,9 @@ def test_a_load_without_a_value_at_a_state_is_named(text, at):
         inverse_dynamics(mech, [0.0], [0.0], [0.0])
     with pytest.raises(SignalError, match=told):
         forward_dynamics(mech, [[0.0]] * 3, [0.0], [0.0])
-    for method, engine in ENGINES:
+    for method in METHODS:
         with pytest.raises(SignalError, match=told):
-            run(mech, 0.0, 0.0, 0.1, method, engine)
+            run(mech, 0.0, 0.0, 0.1, method)
 
 
 def test_a_law_without_a_value_is_named_at_its_row(scene, robodyn):

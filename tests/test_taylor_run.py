@@ -1,6 +1,7 @@
-"""Whole runs by the Taylor series: engines, change points, outcomes, balances, the process."""
+"""Whole runs by the Taylor series: what it serves, change points, outcomes, the process."""
 
 import json
+import re
 import subprocess
 import sys
 import warnings
@@ -16,37 +17,24 @@ from reference_motions import DAMPED, START, reference, scene
 import oracles
 from hard_cases.cases import n_four_bar, scaled
 from hard_cases.cases import scene as hard_case
-from random_mechanisms import LOOPS, mechanism, seeded_scene
+from random_mechanisms import mechanism
 from robodyn import assemble, load, simulate
 from robodyn.engines import machine, machine_motion
 from robodyn.errors import InputError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.actuation import Actuation
+from robodyn.simulation.accuracy import AUTO, best_method, settings_for
 from robodyn.simulation.extended import reference as longdouble_reference
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
-from robodyn.taylor import compiled, engine_choice
+from robodyn.taylor import compiled
 
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 
-ENGINE = ["python"]
 
-
-@pytest.fixture(params=["python", "compiled"])
-def engine(request, monkeypatch):
-    """What `taylor` goes by where it is not told."""
-    if request.param == "compiled":
-        pytest.importorskip("llvmlite")
-    monkeypatch.setattr(sys.modules[__name__], "ENGINE", [request.param])
-
-
-by_each_engine = pytest.mark.usefixtures("engine")
-
-
-def taylor(mech, q, qd, t_end, tau=None, tolerance=1e-9, engine=None, **options):
-    engine = engine or ENGINE[0]
-    options = {"rtol": tolerance, "atol": tolerance, "engine": engine, **options}
+def taylor(mech, q, qd, t_end, tau=None, tolerance=1e-9, **options):
+    options = {"rtol": tolerance, "atol": tolerance, **options}
     return simulate(mech, q, qd, t_end, tau, "taylor", **options)
 
 
@@ -56,12 +44,11 @@ def apart(first, second):
 
 @cache
 def known_run(text, q, qd, t_end, tau, method, tolerance, times):
-    """A run by another method, one for all engines."""
+    """A run by another method, kept."""
     options = {"rtol": tolerance, "atol": tolerance, "t_eval": times}
     return simulate(mechanism(text), q, qd, t_end, tau, method, **options)
 
 
-@by_each_engine
 class TestBalance:
     @pytest.mark.parametrize("tau", [None, (1.5,), "1.5*sin(2*t) + 0.2*q1"])
     @pytest.mark.parametrize("name", DAMPED)
@@ -92,10 +79,8 @@ class TestBalance:
         assert motion.report.largest_gap < 3e-14
 
 
-@by_each_engine
-@pytest.mark.parametrize("engine", ["python", "compiled"])
 @pytest.mark.parametrize("k", [1, 2, 4, 8, 12])
-def test_by_a_torque_that_grows_as_a_power_of_time(k: int, engine: str) -> None:
+def test_by_a_torque_that_grows_as_a_power_of_time(k: int) -> None:
     """Of E = exp(i c t^(k + 2)) all orders but a few vanish, and tell of no step.
 
     Nor do they where an arm turns slowly, or another one beside it.
@@ -107,7 +92,7 @@ def test_by_a_torque_that_grows_as_a_power_of_time(k: int, engine: str) -> None:
     cases = product(((0.0, 0.0), (0.01, 0.0), (0.0, 1e-3)), (2.0, -2.0))
     for (rates, end), tolerance in product(cases, (1e-3, 1e-6, 1e-9, 1e-12)):
         exact = rates[1] * end + end ** (k + 2) / ((k + 1) * (k + 2) * 0.35)
-        given = {"method": "taylor", "engine": engine, "rtol": tolerance, "atol": tolerance}
+        given = {"method": "taylor", "rtol": tolerance, "atol": tolerance}
         motion = simulate(arms, [0.0, 0.0], rates, end, f"0, t**{k}", **given)
         with case(rates, end, tolerance):
             assert abs(motion.q[-1, 1] - exact) < 10.0 * tolerance * max(1.0, abs(exact))
@@ -157,7 +142,8 @@ class TestChangePoints:
         assert np.ptp(motion.q[:, [0, 2]], axis=1).max() < 1e-9
         assert motion.report.energy_drift < 1e-8
 
-    def test_closures_that_depend_on_one_another(self):
+    def test_closures_that_depend_on_one_another_on_this_branch(self):
+        """DOP853 leads all the way: each state is as near to a singular one as any."""
         mech = hard_case("third-crank")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", category=UserWarning)
@@ -167,46 +153,62 @@ class TestChangePoints:
         assert np.ptp(motion.q[:, [0, 2, 3]], axis=1).max() < 1e-9
 
 
-class TestEngines:
-    def test_a_massless_coupler_goes_row_by_row(self):
-        mech = hard_case("massless-coupler")
-        q = assemble(mech, [1.0])
-        motion = taylor(mech, q, np.zeros(3), 0.6, tolerance=1e-12, t_eval=[0.3, 0.6])
-        assert motion.report.evaluator == "interpreted"
-        known = simulate(mech, q, np.zeros(3), 0.6, rtol=1e-12, atol=1e-12, t_eval=[0.3, 0.6])
-        assert apart(motion, known) < 1e-8
+class TestServed:
+    """What machine code does not serve is refused by name; where no method is asked, DOP853."""
+
+    @pytest.mark.parametrize("name", ["closed twice", "massless-coupler"])
+    def test_scenes(self, name):
+        mech, why = hard_case("massless-coupler"), "masses are missing"
+        if name == "closed twice":
+            text = (ROOT / "robots/four-bar.yaml").read_text()
+            twice = "- [{link: coupler, at: [0.95, 0]}, {link: rocker, at: [0.8, 0]}]"
+            text, changed = re.subn(r"closures:\n", rf"closures:\n  {twice}\n", text)
+            text = re.sub("assembly: open", "assembly: [open, open]", text)
+            assert changed
+            mech, why = mechanism(text), "closures depend on one another"
+        still = Actuation((0.0,) * mech.n)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", category=UserWarning)
+            q = assemble(mech, [1.0])
+        with pytest.raises(InputError, match=rf"method = taylor: .*{why}.*take DOP853"):
+            taylor(mech, q, np.zeros(mech.n), 1.0)
+        assert best_method(mech, still) == "DOP853"
+        settings, _ = settings_for(
+            mech, np.concatenate([q, np.zeros(mech.n)]), 0.2, still, Settings(AUTO), 1e-6
+        )
+        assert settings.method == "DOP853"
+
+    def test_too_many_loops(self, monkeypatch):
+        monkeypatch.setattr(compiled, "LARGEST", 20)
+        bars = n_four_bar(3)
+        with pytest.raises(InputError, match="160 loops"):
+            taylor(bars, np.repeat([1.0, -1.0], [4, 3]), np.zeros(7), 1.0)
 
     def test_a_massless_tip_is_explained(self):
         with pytest.raises(SingularError, match="wire"):
             taylor(hard_case("massless-tip"), [0.0, 0.0], [0.0, 0.0], 1.0)
 
-    def test_no_compiled_engine_without_llvmlite(self, monkeypatch):
-        monkeypatch.setattr(engine_choice, "find_spec", lambda name: None)
-        with pytest.raises(InputError, match=r"engine = compiled: needs the extra `fast`"):
-            taylor(scene("2r"), *START, 1.0, engine="compiled")
-        assert taylor(scene("2r"), *START, 1.0, engine="auto").outcome is Outcome.FINISHED
+    def test_without_llvmlite(self, monkeypatch):
+        monkeypatch.setattr(machine, "available", lambda: False)
+        with pytest.raises(InputError, match=r"method = taylor: needs .* pip install '.\[fast\]'"):
+            taylor(scene("2r"), *START, 1.0)
+        start, still = np.concatenate(START), Actuation((0.0, 0.0))
+        settings, _ = settings_for(scene("2r"), start, 0.2, still, Settings(AUTO), 1e-6)
+        assert settings.method == "DOP853"
 
-    def test_no_compiled_engine_for_what_has_no_series(self):
-        with pytest.raises(InputError, match=r"a torque that has a series"):
-            taylor(scene("2r"), *START, 1.0, lambda t, q, qd: [0.0, 0.0], engine="compiled")
+    def test_it_is_machine_code_from_the_first_step(self):
+        assert taylor(scene("2r"), *START, 0.1).report.evaluator == "compiled"
 
-    @pytest.mark.parametrize("end", [0.1, 10.0])
-    def test_auto_is_machine_code_from_the_first_step(self, end):
-        pytest.importorskip("llvmlite")
-        auto, known = (taylor(scene("2r"), *START, end, engine=x) for x in ("auto", "compiled"))
-        assert auto.report.evaluator == "compiled"
-        assert np.array_equal(auto.q, known.q)
-
-    def test_a_long_run_in_python_tells_how_to_make_it_faster(self, monkeypatch):
-        monkeypatch.setattr(engine_choice, "find_spec", lambda name: None)
-        monkeypatch.setattr(engine_choice, "MANY", 20)
-        few, many = (taylor(scene("2r"), *START, end, engine="auto") for end in (0.1, 10.0))
-        assert few.report.hint == ""
-        assert ".[fast]" in many.report.hint
+    def test_engines_are_no_option_any_more(self, robodyn):
+        for engine in ("auto", "python", "compiled"):
+            with pytest.raises(InputError, match=r"engine = .*: the method taylor is machine code"):
+                taylor(scene("2r"), *START, 1.0, engine=engine)
+        told = robodyn(*TestProcess.LINE, "--engine", "python")
+        assert told.code == 2
+        assert "--engine = python: is no option any more" in told.err
 
     def test_code_that_cannot_be_made_for_what_comes_later(self, monkeypatch):
-        """Machine code of one piece of an expression; the next is for Python."""
-        pytest.importorskip("llvmlite")
+        """Machine code of one piece of an expression; DOP853 goes through the next."""
         tau = "0 if t < 0.5 else sin(3*t), 0"
         known = taylor(scene("2r"), *START, 1.0, tau)
         kernels = []
@@ -218,41 +220,46 @@ class TestEngines:
 
         compiled._kept.cache_clear()
         monkeypatch.setattr(machine_motion, "compile", one)
-        motion = taylor(scene("2r"), *START, 1.0, tau, engine="compiled")
+        motion = taylor(scene("2r"), *START, 1.0, tau)
         assert len(kernels) > 1
-        assert motion.report.evaluator == "straight"
+        assert motion.outcome is Outcome.FINISHED
         assert np.abs(motion.q[-1] - known.q[-1]).max() < 1e-7
 
-    @pytest.mark.parametrize("shape", [None, "four-bar", "five-bar", "slider-crank"])
-    def test_compiled_and_python_agree(self, shape):
-        pytest.importorskip("llvmlite")
-        drawn = seeded_scene(3, LOOPS[shape]) if shape else None
-        mech = drawn.mechanism if drawn else scene("3r")
-        q, qd = (drawn.q, drawn.qd) if drawn else (np.full(3, 0.3), np.ones(3))
-        options = {"tolerance": 1e-14, "order": 16, "t_eval": [0.2]}
-        found = [
-            taylor(mech, q, qd, 0.2, engine=kind, **options) for kind in ("compiled", "python")
+    def test_a_phase_of_contacts_that_it_does_not_serve(self):
+        """A four-bar of which two joints stick: what holds them depends on the closure."""
+        text = (ROOT / "robots/four-bar.yaml").read_text()
+        for inertia in ("I: 0.008", "I: 0.061"):
+            assert inertia in text
+            text = text.replace(inertia, f"{inertia}, friction: {{torque: 0.05, static: 30}}")
+        mech = mechanism(text)
+        q = assemble(mech, [1.0])
+        runs = [
+            simulate(mech, q, np.zeros(3), 2.0, "40*t", method=method, rtol=1e-10, atol=1e-10)
+            for method in ("DOP853", "taylor")
         ]
-        assert apart(*found) < 1e-11
+        names = [[event.name for event in run.events] for run in runs]
+        assert names[0] == names[1] != []
+        np.testing.assert_allclose(runs[0].q[-1], runs[1].q[-1], atol=1e-7)
 
+
+class TestRuns:
     @pytest.mark.parametrize("name", ["2r", "four-bar"])
     def test_a_run_does_not_depend_on_those_before(self, name):
         """Nor on one that goes on at the same time, with the same code."""
-        pytest.importorskip("llvmlite")
         mech = load(ROOT / f"robots/{name}.yaml")
         cranks = [[0.5, 0.3], [1.2, -0.4]] if mech.n == 2 else [[0.7], [1.9]]
         first, second = (assemble(mech, crank) for crank in cranks)
         still, inner = np.zeros(mech.n), []
 
         def watch(t):
-            inner.append(taylor(mech, second, still, 5.0, engine="compiled"))
+            inner.append(taylor(mech, second, still, 5.0))
             return False
 
-        settings = Settings("taylor", engine="compiled")
-        alone = [taylor(mech, q, still, 5.0, engine="compiled") for q in (first, second)]
+        settings = Settings("taylor")
+        alone = [taylor(mech, q, still, 5.0) for q in (first, second)]
         begin, unforced = np.concatenate([first, still]), Actuation((0.0,) * mech.n)
         _, recorder = run(mech, begin, 5.0, unforced, settings, lambda t, y, _: None, watch=watch)
-        again = taylor(mech, first, still, 5.0, engine="compiled")
+        again = taylor(mech, first, still, 5.0)
         assert apart(again, alone[0]) == apart(inner[0], alone[1]) == 0.0
         assert recorder.settle().energy_drift == alone[0].report.energy_drift
 
@@ -277,16 +284,7 @@ class TestEngines:
         assert motion.outcome is Outcome.FINISHED
 
 
-@by_each_engine
 class TestOutcomes:
-    def test_stiff_is_told_at_once(self):
-        """A damper 1e6 times too strong: the run would take more steps than it may."""
-        for tau in (None, "-1e5*qd2, 0"):
-            motion = taylor(hard_case("stiff"), [0.5, 0.8], [0, 0], 100.0, tau)
-            assert motion.outcome is Outcome.STIFF
-            assert "Radau" in motion.outcome.advice
-            assert motion.report.steps < 5000
-
     def test_stiff_but_feasible_is_done(self):
         text = DAMPED["arm"][0].replace("damping: 0.3", "damping: 3e+3")
         motion = taylor(mechanism(text), [0.5, 0.8], [0.0, 0.0], 1.0)
@@ -314,14 +312,12 @@ class TestOutcomes:
         assert rest.outcome is Outcome.FINISHED
         assert np.abs(rest.q + np.pi / 2).max() < 1e-9
 
-    @pytest.mark.parametrize("engine", ["python", "compiled"])
-    def test_whole_numbers_of_numpy_and_floats(self, engine):
-        options = {"engine": engine, "order": np.int64(8), "max_evals": np.inf}
-        if engine == "python" or machine.available():
-            motion = taylor(scene("2r"), *START, 0.5, **options)
-            assert motion.outcome is Outcome.FINISHED
-            options["max_evals"] = 2.5
-            assert taylor(scene("2r"), *START, 0.5, **options).report.steps < 4
+    def test_whole_numbers_of_numpy_and_floats(self):
+        options = {"order": np.int64(8), "max_evals": np.inf}
+        motion = taylor(scene("2r"), *START, 0.5, **options)
+        assert motion.outcome is Outcome.FINISHED
+        options["max_evals"] = 2.5
+        assert taylor(scene("2r"), *START, 0.5, **options).report.steps < 4
 
     def test_1000_rad_a_second(self):
         motion = taylor(scene("2r"), [0.3, 0.2], [1000.0, 0.0], 0.1)
@@ -341,14 +337,12 @@ class TestOutcomes:
         ("options", "match"),
         [
             ({"method": "DOP853", "order": 8}, "order: is for the method taylor"),
-            ({"method": "DOP853", "engine": "python"}, "engine: is for the method taylor"),
             ({"stabilize": "baumgarte"}, "stabilize = baumgarte"),
             ({"order": 3}, "order = 3"),
             ({"order": 100}, "order = 100"),
             ({"order": 8.0}, "order = 8.0: must be a whole number"),
             ({"max_evals": np.nan}, "max_evals = nan"),
             ({"rtol": 1e-17}, "rtol = 1e-17"),
-            ({"engine": "fortran"}, "engine = fortran"),
         ],
     )
     def test_settings_that_are_none(self, options, match):
@@ -371,7 +365,7 @@ class TestProcess:
 
     def test_torque_takes_the_motion_back(self, robodyn, tmp_path):
         options = ("--time", 1, "--points", 6, "--tau", "1.5,-0.25", "--order", 20)
-        csv = robodyn(*self.LINE, *options, "--engine", "python").succeeds().out
+        csv = robodyn(*self.LINE, *options).succeeds().out
         path = tmp_path / "motion.csv"
         path.write_text(csv)
         given = robodyn("torque", "robots/2r.yaml", path).succeeds()
@@ -379,17 +373,13 @@ class TestProcess:
         assert np.abs(np.array(given.column("tau2")) + 0.25).max() < 1e-11
 
 
-@pytest.mark.parametrize("engine", ["python", "compiled"])
-def test_a_run_stops_at_its_limit_of_evaluations(engine):
-    """However many steps an engine takes at a time."""
-    if engine == "compiled":
-        pytest.importorskip("llvmlite")
-    motion = taylor(scene("2r"), [1.0, 0.5], [0, 0], 10.0, engine=engine, max_evals=7)
+def test_a_run_stops_at_its_limit_of_evaluations():
+    """However many steps are taken at a time."""
+    motion = taylor(scene("2r"), [1.0, 0.5], [0, 0], 10.0, max_evals=7)
     assert motion.outcome is Outcome.TOO_MANY_EVALUATIONS
     assert motion.report.evaluations == 8
 
 
-@by_each_engine
 class TestFriction:
     """Far above its speed friction is flat, and its series does not see that it turns over."""
 
@@ -417,7 +407,6 @@ class TestFriction:
         assert motion.q[0] == pytest.approx(found.y[0, :1], abs=1e-9)
 
 
-@by_each_engine
 @pytest.mark.parametrize("beside", [0.0, 1e-8, 1e-4])
 @pytest.mark.thinned
 def test_a_springs_ends_that_pass_one_another(beside):
@@ -432,7 +421,6 @@ def test_a_springs_ends_that_pass_one_another(beside):
     assert found[1].report.energy_drift < 1e-5
 
 
-@by_each_engine
 @pytest.mark.parametrize("scene", ["pendulum", "four-bar"])
 @pytest.mark.parametrize(
     "torque", ["sqrt(abs(t-0.5))", "3*t**0.25", "abs(t-0.5)**1.5", "2*sqrt(t-0.5) if t>0.5 else 1"]

@@ -21,8 +21,6 @@ from robodyn.mechanics.program import Given, Program
 from robodyn.mechanics.torque_rows import linear_piece, torque_slots
 from robodyn.scene.expressions import FUNCTIONS
 from robodyn.simulation.report import Outcome
-from robodyn.taylor.python_series import StraightEngine
-from robodyn.taylor.steps import _agree
 
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 
@@ -111,13 +109,6 @@ class TestFunctions:
         assert found[0].tolist() == [-1.0, 1.0]
         assert not found[1:].any()
 
-    def test_begun_again_it_forgets(self):
-        y = [0.1, 0.2, 0.3, 0.4]
-        free = expressions(scene("2r"), "sin(q1)*tanh(t), cos(q2)", "test")
-        engine = StraightEngine(scene("2r"), None, 8, 1e-9, 1e-9, free, False)
-        first, second = (engine.expand(0.5, y, 1.0, 1.0) for _ in range(2))
-        assert first == second
-
 
 ROUGH = """
 abs(q1) | min(q1, q2) | max(q1, t) | floor(q1) | sign(qd1) | q1 % 2 | 1 if q1 < 2 else 0 | q1 > 0
@@ -180,32 +171,6 @@ class TestTable:
 class TestAgrees:
     """The torque at the end of a step is that of the series, or it bent on the way."""
 
-    @pytest.mark.parametrize(
-        ("text", "smooth", "bent"),
-        [
-            ("sqrt((t - 0.5)**2), 0", 0.45, 0.55),
-            ("hypot(t - 0.5, 0), 0", 0.45, 0.55),
-            ("sqrt(0.5 - t), 0", 0.31, 0.55),
-            ("tanh(1e5*(t - 0.5)), 0", 0.45, 0.55),
-            ("1, log(0.5 - t)", 0.31, 0.55),
-        ],
-    )
-    def test_what_bends(self, text, smooth, bent):
-        y = [0.1, 0.2, 0.0, 0.0]
-        found = torque_series(text, T0, [[x] for x in y[:2]], [[x] for x in y[2:]])
-        torques = expressions(scene("2r"), text, "test").function(2)
-
-        def agrees(t):
-            try:
-                values = torques(t, y)
-            except ValueError:  # outside the domain
-                return False
-            pairs = zip(found.T.tolist(), values, strict=True)
-            return all(_agree(each, t - T0, value, 1e-7, 1e-12) for each, value in pairs)
-
-        assert agrees(smooth)
-        assert not agrees(bent)
-
     @pytest.mark.parametrize("text", ["sqrt((t - 0.5)**2), 0", "0, ((q1 - 0.25)**2)**0.5"])
     def test_a_kink_is_found(self, text):
         """|x| has the series of x or -x, which nothing ends."""
@@ -217,16 +182,15 @@ class TestAgrees:
         known = simulate(scene("2r"), *start, 1.0, tau=tau, **options)
         assert np.abs(found.q - known.q).max() < 1e-7
 
-    @pytest.mark.parametrize("engine", ["auto", "python"])
     @pytest.mark.parametrize(
         "tau", ["sqrt(0.5 - t), 0", "1/(0.5 - t), 0", "log(0.5 - t), 0", "1/(t - 0.5)**2, 0",
                 "0, acos(2*t)", "tan(pi*t), 0", "(0.5 - t)**2.5, 0"]
     )  # fmt: skip
-    def test_no_step_leaps_beyond_the_domain(self, tau, engine):
+    def test_no_step_leaps_beyond_the_domain(self, tau):
         for way in (1.0, -1.0):
             given = tau if way > 0 else tau.replace("t", "(-t)").replace("sqr(-t)", "sqrt")
             given = given.replace("(-t)an", "tan")
-            motion = simulate(scene("2r"), *START, way, tau=given, method="taylor", engine=engine)
+            motion = simulate(scene("2r"), *START, way, tau=given, method="taylor")
             assert motion.outcome is Outcome.STEP_TOO_SMALL
             assert "torque is undefined" in motion.outcome.advice
             assert motion.t[-1] == motion.report.t_reached
@@ -258,10 +222,8 @@ class TestAgrees:
     def test_what_is_smooth_costs_no_steps(self):
         """A torque too small to matter may have a series that does not serve."""
         steps = [
-            simulate(
-                scene("2r"), *START, 1.0, tau=tau, method="taylor", engine="python"
-            ).report.steps
+            simulate(scene("2r"), *START, 1.0, tau=tau, method="taylor").report.steps
             for tau in ("0*t, 0", "1e-14*sin(300*t), 0", "t**64*1e-9, 0")
         ]
         for first, second in itertools.pairwise(steps):
-            assert abs(first - second) <= 2
+            assert abs(first - second) <= 3

@@ -41,7 +41,7 @@ _OPTIONS = {
         "Torques": "--force --tau --tau-from --volt",
         "Control": _CONTROL,
         "Integration": "--time --until --method --rtol --atol --max-step --accuracy "
-        "--estimate-error --order --engine --stabilize --baumgarte-rate --max-evals",
+        "--estimate-error --order --stabilize --baumgarte-rate --max-evals",
         "Output": _OUTPUT,
     },
     "sweep": {

@@ -163,7 +163,8 @@ def simulate(
     ):
         rows = _Rows(mechanism, torques, carried, results, stream)
         given = mechanism, begin, duration, acting, settings, rows.write, times, watch, watched
-        outcome, facts = _told(given, rows, estimate, results, table)
+        with named():
+            outcome, facts = _told(given, rows, estimate, results, table)
         if not results.quiet:
             _summary(mechanism, facts, events.until)
             if how.estimate_error and facts.error_estimate is None:

@@ -22,7 +22,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import joint_values, scene_units
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.simulation.even_times import DEFAULT_DURATION
-from robodyn.simulation.settings import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
+from robodyn.simulation.settings import MAX_EVALUATIONS, NO_ENGINE, Method, Settings, Stabilize
 from robodyn.simulation.simulation import UNTIL, watched_events
 
 if TYPE_CHECKING:
@@ -91,7 +91,6 @@ def _check_unwrap(options: ControlOptions) -> None:
 _STEP = "No step is longer, s. Default: none."
 _ACCURACY = "Largest error of q and qd over the whole run; chooses method and tolerance."
 _SENSITIVITY = "Adds dq1/NAME.., dqd1/NAME..: derivatives by numbers of the scene, start values."
-_ENGINE = "Of the Taylor series; auto compiles, with the extra `fast`, what has machine code."
 
 
 @dataclass(eq=False, repr=False)
@@ -105,7 +104,7 @@ class RunOptions:
     accuracy: Number = option(_ACCURACY, "RAD")
     estimate_error: bool = switch("Run again, 100 times as tight: the error's size.")
     order: int | None = option("Order of the Taylor series. Default: by the tolerance.", "N")
-    engine: Engine = option(_ENGINE, default="auto")
+    engine: Text = option("", hidden=True)
     stabilize: Stabilize = option("What keeps loops closed.", default="projection")
     baumgarte_rate: float = option("Decay rate of a gap.", "1/S", default=20.0)
     assemble: bool = switch("Correct a start that does not close.")
@@ -116,13 +115,13 @@ class RunOptions:
         """The settings of the run; InputError naming the option that is none."""
         if self.accuracy is not None and (self.rtol is not None or self.atol is not None):
             raise InputError("--accuracy and --rtol, --atol", limit="exclude each other")
+        refuse(NO_ENGINE, engine=self.engine)
         chosen = {name: getattr(self, name) for name in ("method", "rtol", "atol", "order")}
         settings = Settings(
             **{name: value for name, value in chosen.items() if value is not None},
             stabilize=self.stabilize,
             baumgarte=self.baumgarte_rate,
             max_evaluations=self.max_evals,
-            engine=self.engine,
             max_step=self.max_step,
         )
         with named():

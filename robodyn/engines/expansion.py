@@ -120,7 +120,6 @@ class MotionProgram:
         numbers: Sequence[Value],
         order: int,
         state: State,
-        pivoted: bool = False,
     ) -> Coefficients:
         """The series to an order; raises ZeroDivisionError where there are none."""
         series = Series(
@@ -130,7 +129,6 @@ class MotionProgram:
             order,
             state,
             slots=[*self.power, *self.bends],
-            pivoted=pivoted,
         )
         series.expand()
         if self.power:  # the residuals of the last order are not wanted, what works there is

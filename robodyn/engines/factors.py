@@ -71,27 +71,6 @@ class Factors:
         return [x[place] for place in self.place]
 
 
-class PivotedFactors:
-    """The inverse of a matrix of floats, with pivoting: for an M that is singular alone."""
-
-    def __init__(self, matrix: Sequence[dict[int, float]]) -> None:
-        import numpy as np
-
-        dense = np.zeros((len(matrix), len(matrix)))
-        for i, row in enumerate(matrix):
-            for j, value in row.items():
-                dense[i, j] = value
-        try:
-            self._inverse = np.linalg.inv(dense)
-        except np.linalg.LinAlgError:
-            raise ZeroDivisionError("the closures leave a freedom without inertia") from None
-
-    def solve(self, right: Sequence[float]) -> list[float]:
-        """The unknowns for a right side."""
-        found: list[float] = (self._inverse @ right).tolist()
-        return found
-
-
 def small_system(
     rows: Sequence[Sequence[Value]], right: Sequence[Value]
 ) -> tuple[list[Value], Value]:

@@ -29,7 +29,7 @@ LARGE = 5000
 LONG = 1000  # lines of a function that then is; those that are shorter hold the loops
 LEAST_LLVM = 17  # the first in which an address has no other type
 LIBRARY = (*FUNCTIONS, "pow", "fma")  # of C, that kernels may call
-ROOMS = ("engines", "events", "loops", "mechanics", "sweeps", "taylor")  # that decide the text
+ROOMS = ("engines", "loops", "mechanics", "sweeps", "taylor")  # that decide the text
 PLAIN = "plain"  # the processor's family without what is optional: for tests
 
 
@@ -47,15 +47,10 @@ class Code:
 
     def __init__(self, engine: Any, processor: Processor) -> None:
         self.engine, self.processor = engine, processor
-        self.extended: dict[str, bool] = {}  # what was added, and whether it is there
-
-    def address(self, name: str) -> int:
-        """Where the kernel of this name begins."""
-        return int(self.engine.get_function_address(name))
 
     def function(self, name: str, *types: Any, result: Any = ctypes.c_int64) -> Callable[..., Any]:
         """The kernel of this name as a function; other threads run while it does."""
-        call = ctypes.CFUNCTYPE(result, *types)(self.address(name))
+        call = ctypes.CFUNCTYPE(result, *types)(self.engine.get_function_address(name))
         call.code = self  # type: ignore[attr-defined]  # keeps the machine code
         return call
 
@@ -108,27 +103,11 @@ def make(
             return None
 
 
-def extend(code: Code, write: Callable[[Processor], str], key: str) -> bool:
-    """Add functions, which may call those of the code, to it, once; False where there can be none.
-
-    `write` and `key` are as in `make`.
-    """
-    with _lock, _uncollected():
-        if key not in code.extended:
-            try:
-                _made(write, key, None, code.processor, code)
-                code.extended[key] = True
-            except Exception:  # as in `make`
-                code.extended[key] = False
-        return code.extended[key]
-
-
 def _made(
     write: Callable[[Processor], str],
     key: str,
     level: int | None,
     processor: Processor,
-    beside: Code | None = None,
 ) -> Code:
     import llvmlite
     from llvmlite import binding as llvm
@@ -140,7 +119,7 @@ def _made(
     content = object_cache.load(folder, name.hexdigest())
     if content is not None:
         try:
-            return _loaded(content, processor, beside)
+            return _loaded(content, processor)
         except Exception:  # made anew below
             content = None
     objects = []
@@ -150,7 +129,7 @@ def _made(
         objects.append(_machine(processor, its_level).emit_object(module))
     content = b"".join(len(each).to_bytes(8, "little") + each for each in objects)
     object_cache.store(folder, name.hexdigest(), content)
-    return _loaded(content, processor, beside)
+    return _loaded(content, processor)
 
 
 def _parts(text: str, level: int | None) -> list[tuple[str, int]]:
@@ -182,13 +161,10 @@ def _machine(processor: Processor, level: int) -> Any:
     )
 
 
-def _loaded(content: bytes, processor: Processor, beside: Code | None) -> Code:
+def _loaded(content: bytes, processor: Processor) -> Code:
     from llvmlite import binding as llvm
 
-    if beside is None:
-        made = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(processor, 0))
-        beside = Code(made, processor)
-    engine = beside.engine
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(processor, 0))
     while content:
         end = 8 + int.from_bytes(content[:8], "little")
         if end > len(content):
@@ -196,7 +172,7 @@ def _loaded(content: bytes, processor: Processor, beside: Code | None) -> Code:
         engine.add_object_file(llvm.ObjectFileRef.from_data(content[8:end]))
         content = content[end:]
     engine.finalize_object()
-    return beside
+    return Code(engine, processor)
 
 
 @lru_cache(maxsize=1)

@@ -2,8 +2,7 @@
 
 The kernel `advance(block, budget, own)` takes up to `budget` steps of the lanes whose status is
 RUNNING, and returns how many it took; what a step leaves behind an observer keeps, `own` is its
-argument.  The rules are those of `taylor/steps.py`.  Masks are selects: no lane's numbers depend on
-its neighbours.
+argument.  Masks are selects: no lane's numbers depend on its neighbours.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from robodyn.engines.arithmetic import Planar as Planar
 from robodyn.engines.arithmetic import Value as Value
 from robodyn.engines.arithmetic import conjugate_times as conjugate_times
 from robodyn.engines.arithmetic import plus, some, times
-from robodyn.engines.factors import Factors, PivotedFactors
+from robodyn.engines.factors import Factors
 from robodyn.engines.frames import State as State
 from robodyn.engines.rules import Rules
 from robodyn.mechanics import program as rows
@@ -41,11 +41,8 @@ class Series(Rules):
     """The coefficients of a program's slots along one motion.
 
     `orders` of unknowns are expanded; `slots` are wanted besides the residuals.  With `grounded`
-    forces are summed in the ground's frame, which pays on deep trees; `pivoted` factors serve
-    floats where M alone is singular.
+    forces are summed in the ground's frame, which pays on deep trees.
     """
-
-    pivoted: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -69,7 +66,7 @@ class Series(Rules):
                 self.put(slot, m, self.known(slot, row, m))
         self._balance: dict[Slot, int] = {}
         self._residuals: list[Value] = []
-        self.factors: Factors | PivotedFactors | None = None
+        self.factors: Factors | None = None
         self.p = 0
 
     def planar_room(self, slot: Slot, orders: int) -> Any:
@@ -121,11 +118,11 @@ class Series(Rules):
                 case _:
                     self.real[slot][m] = plus(self.real[slot][m], delta)
 
-    def expand(self, factors: Factors | PivotedFactors | None = None) -> list[list[Value]]:
+    def expand(self, factors: Factors | None = None) -> list[list[Value]]:
         """All orders; the unknowns of each."""
         return [self.advance(p, factors) for p in range(self.orders)]
 
-    def advance(self, p: Any, factors: Factors | PivotedFactors | None = None) -> list[Value]:
+    def advance(self, p: Any, factors: Factors | None = None) -> list[Value]:
         """One order after those before it; its unknowns."""
         right = [times(-1.0, x) if type(x) is float else -x for x in self.residuals(p)]
         self.factors = self.factors or factors or self.factorise()
@@ -142,10 +139,8 @@ class Series(Rules):
             return self._moment[slot]
         return self._extra[slot], self.real[slot]
 
-    def factorise(self) -> Factors | PivotedFactors:
+    def factorise(self) -> Factors:
         """K factored; after `residuals(0)`."""
-        if self.pivoted:
-            return PivotedFactors(self.matrix())
         return Factors(self.matrix(), self.first_unknowns, self.arithmetic.keep)
 
     @property

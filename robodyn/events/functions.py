@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.dynamics.placed import relative_matrix
 from robodyn.errors import InputError
 from robodyn.events.rounding import Bounded, around_of, bound_of
 from robodyn.events.smooth_parts import has_one_sign, switches
@@ -74,16 +73,14 @@ class EventFunction(Part):
 
     `way` 1: where it becomes positive, -1: negative, 0: both.  Where it stays at zero a comparison
     holds if it has an equality (not `strict`).  It is smooth where none of its `switches`, which
-    are smooth between zeros of those before them, passes zero.  `linear` are its coefficients
-    (2 + 4n) of 1, t, q and qd, where it is a sum of these (`linear_form`).  Where it is seen to
-    have one sign, it may touch zero, but not pass.
+    are smooth between zeros of those before them, passes zero.  Where it is seen to have one sign,
+    it may touch zero, but not pass.
     """
 
     name: str
     way: int
     strict: bool
     switches: tuple[Part, ...]
-    linear: Array | None = field(default=None, compare=False)
     has_one_sign: bool = False
 
 
@@ -124,8 +121,7 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
         Part(_vectorised(x, n), bound_of(x, n), around=around_of(x, n)) for x in switches(tree)
     )
     made: tuple[Any, ...] = _vectorised(tree, n), bound_of(tree, n)
-    linear = linear_form(mechanism, tree)
-    made += name, way, strict, cuts, linear, has_one_sign(tree)
+    made += name, way, strict, cuts, has_one_sign(tree)
     return EventFunction(*made, around=around_of(tree, n))
 
 
@@ -198,53 +194,6 @@ def _vectorised(tree: ast.expr, n: int) -> Values:
         return found if found.shape == t.shape else np.broadcast_to(found, t.shape)
 
     return values
-
-
-def linear_form(mechanism: Mechanism, tree: ast.expr) -> Array | None:
-    """The coefficients (2 + 4n) of 1, t, q, qd, and once more of q and qd by absolute rates.
-
-    None where an expression is not linear.
-    """
-    n, relative = mechanism.n, relative_matrix(mechanism)
-    with np.errstate(all="ignore"):
-        found = _form(tree, n)
-    if found is None or not np.isfinite(found).all():
-        return None
-    absolute = found[2:].reshape(2, n) @ relative
-    return np.concatenate([found, absolute.ravel()])
-
-
-def _form(node: ast.expr, n: int) -> Array | None:
-    form = np.zeros(2 + 2 * n)
-    match node:
-        case ast.Constant(value=int() | float() as value):
-            form[0] = value
-        case ast.Name(id="t"):
-            form[1] = 1.0
-        case ast.Name(id=name) if name.lstrip("qd").isdecimal():
-            form[2 + int(name.lstrip("qd")) + n * name.startswith("qd")] = 1.0
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            inner = _form(operand, n)
-            return None if inner is None else -inner
-        case ast.BinOp(left=left, op=op, right=right):
-            a, b = _form(left, n), _form(right, n)
-            return None if a is None or b is None else _operated(op, a, b)
-        case _:
-            return None
-    return form
-
-
-def _operated(op: ast.operator, a: Array, b: Array) -> Array | None:
-    match op:
-        case ast.Add():
-            return a + b
-        case ast.Sub():
-            return a - b
-        case ast.Mult() if not a[1:].any():
-            return np.asarray(a[0] * b)
-        case ast.Mult() | ast.Div() if not b[1:].any():
-            return np.asarray(a * b[0] if isinstance(op, ast.Mult) else a / b[0])
-    return None
 
 
 def named_events(mechanism: Mechanism, texts: Iterable[str], taken: str) -> dict[str, str]:

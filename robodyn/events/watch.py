@@ -21,7 +21,6 @@ from robodyn.events.told import EventRecord, Found, Stop
 from robodyn.tables.arrays import Array
 
 LONG = 1e-3  # of the time of a run: what rounding hides for longer is told
-DOUBTS = 3  # calls of machine code, unsure of an event, after which it is not asked
 LESS = 7  # times at most that the work on a function is halved which cannot be followed
 LEAST = 1e-17  # of a step: no times within it are told apart further
 
@@ -33,7 +32,6 @@ class EventWatch(EventRecord):
     start is no event.
     """
 
-    doubts = 0  # calls of machine code that were unsure
     _single: Sequence[Single] = ()  # those in the step looked at
     _along: Sequence[int] = ()  # of that one of them which is looked at by itself
 
@@ -55,24 +53,6 @@ class EventWatch(EventRecord):
         for i, touched in enumerate(self._touched):
             self._hidden_until(i, touched[1] if touched else 0.0)
         return super().remarks()
-
-    def forms(self) -> tuple[Sequence[EventFunction], list[int]] | None:
-        """What machine code watches for: linear functions, and their signs.
-
-        None where it cannot watch for them all.
-        """
-        if self.doubts >= DOUBTS or self.may_end or any(self._touched):
-            return None
-        for function in self.functions:
-            if function.linear is None:
-                return None
-        return self.functions, self.signs
-
-    def took(self, kept: object) -> bool:
-        """Take what is kept of some steps, where it is what was found along them."""
-        if isinstance(kept, Found):
-            self.take(kept)
-        return isinstance(kept, Found)
 
     @np.errstate(all="ignore")  # values may be huge, or none
     def series(

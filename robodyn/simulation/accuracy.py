@@ -28,7 +28,6 @@ from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
 from robodyn.tables.arrays import Array
-from robodyn.taylor.engine_choice import stepping_engine
 
 AUTO = "auto"
 SAMPLES = 200  # times at which runs are compared, besides those of the steps
@@ -108,9 +107,11 @@ def settings_for(
 
 
 def best_method(mechanism: Mechanism, actuation: Actuation) -> str:
-    """The Taylor series, the cheapest at every accuracy; DOP853 where torques have none."""
+    """Return "taylor", the cheapest at every accuracy, or DOP853 if no machine code serves."""
+    from robodyn.taylor.compiled import check_served
+
     try:
-        stepping_engine(mechanism, actuation, 1e-9, 1e-9)
+        check_served(mechanism, actuation)
     except InputError:
         return "DOP853"
     return "taylor"

@@ -22,7 +22,7 @@ from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.settings import METHODS, Settings
 from robodyn.simulation.simulation import run
 from robodyn.tables.arrays import Array
-from robodyn.taylor.engine_choice import compiled_engine
+from robodyn.taylor.compiled import check_served
 
 Watch = Callable[[float], object]  # the part that is done
 
@@ -140,13 +140,12 @@ def _methods(
 ) -> tuple[list[tuple[str, Settings]], list[str]]:
     """Names and settings of the methods that serve this motion; which do not, and why."""
     names = [(method, Settings(method)) for method in METHODS if method != "taylor"]
-    names.append(("taylor", Settings("taylor", engine="python")))
     left_out = []
-    if compiled_engine(mechanism, actuation, 1e-9, 1e-9, None) is not None:
-        names.append(("taylor compiled", Settings("taylor", engine="compiled")))
-    else:
-        needs = "pip install '.[fast]', and a small mechanism"
-        left_out.append(f"taylor compiled: needs {needs}")
+    try:
+        check_served(mechanism, actuation)
+        names.append(("taylor", Settings("taylor")))
+    except RobodynError as error:
+        left_out.append(f"taylor: {error.limit if error.what == 'method' else error}")
     return names, left_out
 
 

@@ -26,12 +26,13 @@ NUMBERS = {
     "max_evaluations": "max_evals",
 }
 Method = Literal["DOP853", "RK45", "Radau", "taylor"]
-Engine = Literal["auto", "python", "compiled"]  # of the Taylor series
+Engine = Literal["auto", "python", "compiled"]  # of sweeps
 Stabilize = Literal["projection", "baumgarte", "none"]
 METHODS: tuple[str, ...] = get_args(Method)
 REMOVED = {"RK23": "RK45", "BDF": "Radau", "LSODA": "Radau"}  # what to take in place of each
 ORDERS = (4, 60)  # of the Taylor series
-CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize), "engine": get_args(Engine)}
+CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize)}
+NO_ENGINE = "is no option any more: the method taylor is machine code, with the extra `fast`"
 SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
 
 
@@ -46,7 +47,6 @@ class Settings:
     baumgarte: float = BAUMGARTE
     max_evaluations: int = MAX_EVALUATIONS
     order: int | None = None  # of the Taylor series; None: by the tolerance
-    engine: str = "auto"  # of the Taylor series; see `taylor/run.py`
     max_step: float = np.inf  # s
 
     @property
@@ -85,9 +85,8 @@ class Settings:
             limit = f"must be in [{ORDERS[0]}, {ORDERS[1]}]"
             raise InputError("order", value=self.order, limit=limit)
         taylor = self.method == "taylor"
-        if not taylor and (self.order is not None or self.engine != "auto"):
-            what = "order" if self.order is not None else "engine"
-            raise InputError(what, limit="is for the method taylor alone")
+        if not taylor and self.order is not None:
+            raise InputError("order", limit="is for the method taylor alone")
         if taylor and self.stabilize == "baumgarte":
             limit = "the Taylor series goes with projection or none"
             raise InputError("stabilize", value=self.stabilize, limit=limit)

@@ -34,7 +34,13 @@ from robodyn.simulation.run_torques import (
     no_hold,
     over_run,
 )
-from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings, check_run
+from robodyn.simulation.settings import (
+    BAUMGARTE,
+    MAX_EVALUATIONS,
+    NO_ENGINE,
+    Settings,
+    check_run,
+)
 from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
 from robodyn.tables.arrays import Array
 from robodyn.tables.columns import Columns
@@ -132,11 +138,11 @@ def simulate(
     stabilize: str = "projection",
     max_evals: int = MAX_EVALUATIONS,
     order: int | None = None,
-    engine: str = "auto",
     max_step: float = np.inf,
     events: Mapping[str, str] | None = None,
     until: str | None = None,
     sensitivity: Sequence[str] | None = None,
+    engine: None = None,
 ) -> Motion:
     """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
@@ -145,14 +151,15 @@ def simulate(
     is raised as it is; where it returns nan a shorter step is tried.  The motion is given at
     `t_eval`, or at the accepted steps where that is None.  Otherwise a run that does not finish is
     no exception: `motion.outcome` tells, and the motion holds what was computed.
-    `method` is one of scipy's, or "taylor", whose `order` follows from the tolerance unless given,
-    and whose `engine` is "python", "compiled" (machine code, with the extra `fast`), or "auto":
-    compiled where that serves the mechanism and its torques, else python.
+    `method` is one of scipy's, or "taylor", machine code with the extra `fast`, whose `order`
+    follows from the tolerance unless given.
     `events` are expressions by name, {"apex": "qd1", "high": "q1 > 90deg"}: `motion.events` tells
     when each passes zero, or becomes true; the run ends where `until` does.  `sensitivity` names
     numbers of the scene and start values, ["links.forearm.m", "q1"]: `motion.sensitivity`.
     Raises InputError for arguments that do not fit, a state that does not close among them.
     """
+    if engine is not None:
+        raise InputError("engine", value=engine, limit=NO_ENGINE)
     q = as_states(mechanism, "q", q)
     qd = as_states(mechanism, "qd", qd)
     if q.ndim != 1 or qd.ndim != 1:
@@ -173,9 +180,7 @@ def simulate(
         carried = with_sensitivities(mechanism, actuation, state, sensitivity, method)
     times = None if t_eval is None else np.asarray(t_eval, float)
     watch = watched_events(mechanism, events or {}, until, float(t_end))
-    settings = Settings(
-        method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step
-    )
+    settings = Settings(method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, max_step)
     try:
         return _motion(mechanism, state, float(t_end), actuation, settings, times, watch, carried)
     except CallerError as failed:
@@ -292,6 +297,10 @@ def run(
         moving = phases.moving
     smooth = SmoothMotions(actuation, settings, t_end, work)
     smooth.check_start(moving, y, report)
+    if settings.method == "taylor":
+        from robodyn.taylor.compiled import check_served
+
+        check_served(mechanism, actuation.alone or actuation)
     statistics = RunStatistics(report, actuation, mechanism.n, bool(mechanism.rows))
     most = settings.max_evaluations
     recorder = Recorder(moving, report, sink, times, most, watch, actuation, statistics)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from robodyn.loops.misses import Misses
     from robodyn.simulation.phases import Phases
     from robodyn.simulation.right_hand_side import RightHandSide
+    from robodyn.taylor.compiled import CompiledEngine
 
 
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
@@ -33,7 +34,7 @@ class SmoothMotions:
     def __init__(self, actuation: Actuation, settings: Settings, t_end: float, work: bool) -> None:
         self.actuation, self.settings, self.t_end, self.work = actuation, settings, t_end, work
         self._sides: dict[Mechanism, RightHandSide] = {}
-        self._engines: dict[tuple[Mechanism, str], Any] = {}  # of the Taylor series
+        self._engines: dict[Mechanism, CompiledEngine | None] = {}  # of the Taylor series
         self._misses: dict[Mechanism, Misses] = {}  # the change points that the run has met
 
     def misses(self, mechanism: Mechanism) -> Misses | None:
@@ -62,6 +63,8 @@ class SmoothMotions:
     def check_start(self, mechanism: Mechanism, y: Array, report: Report) -> None:
         """Raise RobodynError, now, where no motion is defined."""
         n, by_series = mechanism.n, self.settings.method == "taylor"
+        if by_series:
+            report.evaluator = "compiled"
         if by_series and not mechanism.springs and dense_dynamics.elimination_is_safe(mechanism):
             return
         with np.errstate(all="ignore"):  # rates that leave the floats end the run
@@ -92,7 +95,6 @@ class SmoothMotions:
                 rtol=float(settings.rtol),
                 atol=float(settings.atol),
                 order=settings.order,
-                engine=settings.engine,
                 project=projects,
                 max_step=float(settings.max_step),
                 side=lambda: self.side(mechanism),

@@ -1,9 +1,9 @@
 """One motion of a sweep by a single simulation, for what lanes do not serve.
 
 Motions that pass change points, closures that depend on one another, forces whose series end on the
-way, and controllers go so: by DOP853 where the scene has forces of its own or a controller (what is
-stiff by Radau there), else by the Taylor series.  Between the quarter points of its steps q is the
-polynomial of degree 5 that has q, qd and qdd of both: extremes and crossings are those of these.
+way, and controllers go so, by DOP853; what is stiff with a controller by Radau.  Between the
+quarter points of its steps q is the polynomial of degree 5 that has q, qd and qdd of both: extremes
+and crossings are those of these.
 """
 
 from __future__ import annotations
@@ -47,8 +47,7 @@ def single(
     of columns.
     """
     mechanism, y, n = given.mechanism, given.y[k], given.mechanism.n
-    plain = not (mechanism.has_state_forces or plan.control)
-    methods = ["taylor"] if plain else ["DOP853", *(["Radau"] if plan.control else [])]
+    methods = ["DOP853", *(["Radau"] if plan.control else [])]
     events, reference = dict(plan.events), dict(plan.control).get("reference")
     even = np.linspace(0.0, plan.t_end, plan.rows) if plan.told else None
 
@@ -61,7 +60,6 @@ def single(
                 plan.t_end,
                 tau=_torques(plan, given, k),
                 method=method,
-                engine="python" if plain else "auto",
                 rtol=max(aims.rtol, SCIPY_RTOL),
                 atol=aims.atol,
                 max_evals=aims.most,

@@ -1,17 +1,15 @@
 """A Taylor-series integrator for planar mechanisms: what its engines have in common.
 
 The series of a motion costs a few convolutions an order and a link for any planar linkage, as
-`engines/series.py` says.  Three engines make them: straight-line floats, the rows of the program
-one by one (`steps.py`), and machine code (`compiled.py`, with the extra `fast`); `engine_choice.py`
-chooses one, `run.py` drives it.
+`engines/series.py` says.  Machine code makes them (`compiled.py`, with the extra `fast`), and
+`run.py` drives it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,12 +17,10 @@ from robodyn.errors import RobodynError
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
-    from robodyn.events.told import Found
     from robodyn.taylor.step_boxes import Kept
 
 
 STEPS = 128  # at a time, at first: between them the run can be watched and interrupted
-Forms = tuple[Sequence[Any], list[int]]  # linear functions of events, and their signs
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 
 
@@ -39,7 +35,7 @@ class Status(IntEnum):
 
 
 class NoCodeError(RobodynError):
-    """There is no machine code for a scene: the engines in Python serve."""
+    """There is no machine code for a scene, or a phase of its motion: DOP853 serves."""
 
 
 class Chunk(NamedTuple):
@@ -54,7 +50,7 @@ class Chunk(NamedTuple):
     row_t: Array
     row_y: Array
     status: Status
-    kept: Kept | Found | None = None
+    kept: Kept | None = None
 
     def first(self, steps: int, direction: float) -> Chunk:
         """The first steps, and the rows within them."""
@@ -64,40 +60,8 @@ class Chunk(NamedTuple):
         return Chunk(t, self.y[:steps], self.row_t[:rows], self.row_y[:rows], Status.FULL)
 
 
-class Engine(Protocol):
-    """What advances a state by steps of the Taylor series; it `keeps` more where asked to.
-
-    `most` are the steps that it takes at a time.  Where it has `forms` it may find their events.
-    """
-
-    order: int
-    keeps: bool
-    forms: Forms | None
-    most: int
-
-    def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
-        """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
-
-        `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
-        The step in which they run out is the last, so that there may be more than are given.
-        """
-        ...
-
-    def within(self, times: Array) -> Array:
-        """The states (k, N) at times (k,) in the last step."""
-        ...
-
-    def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
-        """The states (k, N) at times (k,) in a step from (t, y) to `end`, as a function."""
-        ...
-
-    def closed(self, rows: Array) -> Array:
-        """States (k, 2n), where there are closures moved to the nearest that close."""
-        ...
-
-
 def order_where_steps_cost(tolerance: float) -> int:
-    """The order that measured cheapest for one run in machine code, and for many in numpy's arrays.
+    """The order that measured cheapest for one run, and for many in numpy's arrays.
 
     There a step costs much beside its series.
     """
@@ -105,7 +69,7 @@ def order_where_steps_cost(tolerance: float) -> int:
 
 
 def order_where_series_cost(tolerance: float) -> int:
-    """The same for one run in plain Python, and for many side by side in lanes of machine code.
+    """The same for many side by side in lanes of machine code.
 
     There the series is most of a step.
     """

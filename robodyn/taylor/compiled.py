@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cached_property, lru_cache
 from itertools import accumulate
 from struct import Struct
@@ -14,28 +14,91 @@ import numpy as np
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
-from robodyn.engines.machine_motion import RUNNING, Loaded
+from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
+from robodyn.engines.expansion import MotionProgram
+from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
-from robodyn.events.told import Found
 from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
-from robodyn.taylor import STEPS, Chunk, Forms, NoCodeError, Status, order_where_steps_cost
-from robodyn.taylor.coordinate_code import binomials
-from robodyn.taylor.kept_code import ASKED, GIVEN, TABLE, Rows
-from robodyn.taylor.step_boxes import Kept, terms_of
-from robodyn.taylor.watched_code import looks
-from robodyn.taylor.zero_code import FOUND, ROOM, WATCH, ZERO
+from robodyn.taylor import STEPS, Chunk, NoCodeError, Status, order_where_steps_cost
+from robodyn.taylor.step_boxes import Kept, boxes_along, terms_of
 
+ROWS = 16384  # of one call: no step begins when there are more
+# what the observer is told: addresses, how many times, rows so far, whether series are kept
+TABLE = ("times", "rows", "ends", "states", "series", "count", "given", "keeps")
+ASKED, GIVEN = TABLE.index("count"), TABLE.index("given")  # what each call tells anew begins there
 MOST_STEPS = 4096  # of a call
 WORK = 200_000  # links times orders times steps of a call, which takes some 20 ms
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
-_BEGUN, _ASKED = Struct("5d").pack_into, Struct("6q").pack_into  # faster than a slice of an array
-NONE, NO_LOOKS = np.zeros((0, 0)), (0, 0)
+_BEGUN, _ASKED = Struct("5d").pack_into, Struct("3q").pack_into  # faster than a slice of an array
 _STATUS = {RUNNING: Status.FULL} | {float(status): status for status in Status}
+
+
+class Rows(Observer):
+    """Keeps every step's end, its series where asked to, and rows at given times; of one lane."""
+
+    key = "rows " + " ".join(TABLE)
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
+        given, count = self._told(k, own, "given"), self._told(k, own, "count")
+        leave(k.compare("sge", given, k.whole(ROWS)))
+        wanted = k.compare("sge", count, k.whole(1))
+        leave(k.both(wanted, k.compare("sge", given, count)))
+
+    def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
+        with k.when(take):
+            self._keep(k, block, own, taken, end)
+
+    def _told(self, k: Kernel, own: Word, name: str) -> Word:
+        place = TABLE.index(name)
+        return k.load(k.at(own, place), ADDRESS if place < TABLE.index("count") else WHOLE)
+
+    def _keep(self, k: Kernel, block: Word, own: Word, taken: Word, end: Word) -> None:
+        scene, count = self.scene, len(self.scene.state)
+        wide, to = k.whole(count), scene.at(k, block, "to_q0")
+        begin, direction = scene.get(k, block, "t"), scene.get(k, block, "direction")
+        there = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
+        k.each(count, lambda i: k.store(k.load(k.at(to, i)), k.at(there, i)))
+        k.store(end, k.at(self._told(k, own, "ends"), taken))
+        with k.when(k.compare("sge", self._told(k, own, "keeps"), k.whole(1))):
+            turns, orders = 2 * scene.mechanism.n, scene.order + 2
+            with k.loop(k.whole(orders)) as m:
+                place = k.multiply(k.add(k.multiply(taken, k.whole(orders)), m), k.whole(turns))
+                source = scene.row(k, block, m)
+                target = k.at(self._told(k, own, "series"), place)
+                k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
+        with k.forever() as done:
+            given = self._told(k, own, "given")
+            k.leave(k.compare("sge", given, self._told(k, own, "count")), done)
+            time = k.load(k.at(self._told(k, own, "times"), given), SCALAR)
+            ahead = k.multiply(k.subtract(time, end), direction)
+            k.leave(k.less(k.number(0.0), ahead), done)
+            scene.put(k, block, "x", k.subtract(time, begin))
+            k.call("evaluate", block)
+            if scene.closes:
+                k.call("close", block)
+            row = k.at(self._told(k, own, "rows"), k.multiply(given, wide))
+            at_end = k.compare("oeq", time, end)
+
+            def keep(i: Word | int) -> None:
+                value = k.select(at_end, k.load(k.at(there, i)), k.load(k.at(to, i)))
+                k.store(value, k.at(row, i))
+
+            k.each(count, keep)
+            k.store(k.add(given, k.whole(1)), k.at(own, TABLE.index("given")))
+            self._again(k, there, to)
+
+    def _again(self, k: Kernel, there: Word, to: Word) -> None:
+        """The state at the step's end, where another one was made."""
+        k.each(len(self.scene.state), lambda i: k.store(k.load(k.at(there, i)), k.at(to, i)))
 
 
 class _Ready(NamedTuple):
@@ -72,11 +135,11 @@ def _kept(mechanism: Mechanism, constants: tuple[float, ...] | None, *rest: Any)
 
 
 class CompiledEngine:
-    """Steps of the Taylor series in machine code (`taylor.Engine`), of any torques that have one.
+    """Steps of the Taylor series in machine code, of any torques that have a series.
 
     Tolerances are those of angles (rad) and rates (rad/s) over one step.  With `work` states have
-    the work done appended; without `project` closures are left to drift.  Raises NoCodeError where
-    there is no machine code or a torque has no series, and so does `advance`.
+    the work done appended; without `project` closures are left to drift.  Raises NoCodeError if
+    there is no machine code, InputError if a torque has no series, and so does `advance`.
     """
 
     def __init__(
@@ -100,14 +163,8 @@ class CompiledEngine:
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps = False
         self.most = max(STEPS, min(MOST_STEPS, WORK // (mechanism.n * self.order)))
-        self.forms: Forms | None = None
-        self._functions: Sequence[Any] = ()  # those that `_watch` tells of
-        self._tables: tuple[Any, ...] = ()
-        self._watch = array("q", bytes(8 * len(WATCH)))
-        self._at_watch = self._watch.buffer_info()[0]
-        self._signs = np.zeros(0)
-        if not serves(mechanism):
-            raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
+        if why := refused(mechanism):
+            raise NoCodeError(why)
         if not machine.available():
             raise NoCodeError("needs the extra `fast`")
         self._made(None if actuation.pieces is None else actuation.pieces.at(0.0))
@@ -126,17 +183,12 @@ class CompiledEngine:
                     found = _kept(self.mechanism, given.constants, *rest)
                 else:
                     found = _ready(self.mechanism, given, *rest)
-            except (ZeroDivisionError, InputError) as error:
+            except ZeroDivisionError as error:
                 raise NoCodeError("no state has a series") from error
             block = found.code.block()
             block[:] = found.block
             found = self._blocks[held] = _Ready(found.scene, found.code, block, block.ctypes.data)
         return found
-
-    @cached_property
-    def _zeros(self) -> Array:
-        """Where machine code leaves zeros."""
-        return np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
 
     @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
@@ -149,44 +201,11 @@ class CompiledEngine:
         `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
         The step in which they run out is the last.
         """
-        chunk = None
-        if self.keeps and self.forms is not None:
-            chunk = self._watched(self.forms, t, y, bound, times, steps)
-        if chunk is None:
-            chunk = self._advance(t, y, bound, times, steps, self.keeps)
+        chunk = self._advance(t, y, bound, times, steps, self.keeps)
         if count := len(chunk.t):
             begun = (float(chunk.t[-2]), chunk.y[-2]) if count > 1 else (t, y)
             self._last = *begun, float(chunk.t[-1])
         return chunk
-
-    def _watched(
-        self, forms: Forms, t: float, y: Array, bound: float, times: Array, steps: int
-    ) -> Chunk | None:
-        """The same, in which the code finds events itself; None where it is unsure of one."""
-        functions, signs = forms
-        if functions is not self._functions:
-            self._look_for(functions)
-        self._signs[:], self._watch[FOUND] = signs, 0
-        made = self._advance(t, y, bound, times, steps, watches=True)
-        return made if made.kept is not None else None
-
-    def _look_for(self, functions: Sequence[Any]) -> None:
-        """Tell machine code what to watch for."""
-        forms = np.pad([function.linear for function in functions], ((0, 0), (0, 1)))
-        each = forms[:, 2 + 2 * self.mechanism.n : -1].reshape(len(forms), 2, -1).any(axis=1)
-        used = np.vstack([each.any(axis=0), each]).astype(np.int64)  # by any, and by each
-        self._functions, self._signs = functions, forms[:, -1]
-        self._tables = tables = forms, self._zeros, binomials(self.order), used
-        places = [table.ctypes.data for table in tables]
-        self._watch[:FOUND] = array("q", [*places, len(forms)])
-
-    def _found(self) -> Found | None:
-        watch, count = self._watch, self._watch[FOUND]
-        if watch[-1]:  # unsure
-            watch[-1] = 0  # or no later call takes a step
-            return None
-        zeros = self._zeros[:count].copy() if count else NONE
-        return Found(zeros, list(map(int, self._signs.tolist())))
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""
@@ -194,7 +213,10 @@ class CompiledEngine:
         return self._again(t, y, end, times)
 
     def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
-        """See `Engine`: the step is made once more for each call."""
+        """Return the states (k, N) at times (k,) in a step from (t, y) to `end`, as a function.
+
+        The step is made once more for each call.
+        """
         forward = 1.0 if end > t else -1.0
 
         def states(times: Array) -> Array:
@@ -215,7 +237,7 @@ class CompiledEngine:
         return rows
 
     def closed(self, rows: Array) -> Array:
-        """See `Engine`."""
+        """Move states (k, 2n or more) to the nearest that close, in place, and return them."""
         scene, code, block, address = next(iter(self._blocks.values()))  # they close alike
         if code.close is not None:
             first = scene.place["to_q0"]
@@ -234,7 +256,6 @@ class CompiledEngine:
         times: Array,
         steps: int,
         keeps: bool = False,
-        watches: bool = False,
         lands: bool = True,
     ) -> Chunk:
         pieces = self.actuation.pieces
@@ -258,18 +279,19 @@ class CompiledEngine:
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
         laid = self._laid(len(times), N, steps, keeps)
-        _, at, table, asked, rows, ends, states, boxes, series = laid
-        at_looks = looks(scene, code.code) if keeps or watches else NO_LOOKS
-        _ASKED(table.data, 8 * ASKED, *at_looks, len(times), 0, keeps, watches)
+        _, at, table, asked, rows, ends, states, series = laid
+        _ASKED(table.data, 8 * ASKED, len(times), 0, keeps)
         asked[:] = times
         code.advance(address, steps, at)
         block[place["suspect"]] = suspect
         taken, given = int(block[place["steps"]]), int(table[GIVEN])
         found = _STATUS[block[place["status"]]]
-        kept: Kept | Found | None = self._found() if watches else None
-        if keeps:
-            kept = Kept(boxes[:taken], lambda at, h: terms_of(series[at].T, h))
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
+        kept = None
+        if keeps and taken:
+            h = np.diff(made[0], prepend=t)
+            terms = terms_of(series[:taken].T, h)
+            kept = Kept(boxes_along(self.mechanism, np.vstack([y, made[1]]), terms, h), terms)
         return Chunk(*made, found, kept)
 
     def _laid(self, wanted: int, N: int, steps: int, keeps: bool) -> tuple[Any, ...]:
@@ -280,25 +302,50 @@ class CompiledEngine:
             return self._views
         wide, orders = 2 * self.mechanism.n, self.order + 2
         turns = most * wide * keeps
-        sizes = len(TABLE), wanted, wanted * N, most, most * N, 2 * turns, turns * orders
-        a, b, c, d, e, f, end = accumulate(sizes)
+        sizes = len(TABLE), wanted, wanted * N, most, most * N, turns * orders
+        a, b, c, d, e, end = accumulate(sizes)
         if len(self._room) < end:
             self._room = np.empty(end)
         room, at = self._room, self._room.ctypes.data
         table = room[:a].view(np.int64)
-        table[:6] = [at + 8 * x for x in (a, b, c, d, e, f)]
-        table[6] = self._at_watch
-        boxes, series = room[e:f].reshape(-1, 2, wide), room[f:end]
+        table[:5] = [at + 8 * x for x in (a, b, c, d, e)]
+        series = room[e:end].reshape(-1, orders, wide // 2, 2)
         parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(most, N)
-        self._views = layout, at, table, *parts, boxes, series.reshape(-1, orders, wide // 2, 2)
+        self._views = layout, at, table, *parts, series
         return self._views
 
 
 @lru_cache(maxsize=64)
+def refused(mechanism: Mechanism) -> str:
+    """Return why machine code does not serve a mechanism, or "": it does.
+
+    Of a mechanism with contacts, each mode is one for itself.
+    """
+    if mechanism.switches:
+        return "contacts change how it moves"
+    if loop_terms(mechanism) > LARGEST:
+        return "it has too many links and loops: some 160 loops are served"
+    if not elimination_is_safe(mechanism):
+        return "masses are missing, or differ too much, for it to be solved without pivots"
+    if mechanism.rows and regular_rank(mechanism) < len(mechanism.rows):
+        return "its closures depend on one another"
+    return ""
+
+
 def serves(mechanism: Mechanism) -> bool:
-    """Whether code of this length is worth it, and M and Psi are regular but at single states."""
-    if mechanism.switches:  # each of its modes is served for itself
-        return False
-    if loop_terms(mechanism) > LARGEST or not elimination_is_safe(mechanism):
-        return False
-    return not mechanism.rows or regular_rank(mechanism) == len(mechanism.rows)
+    """Return whether machine code serves a mechanism."""
+    return not refused(mechanism)
+
+
+def check_served(mechanism: Mechanism, actuation: Actuation) -> None:
+    """Raise InputError if no machine code serves a scene under its torques, with the reason."""
+    if not machine.available():
+        limit = "needs the extra `fast`: pip install '.[fast]'"
+        raise InputError("method", value="taylor", limit=limit)
+    free = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
+    if why := refused(free):
+        limit = f"{why}: take DOP853"
+        raise InputError("method", where=mechanism.source, value="taylor", limit=limit)
+    if actuation.constants is None and not actuation.linear:
+        with suppress(ZeroDivisionError):  # of numbers that no switch of an expression holds
+            MotionProgram(free, actuation, False)  # raises InputError for a torque without a series

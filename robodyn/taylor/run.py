@@ -1,8 +1,9 @@
 """Runs the Taylor integrator: steps onto kinks, crosses what is singular.
 
-A series that starts close to a singular configuration drowns in rounding.  Engines land elsewhere
-where they can; where they cannot, or a run starts there, a few steps of DOP853, whose stages
-`change_points.py` serves, lead across.  So they do from where a torque has no series, sqrt(t) at 0.
+A series that starts close to a singular configuration drowns in rounding.  Steps land elsewhere if
+they can; if they cannot, or a run starts there, DOP853, whose stages `change_points.py` serves,
+leads across.  So it does past a change point that the loops miss, from where a torque has no
+series, sqrt(t) at 0, and through a phase of contacts that machine code does not serve.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,14 +22,17 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.run_torques import check_start
+from robodyn.simulation.settings import SCIPY_RTOL
 from robodyn.tables.arrays import Array
-from robodyn.taylor import STEPS, Chunk, Engine, NoCodeError, Status
-from robodyn.taylor.engine_choice import EngineChoice
-from robodyn.taylor.held_steps import held_by_stability
-from robodyn.taylor.steps import SteppingEngine
+from robodyn.taylor import Chunk, NoCodeError, Status
+from robodyn.taylor.compiled import CompiledEngine
+from robodyn.taylor.step_boxes import states_along, states_at
 
 if TYPE_CHECKING:
+    from robodyn.events.pieces import Step
+    from robodyn.events.single_zeros import Places
     from robodyn.events.told import Stop
+    from robodyn.events.watch import EventWatch
     from robodyn.loops.misses import Misses
     from robodyn.simulation.right_hand_side import RightHandSide
     from robodyn.taylor.variations import Variations
@@ -41,15 +45,14 @@ MOST_LOOKED_AT = (
 AHEAD = 4  # where an event ends the run, or a phase of it, at first
 MOST_IDLE = 8  # rounds without a step, after which there is none
 LEAD = 8  # steps of DOP853 away from where a torque has no series
-SMALLEST_RTOL = 3e-14  # of scipy's methods
 
 
 @dataclass(eq=False)
 class TaylorRun:
     """A run from (t, y) to t_end; `side` makes what DOP853 needs, where it is needed.
 
-    `engine` is what `EngineChoice` takes; `engines` keeps those made for the next phase.  `met` are
-    the change points that the run has met so far.
+    `engines` keeps the engines of phases (None: machine code does not serve the phase) for the next
+    one.  `met` are the change points that the run has met so far.
     """
 
     mechanism: Mechanism
@@ -60,11 +63,10 @@ class TaylorRun:
     rtol: float
     atol: float
     order: int | None
-    engine: str
     project: bool
     max_step: float
     side: Callable[[], RightHandSide]
-    engines: dict[tuple[Mechanism, str], Any]
+    engines: dict[Mechanism, CompiledEngine | None]
     met: Misses | None
     t: float = 0.0
 
@@ -77,58 +79,56 @@ class TaylorRun:
 
             self.variations, self.y = variations_of(mechanism, self.actuation, self.y)
             self.actuation = self.actuation.alone
-        self.closing, self.misses, self.suspect = None, None, 0.0
+        self.closing, self.misses, self.regular, self.far = None, None, 0.0, 0.0
         if self.project and mechanism.rows:
             from robodyn.loops.change_points import suspect_quality
             from robodyn.loops.misses import FAR
             from robodyn.loops.projection import float_closing
 
             self.closing, self.misses = float_closing(mechanism), self.met
-            self.suspect, self.far = suspect_quality(mechanism), FAR
-        self.recent: list[Chunk] = []  # steps in a row not yet known to be held by stability
-        self.crosses = False  # whether only the motion that leads across a change point leads on
-        self.stuck = False  # whether none does: a torque bends without end, or rounding hides it
+            self.regular, self.far = 2.0 * suspect_quality(mechanism), FAR
         self.idle = 0  # times in a row that nothing led on
-        self.held = False  # whether steps may leap, or start too near: Python's engine holds them
         events = self.recorder.events
         self.most_ahead = max(1, min(MOST_LOOKED_AT, KEPT // mechanism.n))
         # of steps at a time, those beyond the end are lost
         self.ahead = AHEAD if events is not None and events.may_end else self.most_ahead
-        chosen = self.engine, mechanism, self.actuation, self.rtol, self.atol, self.order
-        work = len(self.y) > 2 * mechanism.n
-        rest = self.project, work, self.recorder, self.engines, self.misses
-        self.choice = EngineChoice(*chosen, *rest)
+        self.engine = self._engine()
+        self.lead = 0.0 if self.engine else math.inf  # steps of DOP853 that come next, at least
+
+    def _engine(self) -> CompiledEngine | None:
+        mechanism = self.mechanism
+        if mechanism not in self.engines:
+            try:
+                self.engines[mechanism] = CompiledEngine(
+                    mechanism,
+                    self.actuation,
+                    rtol=self.rtol,
+                    atol=self.atol,
+                    order=self.order,
+                    project=self.project,
+                    work=len(self.y) > 2 * mechanism.n,
+                )
+            except NoCodeError:
+                self.engines[mechanism] = None
+        return self.engines[mechanism]
 
     def run(self) -> Outcome:
         """To the end; an event raises StopRun."""
         check_start(self.mechanism, self.actuation, self.t, self.y)
-        if self.closing is not None and self.choice.in_python:
-            near = self.closing(self.y.tolist())[1] < self.suspect  # machine code tells itself
-            self.crosses = near and self._at_change_point()
         while True:
             before, bound = self.t, self._bound()
-            kind = type(self.choice.now).__name__
-            self.recorder.report.evaluator = kind.removesuffix("Engine").lower()
             status, outcome = Status.FULL, None
-            if self.crosses or self.stuck:
-                outcome = self._lead(bound)
+            if self.lead or self.engine is None:
+                outcome = self._by_dop853(bound)
             else:
                 try:
-                    chunk = self._advance(bound)
+                    status = self._advance(self.engine, bound).status
                 except NoCodeError:  # of other torques than those at the start
-                    self.choice.give_up()
-                    continue
-                status = chunk.status
-                if self._held_by_stability(chunk):
-                    outcome = Outcome.STIFF
+                    status = Status.STUCK
             if outcome is None:
                 outcome = self._way_on(before, status)
             if outcome is not None:
-                self.choice.tell()
                 return outcome
-
-    def _at_change_point(self) -> bool:
-        return self.misses is not None and self.misses.crosses(self.y[: self.mechanism.n])
 
     def _bound(self) -> float:
         """Where the next steps end at the latest."""
@@ -138,113 +138,91 @@ class TaylorRun:
             bound = self.t + math.copysign(self.max_step, self.t_end)
         return bound
 
-    def _lead(self, bound: float) -> Outcome | None:
-        """Go on by DOP853 to where a series leads on; the outcome where that fails."""
-        if self.variations is not None:
-            limit = "is of motions that pass no change point"
-            if self.stuck:
-                limit = "no Taylor series leads on there: take --method DOP853"
-            raise RobodynError("sensitivity", value=f"t = {self.t:.6g} s", limit=limit)
-        before, regular = self.t, 2.0 * self.suspect
-        self._by_dop853(bound, regular, LEAD if self.stuck else 1)
-        if self.t != before:
-            return None
-        singular = self.closing is not None and self.closing(self.y.tolist())[1] < regular
-        return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
+    def _leads_on(self, y: Array) -> bool:
+        """Whether the Taylor series may go on from y: its closures are regular, no miss is near."""
+        if self.closing is None:
+            return True
+        if self.closing(y.tolist())[1] < self.regular:
+            return False
+        return self.misses is None or self.misses.distance(y[: self.mechanism.n]) >= self.far
 
     @np.errstate(all="ignore")  # as of a run by it alone
-    def _by_dop853(self, bound: float, regular: float, least: int) -> None:
-        """At least so many steps and until the closures are regular, or the bound."""
-        from robodyn.simulation.solvers import solver_of
+    def _by_dop853(self, bound: float) -> Outcome | None:
+        """Go on by DOP853 to where a series leads on, or the bound; the outcome if that fails."""
+        if self.variations is not None:
+            limit = "is of motions that pass no change point"
+            if self.lead > 1:
+                limit = "no Taylor series leads on there: take --method DOP853"
+            raise RobodynError("sensitivity", value=f"t = {self.t:.6g} s", limit=limit)
+        from robodyn.simulation.solvers import StiffError, solver_of
 
-        tolerances = max(self.rtol, SMALLEST_RTOL), self.atol
+        before, least = self.t, self.lead
+        tolerances = max(self.rtol, SCIPY_RTOL), self.atol
         way = self.t, self.y, bound
         solver = solver_of("DOP853", self.side(), way, tolerances, self.recorder, self.actuation)
-        # where a rate is not finite at its start scipy has no first step, and would look for ever
-        while solver.status == "running" and math.isfinite(getattr(solver, "h_abs", 0.0)):
-            if solver.step() is not None:
-                break
-            least -= 1
-            if least <= 0 and (
-                self.closing is None or self.closing(solver.y.tolist())[1] >= regular
-            ):
-                break
-        self.recorder.end_solver(solver)
+        try:
+            # where a rate is not finite at its start scipy has no first step, and looks for ever
+            while solver.status == "running" and math.isfinite(getattr(solver, "h_abs", 0.0)):
+                if solver.step() is not None:
+                    break
+                least -= 1
+                if least <= 0 and self._leads_on(solver.y):
+                    break
+        except StiffError:
+            return Outcome.STIFF
+        finally:
+            self.recorder.end_solver(solver)
         self.t, self.y = float(solver.t), np.array(solver.y)
+        if self.t != before:
+            return None
+        singular = self.closing is not None and self.closing(self.y.tolist())[1] < self.regular
+        return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
 
-    def _runner(self) -> Engine:
-        """What makes the next steps: near a miss of a change point the engine in Python."""
-        if self.choice.in_python:
-            return self.choice.now
-        n = self.mechanism.n
-        near = self.misses is not None and self.misses.distance(self.y[:n]) < self.far
-        return self.choice.careful() if self.held or near else self.choice.now
-
-    def _advance(self, bound: float) -> Chunk:
-        """Some steps, less those beyond a leap or an event, which the recorder takes."""
-        recorder, runner = self.recorder, self._runner()
-        python, events = isinstance(runner, SteppingEngine), recorder.events
+    def _advance(self, engine: CompiledEngine, bound: float) -> Chunk:
+        """Some steps, less those beyond an event, which the recorder takes."""
+        recorder, events = self.recorder, self.recorder.events
         left = recorder.max_evaluations - recorder.report.evaluations
-        steps = max(1, min(runner.most, left + 1)) if self.max_step == math.inf else 1
-        runner.keeps = events is not None
+        steps = max(1, min(engine.most, left + 1)) if self.max_step == math.inf else 1
+        engine.keeps = events is not None
         steps = min(steps, self.ahead) if events is not None else steps
-        if not python:
-            runner.forms = events.forms() if events else None
-        chunk = runner.advance(self.t, self.y, bound, recorder.times_until(bound), steps)
-        self.held = False
-        if self.misses is not None and python:  # machine code looks too
-            times, ends = np.append(self.t, chunk.t), np.concatenate([self.y[None], chunk.y])
-            if leaps := self.misses.leaps(times, ends):
-                chunk, self.held = chunk.first(leaps[0], 1.0 if bound > self.t else -1.0), True
-        return self._told(chunk, runner)
-
-    def _told(self, chunk: Chunk, runner: Engine) -> Chunk:
-        """The steps up to an event, told to the recorder."""
-        within: Callable[[Array], Array] = runner.within
+        chunk = engine.advance(self.t, self.y, bound, recorder.times_until(bound), steps)
+        within: Callable[[Array], Array] = engine.within
         stop: Stop | None = None
-        events, variations = self.recorder.events, self.variations
-        if events is not None and len(chunk.t) and not events.took(chunk.kept):
-            from robodyn.taylor.watched_steps import with_events
-
-            given = events, self.mechanism, chunk, self.t, self.y, runner
-            chunk, within, stop = with_events(*given)
+        variations = self.variations
+        if events is not None and len(chunk.t):
+            given = events, self.mechanism, chunk, self.t, self.y, engine
+            chunk, within, stop = _with_events(*given)
         told = chunk
         if variations is not None:
-            told, within = variations.along(self.t, self.y, chunk, runner, within)
+            told, within = variations.along(self.t, self.y, chunk, engine, within)
         if len(chunk.t):
             self.t, self.y = float(chunk.t[-1]), chunk.y[-1]
             reach(self.carried, self.t, told.y[-1])
-        self.recorder.chunk(told, self.t_end, within)
+        recorder.chunk(told, self.t_end, within)
         if stop is not None:
             if variations is not None:
                 stop = stop._replace(y=variations.both(stop.y))
-            self.recorder.stop(stop)
+            recorder.stop(stop)
         self.ahead = min(2 * self.ahead, self.most_ahead)
         return chunk
 
-    def _held_by_stability(self, chunk: Chunk) -> bool:
-        if chunk.status is not Status.FULL:
-            self.recent.clear()
-            return False
-        self.recent.append(chunk)
-        if sum(len(some.t) for some in self.recent) < STEPS:
-            return False
-        recent, self.recent = self.recent, []
-        return held_by_stability(recent, self.t_end, self.recorder, self.rtol, self.atol)
-
     def _way_on(self, before: float, status: Status) -> Outcome | None:
         """How it goes on after steps from `before`; the outcome where it does not."""
-        # a spring whose ends meet has no series there, and a motion that leads across
-        steady = self.actuation.constants is not None and not self.mechanism.springs
         if self.t == self.t_end:
             return Outcome.FINISHED
         self.idle = self.idle + 1 if self.t == before else 0
-        self.stuck = status in (Status.STUCK, Status.NOT_FINITE)
-        if self.idle == MOST_IDLE or (self.stuck and self.closing is None and steady):
+        stuck = status in (Status.STUCK, Status.NOT_FINITE)
+        # a spring whose ends meet has no series there, and a motion that leads across
+        steady = self.actuation.constants is not None and not self.mechanism.springs
+        if self.idle == MOST_IDLE or (stuck and self.closing is None and steady):
             return Outcome.STEP_TOO_SMALL
-        self.crosses = status is Status.SINGULAR and self._at_change_point()
+        self.lead = LEAD if stuck else 0.0
         if status is Status.SINGULAR:
-            self.held = not self.crosses
+            self.lead = 1.0
+            if self.misses is not None:
+                self.misses.nearest(self.y[: self.mechanism.n])  # from here on it is known
+        elif self.engine is None:
+            self.lead = math.inf
         return None
 
 
@@ -252,3 +230,48 @@ def reach(actuation: Actuation, t: float, y: Array) -> None:
     """Tell a torque that depends on the run's steps that one of them ended on a kink."""
     if actuation.told is not None and (kink := kink_at(actuation.kinks, t)) is not None:
         actuation.told.reach(kink, y.tolist())
+
+
+def _with_events(
+    events: EventWatch,
+    mechanism: Mechanism,
+    chunk: Chunk,
+    t: float,
+    y: Array,
+    engine: CompiledEngine,
+) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
+    """Return a chunk from (t, y) up to the event that ends it, and the states in its last step."""
+    from robodyn.events.pieces import Step  # runs without events do not import it
+    from robodyn.events.signs import NODES
+
+    assert chunk.kept is not None
+    terms = chunk.kept.terms
+    times, before = np.concatenate([[t], chunk.t]), np.concatenate([y[None], chunk.y[:-1]])
+    forward = 1.0 if times[1] > times[0] else -1.0
+    h = times[1:] - times[:-1]
+
+    def step(j: int) -> Step:
+        begin, end = float(times[j]), float(times[j + 1])
+        return Step(begin, end, chunk.y[j], engine.dense(begin, before[j], end))
+
+    def sampled(places: Places) -> Array:
+        some = h[places]
+        return states_along(mechanism, before[places], terms[..., places], some, NODES)
+
+    def within(places: Places, t: Array) -> Array:
+        some, x = h[places], t - times[places]
+        found = states_at(mechanism, before[places], terms[..., places], x, x / some)
+        return engine.closed(found) if mechanism.rows else found
+
+    ends, exact = chunk.y[:, : 2 * mechanism.n], not mechanism.rows
+    found = events.series(times, chunk.kept.boxes, sampled, ends, step, exact, within)
+    if found is None:
+        return chunk, engine.within, None
+    j, stop = found
+    whole, last = chunk.first(j, forward), step(j)
+    if stop.t == last.begin:
+        return whole, last.states, stop
+    before = chunk.row_t * forward <= stop.t * forward
+    ends, states = np.append(whole.t, stop.t), np.concatenate([whole.y, stop.y[None]])
+    cut = Chunk(ends, states, chunk.row_t[before], chunk.row_y[before], Status.FULL)
+    return cut, last.states, stop

@@ -13,19 +13,15 @@ coordinate and the one below.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import relative_matrix
 from robodyn.events.signs import MISSED
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array, Complex
-
-Places = NDArray[np.int64]
 
 SLACK = 1e-12  # of the sizes of what is added: more than rounding adds
 BLOCK = 256  # steps of one link whose strays are summed at a time: memory near at hand is fast
@@ -33,14 +29,14 @@ END: Array = np.ones(1)  # of a step, the part that is all
 
 
 class Kept(NamedTuple):
-    """What an engine keeps of m steps, until it advances again.
+    """What an engine keeps of m steps h.
 
-    `boxes` (m, 2, 2n) are the middles of q and qd, and how far they go from there;
-    `terms(places, h)` (n, p, k) are z_k h^k, k > 0, of some steps h (k).
+    `boxes` (m, 2, 2n) are the middles of q and qd, and how far they go from there; `terms`
+    (n, p, m) are z_k h^k, k > 0.
     """
 
     boxes: Array
-    terms: Callable[[Places, Array], Complex]
+    terms: Complex
 
 
 def terms_of(parts: Array, h: Array) -> Complex:

@@ -23,12 +23,13 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.program import Program
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
-from robodyn.taylor import Chunk, Engine
-from robodyn.taylor.varied_steps import Along, Group, Steps, row_steps, straight_steps
+from robodyn.taylor import Chunk
+from robodyn.taylor.compiled import CompiledEngine
+from robodyn.taylor.varied_steps import Along, Group, Steps, straight_steps
 
-# orders of their series more than those of a closed chain's steps, in machine code and in Python:
-# next to where the chain is singular their errors fall by 14, and by 7
-MORE, MORE_IN_PYTHON = 4, 2
+# orders of their series more than those of a closed chain's steps: next to where the chain is
+# singular their errors fall by 14
+MORE = 4
 TOGETHER = 4  # names of which one call of machine code makes the tangents
 
 
@@ -65,7 +66,12 @@ class Variations:
             self._made = _kept(mechanism, actuation.constants, tuple(numbers))
 
     def along(
-        self, t: float, y: Array, chunk: Chunk, engine: Engine, within: Callable[[Array], Array]
+        self,
+        t: float,
+        y: Array,
+        chunk: Chunk,
+        engine: CompiledEngine,
+        within: Callable[[Array], Array],
     ) -> tuple[Chunk, Callable[[Array], Array]]:
         """The chunk from (t, y) with s in its states, and what has so `within` its last step.
 
@@ -79,14 +85,11 @@ class Variations:
         states[0], states[1:] = y[:wide], chunk.y[:-1, :wide]
         torques = self._acting(t, y, float(chunk.t[-1]))
         held = None if self.actuation.pieces is None else self.actuation.pieces.at(t)
-        make = MAKERS.get(type(engine).__name__, _compiled)
-        order = engine.order
-        if self.mechanism.rows:
-            order += MORE if make is _compiled else MORE_IN_PYTHON
-        key = held, make, order
+        order = engine.order + (MORE if self.mechanism.rows else 0)
+        key = held, order
         if key not in self._made:
             groups = self._groups(held)
-            self._made[key] = [(group.places, make(order, group)) for group in groups]
+            self._made[key] = [(group.places, _compiled(order, group)) for group in groups]
         parts = self._made[key]
         at_ends, at_rows = _every(parts, (begins, chunk.t, states, chunk.row_t), torques, s)
         self.s = at_ends[-1]
@@ -221,6 +224,3 @@ def _compiled(order: int, group: Group) -> Along:
         return found[:taken], found[taken:]
 
     return go
-
-
-MAKERS = {"StraightEngine": straight_steps, "InterpretedEngine": row_steps}

@@ -208,13 +208,10 @@ def mass_ratios(part: int = 1) -> Iterator[Row]:
             yield Row(f"{case}, {method}", "M ill-conditioned", what, 1e-7, drift)
     mechanism = scene("massless-coupler")
     hard = "M alone is singular"
-    for method in METHODS:
-        motion = simulate(
-            mechanism, robodyn.assemble(mechanism, [1.0]), [0, 0, 0], long, method=method
-        )
-        case, finished = f"massless coupler, {method}", motion.outcome is Outcome.FINISHED
-        yield Row(case, hard, "not finished", 0, truth(finished))
-        yield Row(case, hard, f"energy drift, {long:g} s", 1e-7, motion.report.energy_drift)
+    motion = simulate(mechanism, robodyn.assemble(mechanism, [1.0]), [0, 0, 0], long)
+    case, finished = "massless coupler, DOP853", motion.outcome is Outcome.FINISHED
+    yield Row(case, hard, "not finished", 0, truth(finished))
+    yield Row(case, hard, f"energy drift, {long:g} s", 1e-7, motion.report.energy_drift)
     for method in METHODS:
         arguments = ("--q", "0,0", "--time", "1", "--method", method)
         done = command("simulate", HERE / "massless-tip.yaml", *arguments)
