@@ -28,6 +28,7 @@ import numpy as np
 from bench_derivatives import derivatives, sensitivities
 from bench_frontier import frontier, taylor_process, what_acts
 from bench_identify import identification
+from bench_long import long_chains, nearly_locked
 from bench_motions import (
     code_of_many_loops,
     many_loops,
@@ -362,6 +363,8 @@ MEASURES = [
     sweeps,
     sweeps_beside_ode,
     flip_map,
+    long_chains,
+    nearly_locked,
 ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from random_mechanisms import (
 )
 from robodyn.dynamics import closed_form, dynamics
 from robodyn.equations.code import python
+from robodyn.equations.latex import latex
 from robodyn.equations.recorded import recorded
 from robodyn.equations.text import as_json, text
 from robodyn.equations.written import equations
@@ -483,6 +485,49 @@ closures: [[{link: b, at: [0.3, 0.2]}, e]]
     )
     names = [parameter.name for parameter in found.parameters]
     assert [name for name in names if name[0] in "pabxy"] == ["p3x", "p3y", "x5", "y5"]
+
+
+def long_chain(n: int, seed: int = 0) -> Mechanism:
+    """Links in series; with a seed the fourth slides, the sixth has a motor and two branches."""
+    rng, links = np.random.default_rng(seed), []
+    for k in range(n):
+        m, length, x, y, inertia = rng.uniform(0.2, 1.0, 5)
+        link = f"name: n{k}, m: {m}, I: {inertia}, r: [{x}, {y}], l: {length}"
+        link += ", joint: prismatic, axis: [0.6, 0.8]" if seed and k == 3 else ""
+        link += ", motor: {inertia: 0.3, ratio: 5}" if seed and k == 5 else ""
+        link += ", from: n5" if seed and k == n - 2 else ""
+        links.append(f"  - {{{link}}}\n")
+    return mechanism("gravity: 9.81\nlinks:\n" + "".join(links))
+
+
+@pytest.mark.parametrize("numeric", [False, True])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_long_chains_have_names_for_shared_parts(seed: int, numeric: bool) -> None:
+    mech = long_chain(13, seed)
+    content = json.loads(as_json(equations(mech, numeric)))
+    q, qd = np.random.default_rng(5).uniform(-2, 2, (2, mech.n))
+    scope: dict = {"sin": np.sin, "cos": np.cos}
+    scope |= {name: entry["value"] for name, entry in content["symbols"].items()}
+    scope |= {f"q{k + 1}": x for k, x in enumerate(q)}
+    scope |= {f"qd{k + 1}": x for k, x in enumerate(qd)}
+    for name, formula in content["definitions"].items():
+        scope[name] = eval(formula, scope)
+    M, C = (np.array([[eval(x, scope) for x in row] for row in content[name]]) for name in "MC")
+    expected = closed_form.mass_matrix(mech, q), closed_form.coriolis_matrix(mech, q, qd)
+    assert_close(M, expected[0], np.abs(expected[0]).max(), 1e-12)
+    assert_close(C, expected[1], np.abs(expected[1]).max(), 1e-12)
+    entries = [x for name in "MC" for row in content[name] for x in row]
+    used = " ".join([*content["definitions"].values(), *entries])
+    assert set(content["definitions"]) <= set(re.findall(r"\w+", used))
+
+
+def test_the_text_of_a_chain_grows_with_the_cube_of_its_length() -> None:
+    """Multiplied out it is about 2^5 times as long when the chain is twice as long."""
+    sizes_of = [len(text(equations(long_chain(n)))) for n in (12, 24)]
+    assert sizes_of[1] < 2**3.3 * sizes_of[0]
+    legend = text(equations(long_chain(12))).split("\nwhere\n")[1]
+    assert legend.count("mass matrix by absolute angles") == 1
+    assert r"$W_{j,k}$" in latex(equations(long_chain(12)))
 
 
 @pytest.mark.parametrize("width", [20, 60, 100, 200])

@@ -33,7 +33,7 @@ def equations(
     """The equations of motion in closed form, with their symbols.
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, as far as the scene has these, each entry
-    written out, then what the symbols mean.
+    written out (in long chains with names for shared parts), then what the symbols mean.
 
     `latex` is a whole document; `python` and `c` are functions M, C, G, ... that run on their own.
     JSON keys: name, equation, q, tau, M, C, D, G, Q, Psi, Psidot_qd, gap, definitions, symbols,

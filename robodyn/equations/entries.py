@@ -32,6 +32,8 @@ class Entries:
 
     `named` is the mechanism without its couplings, whose rows are `couplings`; `state` makes the
     state at which the rows are taken, with rates qd.  Weights and moments of `drag` belong to Q.
+    M and C are J^T W J; `shared` may return names in place of the entries of W (level 0) and of
+    W J (level 1).
     """
 
     def __init__(
@@ -40,9 +42,11 @@ class Entries:
         couplings: Sequence[CouplingRow],
         state: Callable[[Mechanism], Recorded],
         drag: Mechanism | None = None,
+        shared: Callable[[str, int, Matrix], Matrix] = lambda name, level, W: W,
     ) -> None:
         self.named, self.couplings, self.state = named, couplings, state
         self.drag = parts.bare(named) if drag is None else drag
+        self.shared = shared
 
     def of(self, name: str) -> Matrix:
         """The entries of the block of this name, row by row."""
@@ -50,7 +54,7 @@ class Entries:
         match name:
             case "M":
                 K = self._series(A=named.A).matrix()
-                M = self._in_joints([[row.get(k, 0.0) for k in joints] for row in K])
+                M = self._in_joints(name, [[row.get(k, 0.0) for k in joints] for row in K])
                 for rotor in named.rotors:
                     spins = named.spins(rotor).items()
                     for (a, x), (c, y) in product(spins, spins):
@@ -59,7 +63,7 @@ class Entries:
             case "C":
                 series = self._series(A=named.A)
                 loads = [series.real[slot][0] for slot in series.program.named["load"]]
-                return self._in_joints(self._at.half_slopes(loads))
+                return self._in_joints(name, self._at.half_slopes(loads))
             case "D":
                 return [[x if j == k else 0.0 for j in joints] for k, x in enumerate(named.damping)]
             case "G":
@@ -109,8 +113,9 @@ class Entries:
         series = self._rows_of(part, accelerated)
         return [[x] for x in balance(self._at, series)]
 
-    def _in_joints(self, W: Matrix) -> Matrix:
-        """J^T W J."""
-        summed = [self._at.to_joints(row) for row in W]
-        columns = [self._at.to_joints(column) for column in zip(*summed, strict=True)]
-        return [list(row) for row in zip(*columns, strict=True)]
+    def _in_joints(self, name: str, W: Matrix) -> Matrix:
+        """Return J^T W J for the block called `name`."""
+        summed = [self._at.to_joints(row) for row in self.shared(name, 0, W)]
+        columns = zip(*self.shared(name, 1, summed), strict=True)
+        entries = [self._at.to_joints(column) for column in columns]
+        return [list(row) for row in zip(*entries, strict=True)]

@@ -176,7 +176,7 @@ def _equation(left: str, entry: Sum | Formula) -> Iterator[str]:
 def _legend(equations: Equations[Sum]) -> Iterator[str]:
     """Tables of the variables and of the parameters, and remarks."""
     variables = [
-        (f"${NAMES.get(x.name, x.name)}_{{{x.numbers}}}$", "", x.unit, x.meaning)
+        (f"${NAMES.get(x.name, x.name)}_{{{x.numbers.replace('_', ',')}}}$", "", x.unit, x.meaning)
         for x in equations.variables()
     ]
     parameters = [

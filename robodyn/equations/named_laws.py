@@ -58,12 +58,16 @@ class Formula:
 
 
 class Definition(NamedTuple):
-    """A name that stands for a formula in the entries."""
+    """A name that stands for a formula in the entries.
+
+    Of many names that differ by numbers alone the legend has one line, with the letters `numbers`.
+    """
 
     name: str
     value: Sum | Formula
     unit: str
     meaning: str
+    numbers: str = ""
 
 
 def named_loads(scene: Any) -> tuple[Any, list[Any], list[Definition]]:

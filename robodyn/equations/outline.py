@@ -258,7 +258,10 @@ class Equations(Generic[Entry]):
         if self.mechanism.timed:
             found.append(Variable("t", "", "s", "time"))
         for definitions, _ in self.defined():
-            found += [Variable(x.name[0], x.name[1:], x.unit, x.meaning) for x in definitions]
+            lines = (
+                Variable(x.name[0], x.numbers or x.name[1:], x.unit, x.meaning) for x in definitions
+            )
+            found += dict.fromkeys(lines)
         return [x._replace(meaning=printable(x.meaning)) for x in found]
 
     def remarks(

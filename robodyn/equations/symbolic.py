@@ -85,7 +85,14 @@ class Sum:
         return ZERO
 
     def __add__(self, other: Any) -> Any:
-        return NotImplemented if isinstance(other, Planar) else total((self, summed(other)))
+        if isinstance(other, Planar):
+            return NotImplemented
+        found = dict(self.terms)  # a long sum is copied, not added term by term
+        for monomial, number in summed(other).terms.items():
+            found[monomial] = found.get(monomial, 0) + number
+            if not found[monomial]:
+                del found[monomial]
+        return Sum(found)
 
     __radd__ = __add__
 
@@ -130,11 +137,15 @@ class Sum:
             for factor, _ in monomial:
                 yield from factor.atoms() if isinstance(factor, Sum) else [factor]
 
-    def half_slope(self, rate: Atom) -> Sum:
-        """Half of what the terms change by with a rate."""
-        terms = ((term, number, dict(term).get(rate)) for term, number in self.terms.items())
-        less = ((rate, -1),)
-        return collected((merged(x, less), number * Fraction(p, 2)) for x, number, p in terms if p)
+    def half_slopes(self) -> dict[Atom, Sum]:
+        """Return half of the derivative by each rate that the sum holds."""
+        found: dict[Atom, list[tuple[Monomial, Number]]] = {}
+        for term, number in self.terms.items():
+            for atom, power in term:
+                if atom.role == Role.rate:
+                    slope = merged(term, ((atom, -1),)), number * Fraction(power, 2)
+                    found.setdefault(atom, []).append(slope)
+        return {atom: collected(terms) for atom, terms in found.items()}
 
     def substituted(self, values: Mapping[str, Fraction]) -> Sum:
         """The sum with numbers for the symbols that `values` names."""

@@ -14,13 +14,14 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from math import inf
 from typing import Any
 
 from robodyn.engines.formulas import Recorded
 from robodyn.engines.series import Arithmetic
-from robodyn.equations.entries import Entries
+from robodyn.equations.entries import Entries, Matrix
 from robodyn.equations.factoring import (
     Key,
     as_one,
@@ -38,7 +39,7 @@ from robodyn.equations.named_laws import (
     named_loads,
     spring_terms,
 )
-from robodyn.equations.outline import Block, Equations, heads
+from robodyn.equations.outline import Block, Equations, Head, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import (
     NOWHERE,
@@ -64,6 +65,17 @@ from robodyn.scene.scene import Closure, Load, Moment, Point, Spring
 # How the terms of a block's entries are collected: by the first of these, then within by the next.
 LINE = (by_role(Role.normal), by_role(Role.rate), by_function)
 FORCES = (by_role(Role.gravity, Role.force), by_angle, by_function)
+LONG = 55  # joints that carry each link, added up: more than in a chain of ten links
+SHARED = {  # by blocks, the letter and meaning of the names of W and of W J
+    "M": (
+        ("W", "mass matrix by absolute angles or displacements, of links j and k"),
+        ("U", "sum of Wj_i over link k and all links i that it carries"),
+    ),
+    "C": (
+        ("Z", "Coriolis matrix by absolute angles or displacements, of links j and k"),
+        ("E", "sum of Zj_i over link k and all links i that it carries"),
+    ),
+}
 LEVELS: dict[str, Sequence[Key]] = {
     "M": (by_role(Role.mass, Role.inertia), by_angle, by_function),
     "C": (as_one, by_role(Role.rate), by_angle, by_function),
@@ -106,19 +118,24 @@ def equations(
     contacts = contact_terms(mechanism, parameters.dry, parameters.stops)
     acting = [*spring_terms(mechanism, parameters.scene), *contacts]
     named = with_kept(springs.mechanism, parameters.kept)
-    entries = Entries(named, parameters.couplings, _Symbolic, springs.drag)
+    shared = _Shared(mechanism)
+    entries = Entries(named, parameters.couplings, _Symbolic, springs.drag, shared.named)
     found = []
     for head in known:
         sums, levels = entries.of(head.name), LEVELS.get(head.name, LINE)
+        ordered: Callable[[Any], Sum] = partial(_in_order, block=head.name)
+        if shared.sums:  # the entries are sums of names
+            ordered, levels = summed, ()
         added = [x for x in acting if x.block == head.name]
         for term in added:
             sums[term.joint][0] = sums[term.joint][0] + of(term.name).times(term.sign)
         block: list[tuple[Sum, ...]] = []
         for i, row in enumerate(sums):
             mirrored = [block[j][i] for j in range(i)] if head.shape == "symmetric" else []
-            more = (write(_in_order(x, head.name), levels) for x in row[len(mirrored) :])
+            more = (write(ordered(x), levels) for x in row[len(mirrored) :])
             block.append((*mirrored, *more))
-        names = [*springs.definitions(head.name, write)]
+        names = [*shared.definitions(head, block, write)]
+        names += springs.definitions(head.name, write)
         further = [*(loads if head.name == "Q" else []), *(x.defined for x in added)]
         names += [x._replace(value=write(x.value)) for x in further]
         found.append(Block(head, tuple(block), tuple(names)))
@@ -152,7 +169,8 @@ class _Symbolic(Recorded):
     def half_slopes(self, values: Sequence[Any]) -> list[list[Any]]:
         """See `Recorded`."""
         rates = [atom for rate in self.absolute("qd") for atom in rate.atoms()]
-        return [[summed(entry).half_slope(rate) for rate in rates] for entry in values]
+        slopes = [summed(entry).half_slopes() for entry in values]
+        return [[row.get(rate, ZERO) for rate in rates] for row in slopes]
 
 
 def _joints(angle: Any) -> tuple[int, ...]:
@@ -236,6 +254,58 @@ def _place(block: str, monomial: Monomial, seen: dict[tuple[int, ...], int]) -> 
     if body:
         return link, kind, body, force.place, True, stretch, sorted(lengths + moved)
     return link, kind, body, force.place, not moved, stretch, [] if free else lengths
+
+
+# -- names for shared parts ------------------------------------------------------------------------
+
+
+class _Shared:
+    """Names for the entries of W and of W J, of which M and C are sums, J^T W J.
+
+    W is the matrix by absolute angles and displacements.  Only long chains have names: multiplied
+    out, their text grows with the fifth power of the number of links.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        carrying: dict[int, int] = {}  # joints that carry each link
+        for k in mechanism.order:
+            above = mechanism.above[k]
+            carrying[k] = 1 if above is None else carrying[above] + 1
+        self.long = sum(carrying.values()) > LONG
+        self.sums: dict[str, Sum] = {}  # of the block that is written
+
+    def named(self, block: str, level: int, W: Matrix) -> Matrix:
+        """Return W with a name for each entry of more than one symbol."""
+        if not self.long:
+            return W
+        letter, found = SHARED[block][level][0], []
+        for j, row in enumerate(W):
+            found.append([*map(summed, row)])
+            for k, entry in enumerate(found[j]):
+                if len([*entry.atoms()]) > 1:
+                    mirrored = k < j and summed(W[k][j]) == entry
+                    name = letter + (f"{k + 1}_{j + 1}" if mirrored else f"{j + 1}_{k + 1}")
+                    self.sums[name] = entry
+                    found[j][k] = of(Atom(Role.stretch, (j, k), name))
+        return found
+
+    def definitions(
+        self, head: Head, block: Sequence[Sequence[Sum]], write: Callable[..., Sum]
+    ) -> Iterator[Definition]:
+        """Return the names that the block uses, in the order in which they can be computed."""
+        used = {atom.name for row in block for entry in row for atom in entry.atoms()}
+        for name in reversed(self.sums):
+            if name in used:
+                used |= {atom.name for atom in self.sums[name].atoms()}
+        for name, entry in self.sums.items():
+            if name in used:
+                (first, told), second = SHARED[head.name]
+                if name[0] == first:
+                    value = write(_in_order(entry, head.name), LEVELS["C"])
+                else:
+                    value, told = write(entry, ()), second[1]
+                yield Definition(name, value, head.unit, told, "j_k")
+        self.sums.clear()
 
 
 # -- springs ---------------------------------------------------------------------------------------

@@ -53,7 +53,7 @@ SAME = 1e-6  # rad by which poses may differ that are one
 STARTS = 30  # in vain before no more are tried, or 10 for each pose that is found
 MOST_EVALUATIONS = 10_000  # of the balance, over all starts
 MANY = 300  # starts drawn at once, after the first
-MOST_STARTS = 2730
+MOST_STARTS = STARTS + 10 * MANY
 MOST_TURNS = 10  # of a joint with springs, from their free angles
 MOST_LEVEL = 12  # poses that rest beside themselves, after which there is no end of them
 
