@@ -91,7 +91,7 @@ class TestLaws:
             force = 30 * x + 200 * x**3 + 0.5 * qd
             for mech in (one, two):
                 assert forward_dynamics(mech, [q], [qd], [0.0]) == pytest.approx([-force / 2])
-        motions = [run(x, 0.9, 0.0, 2.0, "taylor", "python") for x in (one, two)]
+        motions = [run(x, 0.9, 0.0, 2.0, "taylor") for x in (one, two)]
         assert motions[0].q[-1] == pytest.approx(motions[1].q[-1], abs=1e-9)
         assert max(m.report.energy_drift for m in motions) < 1e-9
         gained = motions[0].qd[-1, 0] ** 2  # 1/2 m v^2: a law with v has no potential
@@ -111,7 +111,7 @@ class TestLaws:
     def test_a_damper_by_its_law(self):
         """v' = -c v |v| in the smooth form c v sqrt(v^2): v = v0/(1 + c v0 t/I)."""
         mech = arm('springs: [{joint: arm, law: "0.6*v**2", angle: 0}]')
-        motion = run(mech, 0.0, 2.0, 3.0, "taylor", "python")
+        motion = run(mech, 0.0, 2.0, 3.0, "taylor")
         assert motion.qd[-1, 0] == pytest.approx(2.0 / (1.0 + 0.6 * 2.0 * 3.0 / INERTIA), rel=1e-9)
         lost = 0.5 * INERTIA * (motion.qd[-1, 0] ** 2 - 4.0)
         assert motion.report.work == pytest.approx(lost, rel=1e-9)
@@ -302,7 +302,7 @@ class TestOthers:
             assert ends is not None
             assert (ends.status == Status.REACHED).all()
             for k, (q, qd) in enumerate(y):
-                motion = run(mech, q, qd, 2.0, "taylor", "python")
+                motion = run(mech, q, qd, 2.0, "taylor")
                 right = [motion.q[-1, 0], motion.qd[-1, 0]]
                 assert ends.y[k] == pytest.approx(right, abs=2e-7)
             assert ends.drift.max() < 1e-7
