@@ -220,7 +220,8 @@ def searched_turns(
 
 
 def _pulls(mechanism: Mechanism, q: Array) -> Array:
-    """The torques (..., n) that hold q (..., n) at rest, N m, pin forces left out."""
+    """The torques (..., n) that hold q (..., n) at rest, N m, pin forces and stops left out."""
+    mechanism = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
     return gravity_vector(mechanism, q) - other_forces(mechanism, q, np.zeros(mechanism.n))
 
 
