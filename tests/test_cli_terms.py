@@ -149,10 +149,10 @@ def test_dry_friction_stands_in_Q_in_motion(robodyn: Run, tmp_path: Path) -> Non
     (tmp_path / "dry.yaml").write_text(FRICTION)
     moves = robodyn("terms", str(tmp_path / "dry.yaml"), "--q", "1", "--qd", "1").succeeds()
     assert moves.json["Q"] == [-1.0]
-    assert not moves.stderr
+    assert not moves.err
     rests = robodyn("terms", str(tmp_path / "dry.yaml"), "--q", "1")
     assert rests.json["Q"] == [0.0]
-    assert rests.stderr == (
+    assert rests.err == (
         "Note: Q is without the dry friction of a: at rest it holds any load up to static\n"
     )
 

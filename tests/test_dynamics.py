@@ -423,7 +423,7 @@ class TestMasslessLinks:
                 f"closures: [[coupler, rocker]]\nactuated: [{'heavy, ' * bool(before)}crank]\n"
             )
 
-        q = np.tile(loops.assembly.assemble(four_bar([]), [1.0]), (count, 1))
+        q = np.tile(robodyn.assemble(four_bar([]), [1.0]), (count, 1))
         alone = dyn.forward_dynamics(four_bar([]), q, 0 * q, [1.0])
         q = np.column_stack([np.zeros(count), q])
         found = dyn.forward_dynamics(four_bar([heavy]), q, 0 * q, [1.0, 1.0])

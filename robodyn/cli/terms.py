@@ -54,8 +54,10 @@ def terms(
     q_, qd_ = single_state(mechanism, state.quantities())
     resting = [k for k, _ in mechanism.dry if not qd_[k]]
     if resting:
-        names = ", ".join(mechanism.link_names[k] for k in resting)
-        note(f"Note: Q is without the dry friction of {names}: at rest it holds any load up to static")
+        dry = ", ".join(mechanism.link_names[k] for k in resting)
+        note(
+            f"Note: Q is without the dry friction of {dry}: at rest it holds any load up to static"
+        )
     if any(stop.restitution is not None for _, stop in mechanism.limits):
         note("Note: Q is without what hard stops hold")
     np.seterr(all="ignore")  # what leaves the range of floats is told below
