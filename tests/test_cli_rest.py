@@ -192,7 +192,7 @@ def test_what_is_left_out_is_told(robodyn: Run, tmp_path: Path) -> None:
     assert float(given.rows[0]["q1"]) == pytest.approx(-math.pi / 2, abs=1e-12)
 
 
-# -- ends of joints, and bends ----------------------------------------------------------------------
+# -- ends of joints, and bends ---------------------------------------------------------------------
 
 ENDED = "gravity: 9.81\nlinks: [{{name: a, m: 1, l: 1, r: 0.5, I: 0.1, limits: {{{}}}}}]\n"
 
@@ -257,7 +257,7 @@ def test_a_pose_that_nothing_holds_is_told(robodyn: Run, tmp_path: Path) -> None
     assert "holds it" not in robodyn(*run, "90deg,0").err
 
 
-# -- rests that only rounding leaves ----------------------------------------------------------------
+# -- rests that only rounding leaves ---------------------------------------------------------------
 
 
 def test_rounding_is_no_push(robodyn: Run, tmp_path: Path) -> None:
@@ -287,8 +287,8 @@ def test_a_sweep_that_holds_a_pose_starts_at_zero(robodyn: Run, tmp_path: Path) 
     path = tmp_path / "arm.yaml"
     path.write_text("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n")
     given = robodyn(
-        "sweep", path, "--quiet", "--vary", "links.a.m=1", "--control", "pd", "--kp", "20", "--kd", "0",
-        "--hold", "1", "--time", "0.001", "--result", "final",
+        "sweep", path, "--quiet", "--vary", "links.a.m=1", "--control", "pd", "--kp", "20",
+        "--kd", "0", "--hold", "1", "--time", "0.001", "--result", "final",
     ).succeeds()  # fmt: skip
     # q = 1 - cos(w t), w^2 = 20/0.35
     assert float(given.rows[0]["q1_end"]) == pytest.approx(20 / 0.35 * 0.5e-6, rel=1e-4)

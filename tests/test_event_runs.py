@@ -1,6 +1,8 @@
 """Events of whole runs, against closed forms, by every method."""
 
 import math
+import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -371,3 +373,35 @@ def test_what_closures_keep_at_zero_is_told_to_be_zero(how: dict[str, Any]) -> N
 def test_arguments_of_another_kind_are_refused_by_name(given: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=told):
         simulate(load("robots/pendulum.yaml"), [0.1], [0.0], 0.1, **given)
+
+
+CALLS = 100_000  # of functions; a run with an event that passes zero once takes some 3,000
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+@pytest.mark.xfail(strict=True, reason="waits for: one root finder")
+def test_a_double_root_is_told_once(tmp_path: Path, method: str) -> None:
+    """q = (t - 1)^2 (t - 3): it touches zero at 1, and passes it at 3."""
+    path = tmp_path / "free.yaml"
+    path.write_text("links: [{name: w, m: 1, l: 1, r: 0, I: 1}]\n")
+    mech = load(path)
+    how = {"method": method, "events": {"z": "q1"}}
+    simulate(mech, [-3.0], [1.0], 5.0, tau="t-2", **how)  # imports are not counted
+    calls = 0
+
+    def count(*_: object) -> None:
+        nonlocal calls
+        calls += 1
+        if calls > CALLS:
+            raise AssertionError(f"more than {CALLS} calls")
+
+    sys.setprofile(count)
+    try:
+        motion = simulate(mech, [-3.0], [7.0], 5.0, tau="6*t-10", **how)
+    finally:
+        sys.setprofile(None)
+    assert [event.t for event in motion.events] == pytest.approx([3.0], abs=1e-9)
+    (touch,) = (x for x in motion.report.remarks if "touches" in x)
+    times = [float(x) for x in re.findall(r"\d+\.?\d*(?:e-?\d+)?", touch)]
+    assert times == pytest.approx([1.0], abs=1e-7)
+    assert motion.report.remarks == [touch]

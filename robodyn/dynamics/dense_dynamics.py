@@ -285,7 +285,7 @@ def _along_freedoms(
     Nt, whole = np.swapaxes(N, -1, -2), N.shape[-1] == N.shape[-2]  # without closures N is 1
     reduced = M if whole else Nt @ M @ N
     diagonal = np.diagonal(reduced, axis1=-2, axis2=-1)
-    # the rounding of an inertia is a part of what its own freedom moves, not of other links' inertias
+    # the rounding of an inertia is a part of what its own freedom moves, of no other link
     moved = 0.0 if whole else LIGHTEST * (np.abs(N) * (np.abs(M) @ np.abs(N))).sum(axis=-2)
     scale = np.sqrt(np.where(diagonal > moved, diagonal, np.inf))
     scaled = reduced / (scale[:, :, None] * scale[:, None, :])
@@ -321,7 +321,7 @@ def _along_freedoms(
 
 
 def _parted(N: Array) -> Array:
-    """Return a basis of the columns of N (n, f) in which each has a row 1 where all others are 0."""
+    """Return a basis of the columns of N (n, f); each has a row 1 where all others are 0."""
     N, rows = N.copy(), list[int]()
     for c in range(N.shape[1]):
         left = np.abs(N[:, c:])
