@@ -154,3 +154,16 @@ def test_it_starts_without_numpy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, GRAVITY)
+
+
+@each("format", ["urdf", "mjcf"])
+def test_named_points_are_left_out_with_a_note(robodyn: Run, tmp_path: Path, format: str) -> None:
+    """Points act on nothing: the model is the one of the scene without them."""
+    link = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+    path = tmp_path / "arm.yaml"
+    path.write_text(link)
+    bare = robodyn("export", path, "--format", format).out
+    path.write_text(link + 'points: {P: "a@0.2,0.1"}\n')
+    given = robodyn("export", path, "--format", format)
+    assert (given.code, given.out) == (0, bare)
+    assert "the scene's `points` are left out" in given.err

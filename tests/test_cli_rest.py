@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import Outcome, relative_error
 from sliding_scenes import SCISSORS, STARTED
@@ -189,3 +190,125 @@ def test_what_is_left_out_is_told(robodyn: Run, tmp_path: Path) -> None:
     given = robodyn("equilibrium", scene, "--q", "-1")
     assert given.err == "Note: dry friction and hard stops hold nothing here\n"
     assert float(given.rows[0]["q1"]) == pytest.approx(-math.pi / 2, abs=1e-12)
+
+
+# -- ends of joints, and bends ---------------------------------------------------------------------
+
+ENDED = "gravity: 9.81\nlinks: [{{name: a, m: 1, l: 1, r: 0.5, I: 0.1, limits: {{{}}}}}]\n"
+
+
+@pytest.mark.parametrize("hard", ["", ", restitution: 0.5"])
+def test_rest_beyond_an_end_is_told_by_name(robodyn: Run, tmp_path: Path, hard: str) -> None:
+    path = tmp_path / "lim.yaml"
+    path.write_text(ENDED.format(f"min: -60deg, max: 60deg{hard}"))
+    beyond = "q1 (a) = -1.57079633: ", "beyond the joint's min, -1.04719755"
+    robodyn("equilibrium", path, "--all").fails(1, *beyond)
+    robodyn("linearize", path, "--q=-90deg").fails(2, *beyond)
+    assert robodyn("linearize", path, "--q=-60deg").code == 0
+    for command in ("torque", "accel", "points", "terms"):
+        assert robodyn(command, path, "--q=-90deg").code == 0
+
+
+def test_a_compliant_stop_may_be_entered(robodyn: Run, tmp_path: Path) -> None:
+    path = tmp_path / "soft.yaml"
+    path.write_text(ENDED.format("min: -60deg, stiffness: 100"))
+    told = robodyn("linearize", path, "--q=-90deg").json
+    assert told["A"][1][0] == pytest.approx(-(100 + 9.81 * 0.5) / 0.35)
+
+
+@pytest.mark.parametrize(
+    ("keys", "springs", "q", "slope", "side"),
+    [
+        ("", "{joint: a, table: tr.csv, angle: 0}", "0", 50.0, "larger"),
+        ("", "{joint: a, table: tr.csv, angle: 0}", "-0.5", 5.0, ""),
+        ("limits: {max: 1, stiffness: 100},", "{joint: a, stiffness: 3, angle: 0}", "1", 3.0,
+         "smaller"),
+        ("limits: {max: 1, stiffness: 100},", "{joint: a, stiffness: 3, angle: 0}", "0.9", 3.0, ""),
+    ],
+)  # fmt: skip
+def test_the_side_of_a_bend_is_told(
+    robodyn: Run, tmp_path: Path, keys: str, springs: str, q: str, slope: float, side: str
+) -> None:
+    (tmp_path / "tr.csv").write_text("x,F\n-1,-5\n0,0\n1,50\n")
+    path = tmp_path / "bent.yaml"
+    link = f"{{name: a, m: 1, l: 1, {keys} r: 0.5, I: 0.1}}"
+    path.write_text(f"links: [{link}]\nsprings: [{springs}]\n")
+    given = robodyn("linearize", path, f"--q={q}")
+    assert given.json["A"][1][0] == pytest.approx(-slope / 0.35)
+    told = f"its slope is that towards {side} q1 (a)"
+    assert (told in given.err) if side else ("slope" not in given.err)
+
+
+PASSIVE = (
+    "links: [{name: a, m: 1.1, l: 0.7, r: 0.33, I: 0.05}, {name: b, m: 0.8, l: 0.9, r: 0.5, I: 0.06"
+    "}]\nactuated: [b]\ngravity: 9.81\n"
+)
+
+
+def test_a_pose_that_nothing_holds_is_told(robodyn: Run, tmp_path: Path) -> None:
+    path, gain = tmp_path / "ab.yaml", tmp_path / "gain.json"
+    path.write_text(PASSIVE)
+    robodyn("linearize", path, "--q", "90deg,0", "--lqr", "--gain-out", gain)
+    run = ("simulate", path, "--q", "0,0", "--control", "state-feedback", "--gain", gain)
+    run = (*run, "--time", "0.01", "--points", "2", "--at")
+    told = robodyn(*run, "0,0").err
+    assert "no torque of the actuated joints holds it at --at" in told
+    assert "it is held by" not in told
+    assert "holds it" not in robodyn(*run, "90deg,0").err
+
+
+# -- rests that only rounding leaves ---------------------------------------------------------------
+
+
+def test_rounding_is_no_push(robodyn: Run, tmp_path: Path) -> None:
+    path = tmp_path / "rest.yaml"
+    path.write_text("gravity: 9.81\nlinks: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n")
+    flip = ("sweep", path, "--quiet", "--result", "flip", "--time", "3", "--vary")
+    rows = robodyn(*flip, "links.a.m=1,2", "--q", "90deg").succeeds().rows
+    assert [row["flip"] for row in rows] == ["", ""]
+    (swung,) = robodyn(*flip, "qd1=3", "--q", "80deg").succeeds().rows
+    assert float(swung["flip"]) > 0.01
+    only = "only rounding moves it"
+    assert only in robodyn("simulate", path, "--q", "90deg", "--time", "1").err
+    for others in (
+        ("--q=-90deg",),
+        ("--q", "90deg", "--tau", "0.1"),
+        (
+            "--q",
+            "89.9deg",
+        ),
+    ):
+        assert only not in robodyn("simulate", path, *others, "--time", "0.1").err
+    timed = ("--q", "90deg", "--tau", "0.001*t", "--time", "0.1")
+    assert only not in robodyn("simulate", path, *timed).err
+
+
+def test_a_sweep_that_holds_a_pose_starts_at_zero(robodyn: Run, tmp_path: Path) -> None:
+    path = tmp_path / "arm.yaml"
+    path.write_text("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n")
+    given = robodyn(
+        "sweep", path, "--quiet", "--vary", "links.a.m=1", "--control", "pd", "--kp", "20",
+        "--kd", "0", "--hold", "1", "--time", "0.001", "--result", "final",
+    ).succeeds()  # fmt: skip
+    # q = 1 - cos(w t), w^2 = 20/0.35
+    assert float(given.rows[0]["q1_end"]) == pytest.approx(20 / 0.35 * 0.5e-6, rel=1e-4)
+
+
+def test_one_name_is_no_list_of_letters() -> None:
+    mech = rd.load("robots/2r.yaml")
+    q = [0.3, 0.4]
+    (name,) = mech.link_names[:1]
+    assert rd.equilibrium(mech, q, hold=name).q[0] == 0.3
+    assert len(rd.equilibria(mech, q, hold=name)) == len(rd.equilibria(mech, q, hold=[name]))
+    t = np.linspace(0.0, 2.0, 60)
+    q, qd, qdd = (
+        np.column_stack([np.sin(3 * t + a) * s, np.cos(2 * t) * s])
+        for a, s in ((0, 1.0), (1, 2.0), (2, 3.0))
+    )
+    tau = rd.inverse_dynamics(mech, q, qd, qdd)
+    found = rd.identify(mech, q, qd, qdd, tau, of="links.forearm.m")
+    assert [x.name for x in found.estimates] == ["links.forearm.m"]
+    assert found.estimates[0].value == pytest.approx(mech.description.links[1].m, rel=1e-9)
+    both = rd.sweep(mech, {"q1": [0.0, 1.0]}, time=0.1, result=["final", "drift"])
+    text = rd.sweep(mech, {"q1": [0.0, 1.0]}, time=0.1, result="final,drift")
+    assert list(both) == list(text)

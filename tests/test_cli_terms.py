@@ -142,6 +142,21 @@ def test_the_table_shows_the_units_of_joints_that_slide(
     assert lines[lines.index("Psi") + 2].split("   ") == ["1 [m]", "2 [1]"]
 
 
+FRICTION = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1, friction: {torque: 1, static: 1.5}}]"
+
+
+def test_dry_friction_stands_in_Q_in_motion(robodyn: Run, tmp_path: Path) -> None:
+    (tmp_path / "dry.yaml").write_text(FRICTION)
+    moves = robodyn("terms", str(tmp_path / "dry.yaml"), "--q", "1", "--qd", "1").succeeds()
+    assert moves.json["Q"] == [-1.0]
+    assert not moves.err
+    rests = robodyn("terms", str(tmp_path / "dry.yaml"), "--q", "1")
+    assert rests.json["Q"] == [0.0]
+    assert rests.err == (
+        "Note: Q is without the dry friction of a: at rest it holds any load up to static\n"
+    )
+
+
 def test_out(robodyn: Run, tmp_path: Path) -> None:
     file = tmp_path / "terms.json"
     arguments = ["terms", "robots/2r.yaml", "--q", "1,2"]

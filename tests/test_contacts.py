@@ -761,6 +761,33 @@ def test_forward_undoes_inverse_while_joints_slip() -> None:
     np.testing.assert_allclose(found, qdd, atol=1e-11)
 
 
+def test_other_forces_hold_friction_in_motion_and_compliant_stops() -> None:
+    """-(torque + (static - torque) e^(-(v/stribeck)^2)) sign(v), and k (q - end) + d v outward."""
+    mechanism = scene(
+        "gravity: 9.81\nlinks:\n"
+        f"  - {{name: a, m: 1, l: 1, r: 0.5, I: 0.1, {dry(1, 1.5)}}}\n"
+        f"  - {{name: b, m: 1, l: 1, r: 0.5, I: 0.1, {dry(1, 2, 0.5)}, "
+        "limits: {max: 1, stiffness: 100, damping: 3}}\n"
+    )
+    q = np.array([[[0.3, 0.2]], [[0.3, 1.1]]])
+    qd = np.array([[1.0, 0.5], [-1.0, 0.0], [0.0, -20.0], [0.0, -0.5]])
+    bell = 1.0 + math.exp(-1.0)
+    free = [[-1.0, -bell], [1.0, 0.0], [0.0, 1.0], [0.0, bell]]
+    pushed = [[-1.0, -bell - 11.5], [1.0, -10.0], [0.0, 1.0], [0.0, bell - 8.5]]
+    Q = robodyn.other_forces(mechanism, q, qd)
+    np.testing.assert_allclose(Q, [free, pushed], atol=1e-12)
+    # where no joint with friction rests, these are the forces of the equation of motion
+    moving, qdd = np.array([2.0, -0.3]), np.array([0.7, -1.1])
+    terms = [
+        closed_form.mass_matrix(mechanism, q) @ qdd,
+        closed_form.coriolis_matrix(mechanism, q, moving) @ moving,
+        closed_form.gravity_vector(mechanism, q),
+        -robodyn.other_forces(mechanism, q, moving),
+    ]
+    tau = robodyn.inverse_dynamics(mechanism, q, moving, qdd)
+    np.testing.assert_allclose(tau, sum(terms), atol=1e-11)
+
+
 # -- wrong values ----------------------------------------------------------------------------------
 
 

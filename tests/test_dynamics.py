@@ -401,6 +401,35 @@ class TestMasslessLinks:
         with pytest.raises(SingularError, match="can move without any inertia"):
             dyn.forward_dynamics(mech, q, 0 * q, 0 * q)
 
+    @pytest.mark.parametrize("count", [1, 300])
+    def test_links_that_do_not_touch_are_judged_by_themselves(self, count):
+        """A heavy link beside a light one, and beside a loop whose freedoms are light."""
+        heavy = "{name: heavy, m: 0, l: 1, r: 0, I: 1e12}"
+        light = "{name: light, m: 5e-4, l: 1, r: 1, I: 0, from: [0, 0]}"
+        mech = mechanism(f"links: [{heavy}, {light}]\n")
+        q = np.zeros((count, 2))
+        found = dyn.forward_dynamics(mech, q, q, [1.0, 1.0])
+        assert_close(found * [1e12, 5e-4], np.ones((count, 2)), 1.0, 1e-12)
+
+        def four_bar(before):
+            numbers = [("0.35", "[3, 0]"), ("0.95", "crank"), ("0.8", "[4.1, 0]")]
+            names = ("crank", "coupler", "rocker")
+            bars = [
+                f"{{name: {name}, m: 0.001, l: {l}, r: 0.2, I: 1e-4, from: {place}}}"
+                for name, (l, place) in zip(names, numbers, strict=True)
+            ]
+            return mechanism(
+                f"links: [{', '.join([*before, *bars])}]\n"
+                f"closures: [[coupler, rocker]]\nactuated: [{'heavy, ' * bool(before)}crank]\n"
+            )
+
+        q = np.tile(robodyn.assemble(four_bar([]), [1.0]), (count, 1))
+        alone = dyn.forward_dynamics(four_bar([]), q, 0 * q, [1.0])
+        q = np.column_stack([np.zeros(count), q])
+        found = dyn.forward_dynamics(four_bar([heavy]), q, 0 * q, [1.0, 1.0])
+        assert_close(found[:, 1:], alone, np.abs(alone).max(), 1e-12)
+        assert_close(found[:, 0] * 1e12, np.ones(count), 1.0, 1e-12)
+
     def test_inverse_dynamics_needs_no_mass_at_all(self):
         mech = mechanism("links: [{name: wire, m: 0, l: 1, r: 0, I: 0, damping: 2}]")
         assert dyn.inverse_dynamics(mech, [1.0], [3.0], [5.0]).tolist() == [6.0]

@@ -62,4 +62,6 @@ def export(
         text, notes = mjcf(mechanism, step, pose), contact_notes(mechanism)
     for line in notes:
         note(f"Note: {line}")
+    if mechanism.description.points:
+        note(f"Note: {format.upper()} has no named points: the scene's `points` are left out")
     write_text(text, out)

@@ -41,8 +41,9 @@ def points(
 
     --links adds angle1,w1,wd1 of each link (rad, rad/s, rad/s^2), from the ground's X axis;
     --transmission adds transmission1 of each loop (rad), 90 degrees where a force is handed on
-    best; --ratio adds one column a ratio; its inverse is the mechanical advantage.  --jacobian adds
-    P_Jx1,P_Jy1 (m/rad) for each actuated joint, so that P_vx is their sum times the joints' rates.
+    best; --ratio adds one column a ratio, empty where the second link stands still; its inverse is
+    the mechanical advantage.  --jacobian adds P_Jx1,P_Jy1 (m/rad) for each actuated joint, so that
+    P_vx is their sum times the joints' rates.
 
     \b
     Examples:
@@ -84,7 +85,8 @@ def points(
         found = columns_of(mechanism, named, solved, columns)
         return np.stack([found[name] for name in columns], axis=-1)
 
-    evaluate(mechanism, given, quantities, columns, compute, adds=True)
+    gaps = len(ratio or ())
+    evaluate(mechanism, given, quantities, columns, compute, adds=True, gaps=gaps)
 
 
 def _loops(mechanism: Mechanism) -> list[str]:

@@ -167,6 +167,8 @@ def simulate(
             outcome, facts = _told(given, rows, estimate, results, table)
         if not results.quiet:
             _summary(mechanism, facts, events.until)
+            if _only_rounding_moves(mechanism, begin, torques):
+                note("it starts at rest, and unstable: only rounding moves it")
             if how.estimate_error and facts.error_estimate is None:
                 note("error of q and qd: not estimated, as no tighter run finishes")
         if outcome not in (Outcome.FINISHED, Outcome.EVENT, Outcome.LIMIT):
@@ -201,6 +203,24 @@ def _start(mechanism: Mechanism, start: Sequence[Quantity], assemble: bool) -> n
         far, fast = (f"{x:.3g} {unit}" for x, unit in zip(ways, units, strict=True))
         note(f"assembled: joints moved by up to {far} and {fast}")
     return np.concatenate([q, qd])
+
+
+def _only_rounding_moves(mechanism: Mechanism, begin: np.ndarray, torques: Actuation) -> bool:
+    """Return whether a run starts at an unstable rest, where all that acts is constant."""
+    q, qd = begin[None, : mechanism.n], begin[None, mechanism.n :]
+    if qd.any() or torques.constants is None or torques.states:
+        return False
+    from robodyn.rest.balance import rests
+
+    tau = np.array([torques.constants])
+    try:
+        if not rests(mechanism, q, qd, tau)[0]:
+            return False
+    except RobodynError:  # beyond a table nothing rests
+        return False
+    from robodyn.rest.poses_at_rest import unstable
+
+    return unstable(mechanism, q[0], tau[0])
 
 
 def _accurate(

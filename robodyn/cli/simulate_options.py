@@ -282,11 +282,14 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
         from robodyn.rest.linear_model import linearize
 
         with remarks():
-            tau = linearize(mechanism, pose).tau[list(mechanism.actuated)].tolist()
-    if not np.allclose(tau, found.tau, rtol=1e-9, atol=1e-9):
-        pairs = zip(mechanism.actuated, tau, strict=True)
-        held = ", ".join(f"tau{k + 1} = {x:.9g}" for k, x in pairs)
-        note(f"Note: at --at it is held by {held}")
+            model = linearize(mechanism, pose)
+            tau = model.tau[list(mechanism.actuated)].tolist()
+    pairs = zip(mechanism.actuated, tau, strict=True)
+    torques = ", ".join(f"tau{k + 1} = {x:.9g}" for k, x in pairs)
+    if model.remark:
+        note(f"Note: no torque of the actuated joints holds it at --at: {torques} come nearest")
+    elif not np.allclose(tau, found.tau, rtol=1e-9, atol=1e-9):
+        note(f"Note: at --at it is held by {torques}")
     return replace(found, q=pose.tolist(), tau=tau)
 
 

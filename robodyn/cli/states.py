@@ -60,9 +60,11 @@ class TableOptions(StateOptions, RowOptions):
     differentiate: Differentiate = False
     unwrap: Unwrap = False
 
-    def write_one(self, mechanism: Mechanism, columns: Sequence[str], row: Sequence[float]) -> None:
-        """Write the one row of a state by options, if all of it is finite."""
-        if not all(map(math.isfinite, row)):
+    def write_one(
+        self, mechanism: Mechanism, columns: Sequence[str], row: Sequence[float | None]
+    ) -> None:
+        """Write the one row of a state by options, if all of it is finite or None."""
+        if not all(x is None or math.isfinite(x) for x in row):
             raise overflow()
         with self.writer(columns, units=scene_units(mechanism)) as writer:
             writer.write_row(row)
@@ -210,13 +212,15 @@ def evaluate(
     either: Sequence[Quantity] = (),
     adds: bool = False,
     summary: Summary | None = None,
+    gaps: int = 0,
 ) -> None:
     """Compute `columns` (T, k) at the state of the options, or at each row of its table.
 
     `compute` takes the quantities (T, n) by name, and where the scene's loads depend on the time t
     (T,): the column t of a table, else zero.  Of the quantities in `either` it takes those that are
     given, the first where none is.  Where it `adds` columns, none of the table is replaced, and a
-    table without rows is refused, as it is where there is a `summary` in place of the rows.
+    table without rows is refused, as it is where there is a `summary` in place of the rows.  The
+    last `gaps` columns may be NaN, which is written as an empty cell.
     """
 
     def wanted(header: Sequence[str]) -> list[Quantity]:
@@ -232,7 +236,8 @@ def evaluate(
         with remarks():
             used = wanted([])
             sources = [option_source(mechanism, quantity) for quantity in used]
-            row = _Computed(mechanism, sources, compute).at([[]])[0].tolist()
+            row = _Computed(mechanism, sources, compute, gaps).at([[]])[0].tolist()
+            row = [None if math.isnan(x) else x for x in row]
         options.write_one(mechanism, columns, row)
         return
 
@@ -254,7 +259,7 @@ def evaluate(
         else:
             taken = [x for source in sources for x in source.columns] + ["t"] * timed
             chunks = taken_at_rest(reader, sources, reader.chunks(taken))
-        computed = _Computed(mechanism, sources, compute)
+        computed = _Computed(mechanism, sources, compute, gaps)
         with remarks(), options.writer(columns, reader.header, units, summary) as writer:
             if not computed.write(chunks, writer, name) and (adds or writer.needs_rows):
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
@@ -268,9 +273,13 @@ class _Computed:
     """What is computed of rows, which hold the columns of the sources, and perhaps t behind."""
 
     def __init__(
-        self, mechanism: Mechanism, sources: Sequence[Source], compute: Callable[..., Array]
+        self,
+        mechanism: Mechanism,
+        sources: Sequence[Source],
+        compute: Callable[..., Array],
+        gaps: int,
     ) -> None:
-        self.mechanism, self.sources, self.compute = mechanism, sources, compute
+        self.mechanism, self.sources, self.compute, self.gaps = mechanism, sources, compute, gaps
         self.lost: list[RobodynError] = []  # of the first row without results
 
     def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
@@ -290,7 +299,8 @@ class _Computed:
             given["t"] = values[:, begin] if timed else np.zeros(len(values))
         with np.errstate(all="ignore"):
             found = self.compute(**given)
-        if not np.isfinite(found).all():
+        whole = found.shape[-1] - self.gaps
+        if not np.isfinite(found[:, :whole]).all() or np.isinf(found[:, whole:]).any():
             if self.mechanism.signals:
                 from robodyn.engines.row_values import rows_of
                 from robodyn.mechanics.parts import acting

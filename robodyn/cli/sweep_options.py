@@ -93,7 +93,8 @@ def _acting(
         joints = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
         for axis in (axis for axis in axes if axis.name in joints):
             raise InputError("--vary", value=axis.name, limit="is told by --track")
-        return Acting(given.duration, reference_from(mechanism, options.track, options.unwrap))
+        track = reference_from(mechanism, options.track, options.unwrap)
+        return Acting(given.duration, track, follows=True)
     if given.kind == "torque":
         raise InputError("--control", limit="is for --kind motion")
     if given.tau is not None:
@@ -105,4 +106,4 @@ def _acting(
         arguments["control_model"] = mechanism  # which does not vary
     with named():
         check_span(controller(mechanism, **arguments), end)
-    return Acting(end, control=tuple(arguments.items()))
+    return Acting(end, control=tuple(arguments.items()), follows=options.track is not None)

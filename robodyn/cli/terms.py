@@ -33,7 +33,7 @@ def terms(
 
     They are terms of M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, in SI units and radians (D
     is the diagonal matrix of joint damping).  G holds springs too, Q what has no potential: dampers
-    of springs, forces that turn, friction.
+    of springs, forces that turn, friction in motion; and pushes of compliant stops.
     --derivatives adds those of the torques that the motion with --qdd needs, dtau_dq, dtau_dqd and
     dtau_dqdd, and those of the accelerations that --tau causes, dqdd_dq, dqdd_dqd and dqdd_dtau:
     row i is of joint i, column j by that of joint j.  --by links.forearm.m,gravity adds
@@ -51,9 +51,15 @@ def terms(
     mechanism = model.load()
     if not derivatives:
         refuse("is for --derivatives: give that too", by=by, qdd=qdd, tau=tau)
-    if mechanism.switches:
-        note("Note: dry friction and ends of joints are left out of D, G and Q")
     q_, qd_ = single_state(mechanism, state.quantities())
+    resting = [k for k, _ in mechanism.dry if not qd_[k]]
+    if resting:
+        dry = ", ".join(mechanism.link_names[k] for k in resting)
+        note(
+            f"Note: Q is without the dry friction of {dry}: at rest it holds any load up to static"
+        )
+    if any(stop.restitution is not None for _, stop in mechanism.limits):
+        note("Note: Q is without what hard stops hold")
     np.seterr(all="ignore")  # what leaves the range of floats is told below
     content: dict[str, tuple[str, np.ndarray]] = {  # the unit and the value
         "q": ("rad", q_),
@@ -64,7 +70,8 @@ def terms(
     }
     if any(mechanism.damping):
         content["D"] = "N m s/rad", np.diag(mechanism.damping)
-    if mechanism.has_state_forces:
+    compliant = any(stop.stiffness is not None for _, stop in mechanism.limits)
+    if mechanism.has_state_forces or mechanism.dry or compliant:
         content["Q"] = "N m", closed_form.other_forces(mechanism, q_, qd_)
     if mechanism.rows:
         content["Psi"] = "m", closed_form.closure_jacobian(mechanism, q_)

@@ -23,7 +23,7 @@ States are arrays (..., n); radians, SI units.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ from robodyn.dynamics.placed import (
 )
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.mechanics.modes import Mode, in_mode, pressed
+from robodyn.mechanics.modes import Mode, in_mode, moving_mode, pressed, pushes
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.records import Record
@@ -106,16 +106,49 @@ def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike
     """Q (..., n), N m: of what has no potential, but for dampers of joints.
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.  In Q are
-    dampers of springs, forces that turn with a link, loads that vary (at times t (...), s), and
-    friction.  Raises InputError where q or qd is not finite or not n wide, SingularError where the
-    ends of a damped spring coincide.
+    dampers of springs, forces that turn with a link, loads that vary (at times t (...), s),
+    friction in motion, and pushes of compliant stops.  A joint with dry friction that is at rest
+    (qd = 0) adds nothing: it holds any torque up to its static friction.  Raises InputError if q
+    or qd is not finite or not n wide, SingularError if the ends of a damped spring coincide.
     """
     from robodyn.engines.row_values import rows_of
 
     states = as_states(mechanism, "q", q), as_states(mechanism, "qd", qd)
+    if mechanism.switches:
+        return _forces_by_modes(mechanism, *states, t)
     rows = rows_of(parts.spent, mechanism)
     check_directions(rows.mechanism, states[0])
     return 0.0 - rows("torques", *states, t)  # of nothing no -0.0
+
+
+def _forces_by_modes(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) -> Array:
+    """Compute `other_forces` of states that may differ in the joints that slip or press a stop."""
+    shape = np.broadcast_shapes(q.shape, qd.shape, (*np.shape(t), mechanism.n))
+    q, qd = (np.broadcast_to(x, shape).reshape(-1, mechanism.n) for x in (q, qd))
+    times = np.broadcast_to(np.asarray(t, float), shape[:-1]).ravel()
+    limits, Q = dict(mechanism.limits), np.empty(q.shape)
+
+    def mode_of(at: list[float], rates: list[float]) -> Mode:
+        return moving_mode(mechanism, at, rates, [0.0] * mechanism.n)
+
+    for mode, which in _by_mode(q, qd, mode_of).items():
+        found = other_forces(in_mode(mechanism, mode), q[which], qd[which], times[which])
+        for joint, side in mode.pressed:
+            stop = limits[joint]
+            push = pushes(stop, side, q[which, joint], qd[which, joint])
+            found[:, joint] -= side * (stop.stiffness or 0.0) * push
+        Q[which] = found
+    return Q.reshape(shape)
+
+
+def _by_mode(
+    q: Array, qd: Array, mode_of: Callable[[list[float], list[float]], Mode]
+) -> dict[Mode, list[int]]:
+    """Return the places of states q, qd (T, n) that have the same mode, by mode."""
+    modes: dict[Mode, list[int]] = {}
+    for k, (at, rates) in enumerate(zip(q.tolist(), qd.tolist(), strict=True)):
+        modes.setdefault(mode_of(at, rates), []).append(k)
+    return modes
 
 
 def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
@@ -161,11 +194,12 @@ def _energies_by_stops(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tup
     """The same of states in each of which other compliant stops may push."""
     states = np.broadcast_arrays(as_states(mechanism, "q", q), as_states(mechanism, "qd", qd))
     flat = [x.reshape(-1, mechanism.n) for x in states]
-    modes: dict[Mode, list[int]] = {}
-    for k, (at, rates) in enumerate(zip(*(x.tolist() for x in flat), strict=True)):
-        modes.setdefault(Mode(pressed=pressed(mechanism, at, rates)), []).append(k)
     found = np.empty((2, len(flat[0])))
-    for mode, which in modes.items():
+
+    def mode_of(at: list[float], rates: list[float]) -> Mode:
+        return Mode(pressed=pressed(mechanism, at, rates))
+
+    for mode, which in _by_mode(flat[0], flat[1], mode_of).items():
         found[:, which] = energies(in_mode(mechanism, mode), *(x[which] for x in flat))
     KE, PE = found.reshape(2, *states[0].shape[:-1])
     return KE, PE

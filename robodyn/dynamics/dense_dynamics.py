@@ -47,7 +47,7 @@ RANK_CUT = 1e-10  # singular values of Psi below this part of the loop's size co
 MASS_CUT = 1e-13  # a mass matrix, its diagonal scaled to 1, with a smaller eigenvalue is singular
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 SURE = 1e-6  # such a matrix whose pivots are larger is none
-LIGHTEST = 1e-15  # a freedom with less than this part of the largest inertia has none
+LIGHTEST = 1e-15  # an inertia below this part of the inertias that it is summed of is none
 SPREAD = 1e5  # ratio of link inertias up to which eliminating M before Psi keeps its digits
 BALANCE = 1e-7  # part of the load that torques may miss by before the motion is impossible
 
@@ -273,15 +273,21 @@ def _pseudo_inverse(U: Array, s: Array, Vt: Array, cut: float) -> Array:
     return found
 
 
-def _along_freedoms(mechanism: Mechanism, N: Array, M: Array, right: Array) -> Array:
-    """N z with N^T M N z = N^T right, for states (T, n); SingularError where N^T M N is."""
+def _along_freedoms(
+    mechanism: Mechanism, N: Array, M: Array, right: Array, apart: bool = False
+) -> Array:
+    """N z with N^T M N z = N^T right, for states (T, n); SingularError where N^T M N is.
+
+    `apart` says that the columns of N are parted already.
+    """
     if not N.shape[-1]:
         return np.zeros_like(right)
     Nt, whole = np.swapaxes(N, -1, -2), N.shape[-1] == N.shape[-2]  # without closures N is 1
     reduced = M if whole else Nt @ M @ N
     diagonal = np.diagonal(reduced, axis1=-2, axis2=-1)
-    heaviest = np.abs(M).max(axis=(-2, -1), initial=0.0)[:, None]
-    scale = np.sqrt(np.where(diagonal > LIGHTEST * heaviest, diagonal, np.inf))
+    # the rounding of an inertia is a part of what its own freedom moves, of no other link
+    moved = 0.0 if whole else LIGHTEST * (np.abs(N) * (np.abs(M) @ np.abs(N))).sum(axis=-2)
+    scale = np.sqrt(np.where(diagonal > moved, diagonal, np.inf))
     scaled = reduced / (scale[:, :, None] * scale[:, None, :])
     least = np.zeros(len(scaled))
     if not np.isinf(scale).any():
@@ -292,7 +298,15 @@ def _along_freedoms(mechanism: Mechanism, N: Array, M: Array, right: Array) -> A
             pass
     if (least < SURE).any():
         least = np.where(np.isinf(scale).any(axis=-1), 0.0, np.linalg.eigvalsh(scaled)[:, 0])
-    if (least < MASS_CUT).any():
+    light = least < MASS_CUT
+    if light.any() and not (whole or apart):  # N may mix light freedoms with heavy ones
+        found = np.empty_like(right)
+        parted = np.stack([_parted(each) for each in N[light]])
+        found[light] = _along_freedoms(mechanism, parted, M[light], right[light], apart=True)
+        if not light.all():
+            found[~light] = _along_freedoms(mechanism, N[~light], M[~light], right[~light])
+        return found
+    if light.any():
         worst = int(np.argmin(least))
         _, vectors = np.linalg.eigh(reduced[worst])
         link = int(np.argmax(np.abs(N[worst] @ vectors[:, 0])))
@@ -304,6 +318,21 @@ def _along_freedoms(mechanism: Mechanism, N: Array, M: Array, right: Array) -> A
         )
     z = np.linalg.solve(scaled, (matvec(Nt, right) / scale)[..., None])[..., 0] / scale
     return matvec(N, z)
+
+
+def _parted(N: Array) -> Array:
+    """Return a basis of the columns of N (n, f); each has a row 1 where all others are 0."""
+    N, rows = N.copy(), list[int]()
+    for c in range(N.shape[1]):
+        left = np.abs(N[:, c:])
+        left[rows] = 0.0
+        row, column = divmod(int(left.argmax()), left.shape[1])
+        N[:, [c, c + column]] = N[:, [c + column, c]]
+        N[:, c] /= N[row, c]
+        others = np.arange(N.shape[1]) != c
+        N[:, others] -= N[:, c : c + 1] * N[row, others]
+        rows.append(row)
+    return N
 
 
 def _dependence(mechanism: Mechanism, rank: NDArray[np.int64]) -> list[str]:

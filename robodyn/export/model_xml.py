@@ -18,9 +18,9 @@ from robodyn.scene.scene import Description, DryFriction, Link, Signal, signals_
 # what tools name themselves: MuJoCo its ground, Pinocchio its own and its root's joint
 RESERVED = frozenset({"world", "universe", "root_joint"})
 SAFE, UNSAFE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*"), re.compile(r"[^A-Za-z0-9_]+")
-# these say how a scene is named and assembled, or are said in the comment
+# these say how a scene is named and assembled, are said in the comment, or act on nothing
 SCENE_SAID = frozenset(
-    {"source", "name", "gravity", "links", "branches", "actuated", "start", "written"}
+    {"source", "name", "gravity", "links", "branches", "actuated", "start", "written", "points"}
 )
 LINK_SAID = frozenset({"name", "m", "l", "r", "I", "hangs_from", "payload", "damping", "axis"})
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, placed
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError
 from robodyn.kinematics.point_motion import unit_rates
 from robodyn.loops.assembly_plan import assembly_plan
 from robodyn.mechanics.link_tree import Tree
@@ -27,6 +27,8 @@ from robodyn.scene.scene import Closure
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.csv_fields import shown
+
+STANDS = 1e-14  # part of the joint rates that a link's rate is the sum of, below which it stands
 
 
 class Pair(NamedTuple):
@@ -138,20 +140,19 @@ def rate_ratios(
 ) -> Array:
     """Each of some ratios (r of them) at q, qd (..., n), (..., r); of one freedom, at any rate.
 
-    Raises RobodynError where the link that is divided by does not move.
+    A ratio is NaN if the link that is divided by does not move, but for rounding.
     """
     rates = np.asarray(qd, float)
     if len(mechanism.actuated) == 1:
         rates = unit_rates(mechanism, q)[..., 0]
-    turns = frame_rates(mechanism, absolute_rates(mechanism, rates))
+    turns, sums = (
+        frame_rates(mechanism, absolute_rates(mechanism, x)) for x in (rates, np.abs(rates))
+    )
     for k in mechanism.slides:
-        turns[..., k] = rates[..., k]
+        turns[..., k], sums[..., k] = rates[..., k], np.abs(rates[..., k])
     found = []
     for ratio in ratios:
-        below = turns[..., ratio.over]
-        if not below.all():
-            name = mechanism.link_names[ratio.over]
-            limit = f"{name} does not move: its rate divides that of the other"
-            raise RobodynError(f"--ratio {ratio.name}", limit=limit)
-        found.append(turns[..., ratio.of] / below)
+        below, parts = turns[..., ratio.over], sums[..., ratio.over]
+        stands = np.abs(below) <= STANDS * parts
+        found.append(np.where(stands, np.nan, turns[..., ratio.of] / np.where(stands, 1.0, below)))
     return np.stack(found, axis=-1)

@@ -53,6 +53,8 @@ def sweep(
     for name in ("of", "event"):
         if isinstance(given.get(name), str):
             given[name] = [given[name]]
+    if isinstance(given.get("result"), Sequence) and not isinstance(given["result"], str):
+        given["result"] = ",".join(map(str, given["result"]))
     written = mechanism.description.written
     scene, numbers = SceneValues(written, mechanism.source), {}
     for put in written.put:  # what stands in place of the file's numbers

@@ -92,16 +92,17 @@ def identify(
     qdd: ArrayLike,
     tau: ArrayLike,
     t: ArrayLike = 0.0,
-    of: Sequence[str] = (),
+    of: str | Sequence[str] = (),
     physical: bool = False,
     rest: float | None = None,
 ) -> Identification:
     """Parameters from the torques tau (T, a) of the actuated joints along q, qd, qdd (T, n).
 
     tau may be that of all joints, (T, n), zero at passive ones.  Free joints of an open chain have
-    none, which tells something too.  Base parameters are found, or the numbers `of` these names,
-    such as `links.forearm.m`.  A joint with static friction whose rate is `rest` (rad/s, m/s) at
-    most is at rest, and its equation left out of that row; None: 0.001 of the joint's largest rate.
+    none, which tells something too.  Base parameters are found, or the numbers `of` these names, or
+    of one name, such as `links.forearm.m`.  A joint with static friction whose rate is `rest`
+    (rad/s, m/s) at most is at rest, and its equation left out of that row; None: 0.001 of the
+    joint's largest rate.
     Raises InputError for arrays that do not fit, too few rows, and a motion that tells nothing.
     """
     states = [np.asarray(x, float) for x in (q, qd, qdd)]
@@ -124,6 +125,7 @@ def identify(
     torques[:, [joints.index(k) for k in mechanism.actuated]] = given
     times = np.broadcast_to(np.asarray(t, float), len(torques))
     data = _Data(mechanism, states, torques, times, rest)
+    of = [of] if isinstance(of, str) else of
     found = _named(mechanism, data, of, physical) if of else _base(mechanism, data, physical)
     estimates, kept, condition, change, made = found
     made, faults = scene_numbers.checked(made)

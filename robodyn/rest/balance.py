@@ -21,15 +21,17 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_bias, scaled_jacobian
-from robodyn.dynamics.dense_dynamics import decompose
+from robodyn.dynamics.dense_dynamics import decompose, joint_loads, required_load
 from robodyn.dynamics.derivatives import InverseDerivatives, inverse_dynamics_derivatives
 from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
+
+ROUNDING = 1e-14  # part of what acts below which a force that is left over is rounding
 
 
 class Balance(NamedTuple):
@@ -62,6 +64,27 @@ def free_motions(mechanism: Mechanism, q: Array) -> Array:
     """N (n, f) at q (n,)."""
     found = decompose(mechanism, scaled_jacobian(mechanism, q))
     return np.asarray(mechanism.arrays.units[:, None] * found.V[:, int(found.rank) :])
+
+
+def rests(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> NDArray[np.bool_]:
+    """Return which closed states q, qd (k, n) are rests under tau (k, n), but for rounding.
+
+    What is left over there is rounding of what acts, and no push.  A mechanism that friction holds,
+    or whose loads vary with time, has none.
+    """
+    still = ~qd.any(axis=-1)
+    if mechanism.dry or mechanism.timed or not still.any():
+        return np.zeros(len(q), bool)
+    zero, units, arrays = np.zeros_like(q), mechanism.arrays.units, mechanism.arrays
+    load = joint_loads(mechanism, q, zero, 0.0)
+    left = units * (tau - required_load(mechanism, q, zero, zero))
+    acts = np.abs(load).max(axis=-1) + np.abs(tau).max(axis=-1)
+    acts += np.abs(arrays.weights).sum() + np.abs(arrays.moments).sum()
+    if mechanism.rows:
+        for k in np.flatnonzero(still):
+            along = (free_motions(mechanism, q[k]) / units[:, None]).T @ left[k]
+            left[k] = np.abs(along).max(initial=0.0)
+    return np.asarray(still & (np.abs(left).max(axis=-1) <= ROUNDING * acts * units.max()))
 
 
 def bend(mechanism: Mechanism, q: Array, u: Array, v: Array) -> Array:

@@ -14,6 +14,8 @@ tangents of the program.  Two choices of z agree about eigenvalues at rest alone
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,11 +24,12 @@ from numpy.typing import ArrayLike
 from robodyn.dynamics.closed_form import closure_bias, mass_matrix, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import required_load
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import AssemblyError, InputError, RobodynError
 from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed, check_way_on
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import in_mode, moving_mode
+from robodyn.mechanics.modes import beyond, end_word, in_mode, moving_mode
 from robodyn.rest.balance import bend, free_motions, single
 from robodyn.rest.natural_modes import (
     NaturalMode,
@@ -39,6 +42,8 @@ from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
 TOLD = 1e-6  # of a joint's row in N, orthonormal: below it the joint tells no coordinate
+ASIDE = 1e-9  # rad, or lengths, to either side, where slopes are compared
+BENDS = 1e-6  # part of the slopes by which those of two sides differ at a bend
 RESTS = 1e-6  # rad that a pose may be from rest, by its accelerations
 # of a mode as a motion to look at
 VISIBLE = 0.3  # rad, or lengths, that the joint which moves most goes each way
@@ -75,9 +80,9 @@ def linearize(
 
     tau is that of all joints or of the actuated ones.  qd is zero by default, tau what holds the
     mechanism there (z'' = 0), as far as the actuated joints can.  Dry friction of joints at rest,
-    and hard stops, are left out.  Raises InputError for a state that does not fit or is open,
-    RobodynError where nothing moves, SingularError at a change point and where a freedom has no
-    inertia.
+    and hard stops, are left out.  Raises InputError for a state that does not fit, is open, or is
+    beyond an end of a joint that no compliant stop makes, RobodynError where nothing moves,
+    SingularError at a change point and where a freedom has no inertia.
     """
     pose, rates, torques = (
         single(mechanism, name, x) for name, x in (("q", q), ("qd", qd), ("tau", tau))
@@ -85,9 +90,12 @@ def linearize(
     if (fault := check_closed(mechanism, pose, rates)) is not None:
         raise fault[1]
     check_way_on(mechanism, pose[None], np.zeros((1, mechanism.n)))
-    if mechanism.switches:
-        mode = moving_mode(mechanism, pose.tolist(), rates.tolist(), [0.0] * mechanism.n)
-        mechanism = in_mode(mechanism, mode)
+    for joint, side, end in beyond(mechanism, pose.tolist(), turns=True):
+        where = f"q{joint + 1} ({mechanism.link_names[joint]})"
+        limit = f"is beyond the joint's {end_word(side)}, {end:.9g}: take a pose within it"
+        raise InputError(where, where=mechanism.source, value=f"{pose[joint]:.9g}", limit=limit)
+    whole = mechanism
+    mechanism = _moving(whole, pose, rates)
     free = free_motions(mechanism, pose)
     if not free.shape[1]:
         raise RobodynError("no freedom", where=mechanism.source, limit="nothing moves here")
@@ -105,6 +113,7 @@ def linearize(
         bent = bend(mechanism, pose, rates, N.T)  # (f, r)
         R = np.transpose([_completed(mechanism, pose, joints, -each) for each in bent])
     slopes = forward_dynamics_derivatives(mechanism, pose, rates, torques)
+    _tell_bends(whole, pose, rates, torques, N, joints, slopes[1:4])
     qdd, by_q, by_qd, by_tau = (x[joints] for x in slopes[:4])
     A21, A22, B2 = by_q @ N + by_qd @ R, by_qd @ N, by_tau[:, driven]
     f, m = B2.shape
@@ -127,6 +136,54 @@ def linearize(
         stable=stable_by(values),
         controllable=controllable(A, B),
     )
+
+
+def _moving(mechanism: Mechanism, pose: Array, rates: Array) -> Mechanism:
+    """The mechanism in the mode of a state q, qd (n,): joints slip as they move, stops push."""
+    if not mechanism.switches:
+        return mechanism
+    still = [0.0] * mechanism.n
+    return in_mode(mechanism, moving_mode(mechanism, pose.tolist(), rates.tolist(), still))
+
+
+def _tell_bends(
+    mechanism: Mechanism,
+    pose: Array,
+    rates: Array,
+    torques: Array,
+    N: Array,
+    joints: Sequence[int],
+    slopes: Sequence[Array],
+) -> None:
+    """Warn (RobodynWarning) of coordinates along which what acts bends at the pose.
+
+    `slopes` are those of qdd by q, qd and tau there, of which the first two belong to one side.
+    """
+    if not (mechanism.signals or mechanism.limits):
+        return
+    units = mechanism.arrays.units
+    weight = np.abs(mechanism.arrays.weights).sum() * np.abs(slopes[2]).max()
+    least = BENDS * max(weight, *(np.abs(slope).max() for slope in slopes[:2]))
+    for column, joint in zip(N.T, joints, strict=True):
+        differs = {}
+        for side in (-1, 1):
+            there = pose + side * ASIDE * units[joint] * column
+            try:
+                moving = _moving(mechanism, there, rates)
+                found = forward_dynamics_derivatives(moving, there, rates, torques)[1:3]
+            except RobodynError:  # beyond the last row of a table nothing is known
+                differs[side] = True
+                continue
+            pairs = zip(found, slopes[:2], strict=True)
+            differs[side] = any(np.abs(a - b).max() > least for a, b in pairs)
+        if any(differs.values()):
+            towards = "larger" if not differs[1] else "smaller" if not differs[-1] else "neither"
+            name = f"q{joint + 1} ({mechanism.link_names[joint]})"
+            remark = (
+                f"a force bends at {name} = {pose[joint]:.9g} (a row of a table, or the end of a "
+                f"stop): its slope is that towards {towards} {name}"
+            )
+            warnings.warn(remark, RobodynWarning, stacklevel=3)
 
 
 def _coordinates(mechanism: Mechanism, N: Array) -> list[int]:

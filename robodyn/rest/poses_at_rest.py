@@ -78,7 +78,7 @@ class Rest(NamedTuple):
 def equilibrium(
     mechanism: Mechanism,
     near: ArrayLike | None = None,
-    hold: Sequence[str] = (),
+    hold: str | Sequence[str] = (),
     tau: ArrayLike | None = None,
 ) -> Rest:
     """A pose at rest near the closed pose `near` (n,), by default the scene's start or any other.
@@ -95,17 +95,15 @@ def equilibrium(
     if isinstance(found, float):
         raise _none(mechanism, begin, torques, found)
     q = found[0]
-    for joint, side, end in beyond(mechanism, q.tolist(), turns=True):
-        where = f"the pose at rest has q{joint + 1} ({mechanism.link_names[joint]})"
-        limit = f"beyond the joint's {end_word(side)}, {end:.9g}; hold the joint there"
-        raise RobodynError(where, where=mechanism.source, value=f"{q[joint]:.9g}", limit=limit)
+    if ends := beyond(mechanism, q.tolist(), turns=True):
+        raise _beyond(mechanism, q, ends[0])
     return _rest(mechanism, joints, found, torques)
 
 
 def equilibria(
     mechanism: Mechanism,
     near: ArrayLike | None = None,
-    hold: Sequence[str] = (),
+    hold: str | Sequence[str] = (),
     tau: ArrayLike | None = None,
     watch: Callable[[float], object] | None = None,
 ) -> list[Rest]:
@@ -125,6 +123,7 @@ def equilibria(
     alone = [k for k in turning if k not in coupled]
     there: list[Found] = []
     level, last, least = 0, 0, math.inf
+    passed: RobodynError | None = None  # the first pose at rest beyond an end
     begin = _near(mechanism, near)
     turns = searched_turns(mechanism, begin, hold, torques)
     in_vain = STARTS + 10 * sum(high - low for low, high in turns.values())
@@ -141,7 +140,8 @@ def equilibria(
         if isinstance(found, float):
             least = min(least, found)
             continue
-        if beyond(mechanism, found[0].tolist(), turns=True):
+        if ends := beyond(mechanism, found[0].tolist(), turns=True):
+            passed = passed or _beyond(mechanism, found[0], ends[0])
             continue
         # whole turns alone are taken away, and half a turn is positive
         found[0][alone] -= math.tau * np.ceil((found[0][alone] - math.pi - SAME) / math.tau)
@@ -156,7 +156,7 @@ def equilibria(
             limit = "it moves from one to the next without any force; hold a joint"
             raise RobodynError("no end of poses at rest", where=mechanism.source, limit=limit)
     if not there:
-        raise _none(mechanism, None, torques, least)
+        raise passed or _none(mechanism, None, torques, least)
     rests = [_rest(mechanism, joints, found, torques) for found in there]
     return sorted(rests, key=lambda rest: (round(rest.potential_energy, 9), *rest.q))
 
@@ -164,7 +164,7 @@ def equilibria(
 def searched_turns(
     mechanism: Mechanism,
     near: ArrayLike | None = None,
-    hold: Sequence[str] = (),
+    hold: str | Sequence[str] = (),
     tau: ArrayLike | None = None,
 ) -> dict[int, tuple[int, int]]:
     """Return the first and the last turn of joints, by joint, that `equilibria` searches.
@@ -220,18 +220,28 @@ def searched_turns(
 
 
 def _pulls(mechanism: Mechanism, q: Array) -> Array:
-    """The torques (..., n) that hold q (..., n) at rest, N m, pin forces left out."""
+    """The torques (..., n) that hold q (..., n) at rest, N m, pin forces and stops left out."""
+    mechanism = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
     return gravity_vector(mechanism, q) - other_forces(mechanism, q, np.zeros(mechanism.n))
 
 
-def _joints(mechanism: Mechanism, names: Sequence[str]) -> tuple[int, ...]:
-    """The joints of the links with these names."""
+def _joints(mechanism: Mechanism, names: str | Sequence[str]) -> tuple[int, ...]:
+    """The joints of the links with these names, or with one name."""
     links = joint_index(mechanism)
+    names = [names] if isinstance(names, str) else names
     for name in names:
         if name not in links:
             limit = f"names no link{nearest(name, list(links))}"
             raise InputError("hold", value=shown(name), limit=limit)
     return tuple(sorted({links[name] for name in names}))
+
+
+def _beyond(mechanism: Mechanism, q: Array, end: tuple[int, int, float]) -> RobodynError:
+    """The error for a pose at rest that is beyond an end of a joint."""
+    joint, side, where = end
+    what = f"the pose at rest has q{joint + 1} ({mechanism.link_names[joint]})"
+    limit = f"beyond the joint's {end_word(side)}, {where:.9g}; hold the joint there"
+    return RobodynError(what, where=mechanism.source, value=f"{q[joint]:.9g}", limit=limit)
 
 
 def _none(mechanism: Mechanism, near: Array | None, tau: Array, left: float) -> RobodynError:
@@ -445,6 +455,15 @@ def _rest(mechanism: Mechanism, joints: tuple[int, ...], found: Found, tau: Arra
         remark = "held joints share their torques in many ways (least norm given)"
         warnings.warn(remark, RobodynWarning, stacklevel=3)
     return Rest(q, PE, torques, _stable(at, _size(mechanism, at, tau)))
+
+
+def unstable(mechanism: Mechanism, q: Array, tau: Array) -> bool:
+    """Return whether a small push leads away from the pose at rest q (n,) under tau (n,)."""
+    try:
+        at = balance(_acting(mechanism, (), q), q, tau)
+    except RobodynError:  # a spring without a direction, a row beyond a table
+        return False
+    return _stable(at, _size(mechanism, at, tau)) is False
 
 
 def _stable(at: Balance, size: float) -> bool | None:

@@ -11,7 +11,7 @@ import cmath
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.change_points import MISSES, suspect_quality
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.rest.balance import rests
 from robodyn.scene.scene_values import read_numbers
 from robodyn.simulation.report import Outcome
 from robodyn.sweeps.lane_single import single
@@ -284,6 +285,11 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
             k = int(group.points[i])
             outcomes[k], remark = single(plan, member, i, aims, ends, k, told[k])
             said.append(remark)
+    if "flip" in plan.results and not plan.control:
+        for group in groups:
+            with suppress(RobodynError):  # beyond a table nothing rests
+                at_rest = rests(group.mechanism, group.q, group.qd, group.tau)
+                ends.flip[group.points[at_rest]] = math.nan  # only rounding moves it
     _fill(plan, ends, offset, told, values)
     return said
 

@@ -64,11 +64,15 @@ class SweepRequest:
 
 
 class Acting(NamedTuple):
-    """The end time, and the reference of torques, or the arguments of the motions' controller."""
+    """The end time, and the reference of torques, or the arguments of the motions' controller.
+
+    `follows` says that motions begin where the reference does.
+    """
 
     end: float
     track: ReferenceTable | None = None
     control: tuple[tuple[str, Any], ...] = ()
+    follows: bool = False
 
 
 Acts = Callable[[Mechanism, tuple[Axis, ...]], Acting]
@@ -103,7 +107,7 @@ def plan_of(
     }
     acting = Acting(given.duration) if acts is None else acts(mechanism, axes)
     reference = acting.track or dict(acting.control).get("reference")
-    if reference is not None:
+    if reference is not None and acting.follows:
         begin = reference.at(0.0 if acting.control else reference.times[0])
         for name, values in zip(("q", "qd"), begin, strict=True):
             if getattr(given, name) is None:

@@ -50,14 +50,7 @@ class Writer:
 
     def write_ended(self, values: Array, ends: Sequence[str]) -> None:
         """Write n rows of numbers (n, k - 1), empty where they are NaN, each with a text after."""
-        import numpy as np  # here, so that a command that writes one row starts without it
-
-        known = values == values
-        lines = self._repr(values if known.all() else np.where(known, values, 0.0))
-        for k in np.flatnonzero(~known.all(axis=1)):
-            fields = zip(lines[k].split(","), known[k], strict=True)
-            lines[k] = ",".join(field if there else "" for field, there in fields)
-        self._write_rows(zip(lines, map(quoted, ends), strict=True))
+        self._write_rows(zip(self._repr(values), map(quoted, ends), strict=True))
 
     def write_columns(self, values: Array) -> None:
         """Write n rows that are computed columns alone, (n, k)."""
@@ -67,7 +60,7 @@ class Writer:
             self._write_rows(zip(self._lines(values), strict=True))
 
     def write_rows(self, lines: Sequence[str], values: Array) -> None:
-        """Write n rows of the input, each with its computed columns, (n, k)."""
+        """Write n rows of the input, each with its computed columns, (n, k), empty if NaN."""
         if self._appends_only:  # then nobody needs to know the line's fields
             self._write_rows(zip(lines, self._lines(values), strict=True))
         else:
@@ -105,6 +98,16 @@ class Writer:
         return self._repr(values)
 
     def _repr(self, values: Array) -> list[str]:
+        """Return the values (n, k) as text, a row each, with nothing in place of NaN."""
+        known = values == values
+        if not known.all():
+            import numpy as np  # here, so that a command that writes one row starts without it
+
+            lines = self._repr(np.where(known, values, 0.0))
+            for k in np.flatnonzero(~known.all(axis=1)):
+                fields = zip(lines[k].split(","), known[k], strict=True)
+                lines[k] = ",".join(field if there else "" for field, there in fields)
+            return lines
         if values.size < FEW:
             return [",".join(map(repr, row)) for row in values.tolist()]
         from robodyn.tables.shortest import shortest
@@ -113,7 +116,7 @@ class Writer:
 
     def _texts(self, values: Array) -> Iterable[Sequence[str]]:
         """The same, each row by its fields."""
-        return [line.split(",") if line else () for line in self._lines(values)]
+        return [line.split(",") if self._places else () for line in self._lines(values)]
 
     def _text(self, value: float | str | None) -> str:
         """How a computed value is written."""

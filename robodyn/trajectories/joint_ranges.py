@@ -9,10 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
 from robodyn.errors import AssemblyError, SingularError
 from robodyn.loops.assembly import assemble
-from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
+from robodyn.loops.closing import loop_size
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.rest.balance import bend
 from robodyn.scene.scene import Limits
 from robodyn.tables.arrays import Array
 from robodyn.trajectories.continuation import PathEndError
@@ -20,7 +22,11 @@ from robodyn.trajectories.joint_paths import ConstantSpeed
 from robodyn.trajectories.loop_path import LoopPath, WholePath
 
 FARTHEST = 4.0  # sides of all loops, beyond which nothing ends a displacement
-BESIDE = 1e-6  # rad or m, from a dead centre to the last state that could be closed
+BESIDE = 1e-3  # rad, or lengths, from the last state that could be closed to where a joint turns
+FAR = 0.1  # rad, or lengths: a longer step of Newton's method leads to no end beside a state
+PASSES = 30  # of Newton's method
+SETTLED = 1e-13  # rad, or lengths: the last of its steps
+CROSSING = 1e-7  # least singular value of Psi, as part of the loops' size, of a change point
 NUDGE = 1e-6  # rad, or of a length of the mechanism, aside of a dead centre at the start
 SHORT = 1e-9  # part of a way by which one that ends is cut, to be followed again
 
@@ -85,8 +91,9 @@ def _way(
             with suppress(AssemblyError, SingularError):  # it ends there
                 return _way(mechanism, assemble(mechanism, beside, branches), place, sign, None)
         ended, ahead = error.kind, ahead * error.u
-        if ended == "dead centre" and error.u:
-            ahead[place] += _left(mechanism, error.q, place)
+        if error.u and (fold := _fold(mechanism, error.q, joint)) is not None:
+            ended = "dead centre"
+            ahead[place] += fold - error.q[joint]
         if not (mechanism.limits and error.u > SHORT):
             return float(q[joint] + ahead[place]), ended
         followed = path(ahead * (1.0 - SHORT))
@@ -101,20 +108,40 @@ def _way(
     return float(q[joint] + ahead[place]), ended
 
 
-def _left(mechanism: Mechanism, q: Array, place: int) -> float:
-    """From a state beside a dead centre the way to it, rad or m.
+def _fold(mechanism: Mechanism, q: Array, joint: int) -> float | None:
+    """Return where a joint turns back beside the closed state q (n,), rad or m; None if nowhere.
 
-    There q(x) is a root of what is left, so that q'' = q' / (2 (end - x)).
+    There Psi_p v = 0 for rates v of the passive joints p, and the gap is zero: Newton's method on
+    both, with the joint.  At a change point it has no regular solution.
     """
-    rate = np.zeros(len(mechanism.actuated))
-    rate[place] = 1.0
-    try:
-        q1 = loop_velocities(mechanism, q, rate)
-        q2 = loop_accelerations(mechanism, q, q1, 0.0 * rate)
-    except SingularError:
-        return 0.0
-    left = float(0.5 * (q1 @ q1) / (q1 @ q2)) if q1 @ q2 else math.inf
-    return left if abs(left) < BESIDE else 0.0
+    passive, units = list(mechanism.passive), mechanism.arrays.units
+    if len(passive) != len(mechanism.rows):
+        return None
+    p, moved = len(passive), [*passive, joint]
+    start, q, size = q[joint], q.copy(), loop_size(mechanism)
+    first = np.linalg.svd(scaled_jacobian(mechanism, q)[:, passive])[2][-1]
+    v = first.copy()
+    for _ in range(PASSES):
+        Psi, u = scaled_jacobian(mechanism, q), np.zeros(mechanism.n)
+        u[passive] = v * units[passive]
+        bent = bend(mechanism, q, u, np.diag(units)[moved]).T
+        system = np.zeros((2 * p + 1, 2 * p + 1))
+        system[:p, : p + 1], system[p : 2 * p, : p + 1] = Psi[:, moved], bent
+        system[p : 2 * p, p + 1 :], system[-1, p + 1 :] = Psi[:, passive], first
+        left = [*closure_gap(mechanism, q), *(Psi[:, passive] @ v), first @ v - 1.0]
+        try:
+            step = np.linalg.solve(system, -np.array(left))
+        except np.linalg.LinAlgError:
+            return None
+        if not np.abs(step).max() < FAR:
+            return None
+        q[moved] += step[: p + 1] * units[moved]
+        v = v + step[p + 1 :]
+        if np.abs(step[: p + 1]).max() <= SETTLED:
+            least = np.linalg.svd(scaled_jacobian(mechanism, q), compute_uv=False)[-1]
+            turned = abs(q[joint] - start) <= BESIDE * units[joint] and least > CROSSING * size
+            return float(q[joint]) if turned else None
+    return None
 
 
 def _turns(q: Array, joint: int, limit: Limits, mechanism: Mechanism) -> float:
