@@ -151,13 +151,15 @@ def _checked(function: FunctionType) -> FunctionType:
     """The function, which refuses arguments that are not what their annotations say."""
     from functools import wraps
 
-    from robodyn.arguments import check_arguments
+    from robodyn.arguments import argument_check, check_shapes
     from robodyn.errors import InputError
     from robodyn.mechanics.mechanism import Mechanism
 
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     room = function.__module__.split(".")[1]
-    at_states = "qd" in names and room in ("dynamics", "loops", "kinematics")
+    of_states = room in ("dynamics", "loops", "kinematics")
+    at_states = of_states and "qd" in names
+    check = argument_check(function)
 
     @wraps(function)
     def checked(*given: Any, **named: Any) -> Any:
@@ -166,7 +168,9 @@ def _checked(function: FunctionType) -> FunctionType:
             told = repr(first) if isinstance(first, (str, bytes)) else type(first).__name__
             limit = "must be a Mechanism, which robodyn.load makes of a file or a name"
             raise InputError("mechanism", where=function.__name__, value=told, limit=limit)
-        check_arguments(function, given, named)
+        check(given, named)
+        if of_states:
+            check_shapes(dict(zip(names, given, strict=False)) | named)
         if at_states:
             from robodyn.dynamics.placed import within_floats
 
