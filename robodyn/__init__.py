@@ -151,14 +151,13 @@ def _checked(function: FunctionType) -> FunctionType:
     """The function, which refuses arguments that are not what their annotations say."""
     from functools import wraps
 
-    from robodyn.arguments import argument_check, check_shapes
+    from robodyn.arguments import argument_check
     from robodyn.errors import InputError
     from robodyn.mechanics.mechanism import Mechanism
 
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     room = function.__module__.split(".")[1]
-    of_states = room in ("dynamics", "loops", "kinematics")
-    at_states = of_states and "qd" in names
+    at_states = "qd" in names and room in ("dynamics", "loops", "kinematics")
     check = argument_check(function)
 
     @wraps(function)
@@ -169,8 +168,6 @@ def _checked(function: FunctionType) -> FunctionType:
             limit = "must be a Mechanism, which robodyn.load makes of a file or a name"
             raise InputError("mechanism", where=function.__name__, value=told, limit=limit)
         check(given, named)
-        if of_states:
-            check_shapes(dict(zip(names, given, strict=False)) | named)
         if at_states:
             from robodyn.dynamics.placed import within_floats
 

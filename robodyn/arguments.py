@@ -17,7 +17,6 @@ from robodyn.errors import InputError
 from robodyn.tables.csv_fields import shown
 
 Test = Callable[[Any], bool]
-STATES = ("q", "qd", "qdd", "tau", "multipliers", "qd_actuated", "qdd_actuated")
 _LARGEST = sys.float_info.max
 _FEW = 32  # numbers: Python tests these faster than numpy
 
@@ -26,6 +25,7 @@ def argument_check(function: FunctionType) -> Callable[[Sequence[Any], Mapping[s
     """Return a function of positional and named arguments that raises InputError for wrong ones.
 
     An argument is wrong if it is not what its annotation says, or an array that is not finite.
+    Where functions take states, these must broadcast to one another, and times `t` to the states.
     """
     code, where = function.__code__, function.__name__
     names = code.co_varnames[: code.co_argcount]
@@ -33,30 +33,34 @@ def argument_check(function: FunctionType) -> Callable[[Sequence[Any], Mapping[s
         name: (*_kind(str(annotation)), "ArrayLike" in str(annotation))
         for name, annotation in function.__annotations__.items()
     }
+    of_states = function.__module__.split(".")[1] in ("dynamics", "loops", "kinematics")
 
     def check(given: Sequence[Any], named: Mapping[str, Any]) -> None:
+        shapes = {}
         for name, value in (*zip(names, given, strict=False), *named.items()):
             if name not in kinds:
                 continue  # Python says that there is no such argument
-            test, words, array = kinds[name]
-            if not test(value):
+            test, words, is_array = kinds[name]
+            array = _as_array(value) if is_array and value is not None else None
+            if not test(value if array is None else array):
                 told = shown(repr(value)) if isinstance(value, _PLAIN) else type(value).__name__
                 raise InputError(name, where=where, value=told, limit=f"must be {words}")
-            if array and value is not None:
-                _check_finite(name, np.asarray(value))
+            if array is not None:
+                _check_finite(name, array)
+                shapes[name] = array.shape
+        if of_states and any(len(x) > (name != "t") for name, x in shapes.items()):
+            _check_shapes(shapes)
 
     return check
 
 
-def check_shapes(given: Mapping[str, Any]) -> None:
-    """Raise InputError unless states broadcast to one another, and times `t` to the states."""
-    shapes = {name: np.shape(given[name]) for name in STATES if given.get(name) is not None}
+def _check_shapes(shapes: dict[str, tuple[int, ...]]) -> None:
+    times = shapes.pop("t", ())
     try:
         lead = np.broadcast_shapes(*(shape[:-1] for shape in shapes.values()))
     except ValueError:
         told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
         raise InputError("shapes", value=told, limit="must broadcast to one another") from None
-    times = np.shape(given.get("t", 0.0))
     try:
         fits = np.broadcast_shapes(lead, times) == lead
     except ValueError:
@@ -65,17 +69,26 @@ def check_shapes(given: Mapping[str, Any]) -> None:
         raise InputError("t.shape", value=times, limit=f"must broadcast to {lead}, one a state")
 
 
+def _as_array(value: Any) -> np.ndarray[Any, Any] | None:
+    """None if the value makes no array."""
+    try:
+        array = np.asarray(value)
+        if array.dtype == object and not any(x is None for x in array.flat):
+            array = array.astype(float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return array
+
+
 _PLAIN = (str, bytes, int, float, complex, list, tuple, dict, np.ndarray, type(None))
 
 
 def _check_finite(name: str, array: np.ndarray[Any, Any]) -> None:
     few = array.ndim == 1 and len(array) < _FEW
-    if array.dtype == object:
-        array = array.astype(float)
     if not (all(map(math.isfinite, array.tolist())) if few else np.isfinite(array).all()):
         from robodyn.dynamics.placed import finite
 
-        finite(name, array.astype(float))
+        finite(name, array)
 
 
 def _kind(annotation: str) -> tuple[Test, str]:
@@ -139,13 +152,8 @@ def _takes(function: Callable[..., Any], count: int) -> bool:
 
 
 def _numbers(value: Any) -> bool:
-    try:
-        array = np.asarray(value)
-        if array.dtype == object and array.size and not any(x is None for x in array.flat):
-            array = array.astype(float)
-    except (TypeError, ValueError, OverflowError):
-        return False
-    return array.dtype.kind in "fiub"
+    array = _as_array(value)
+    return array is not None and array.dtype.kind in "fiub"
 
 
 def _row(value: Any) -> bool:

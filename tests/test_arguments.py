@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import robodyn
-from robodyn.arguments import STATES
 
 ARM, LOOP = robodyn.load("2r"), robodyn.load("four-bar")
 MOTOR = {"ratio": 10.0, "inertia": 1e-4, "torque_constant": 0.1, "resistance": 1.0}
@@ -57,6 +56,7 @@ NEVER = [object(), b"x", 1j, [None], [np.nan, 1.0], [np.nan], np.nan, np.zeros((
 WIDE = [1.0, 2.0, 3.0, 4.0]
 OTHERS = [None, "a", "", 5, -1, True, [], WIDE, [[1.0], [2.0]], {}, {"a": 1}]
 OTHERS += [["a"], lambda: 0, [[1.0], [2.0, 3.0]], 10**400, np.array(["a"])]
+STATES = ("q", "qd", "qdd", "tau", "multipliers", "q_actuated", "qd_actuated", "qdd_actuated")
 ANY = {"plot": ["tables"], "sweep": ["options"]}  # what is no argument by name
 
 
