@@ -137,8 +137,8 @@ def __getattr__(name: str) -> object:
     if name not in _ROOM_OF:
         raise AttributeError(f"module 'robodyn' has no attribute '{name}'")
     value = getattr(import_module(f"robodyn.{_ROOM_OF[name]}"), name)
-    if isinstance(value, FunctionType) and value.__code__.co_varnames[:1] == ("mechanism",):
-        value = _of_a_mechanism(value)
+    if isinstance(value, FunctionType):
+        value = _checked(value)
     globals()[name] = value
     return value
 
@@ -147,24 +147,27 @@ def __dir__() -> list[str]:
     return [*__all__, "__version__"]
 
 
-def _of_a_mechanism(function: FunctionType) -> FunctionType:
-    """The function, which says so where its first argument is no mechanism, or one too large."""
+def _checked(function: FunctionType) -> FunctionType:
+    """The function, which refuses arguments that are not what their annotations say."""
     from functools import wraps
 
+    from robodyn.arguments import argument_check
     from robodyn.errors import InputError
     from robodyn.mechanics.mechanism import Mechanism
 
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     room = function.__module__.split(".")[1]
     at_states = "qd" in names and room in ("dynamics", "loops", "kinematics")
+    check = argument_check(function)
 
     @wraps(function)
     def checked(*given: Any, **named: Any) -> Any:
         first = given[0] if given else named.get("mechanism")
-        if (given or named) and not isinstance(first, Mechanism):
+        if names[:1] == ("mechanism",) and (given or named) and not isinstance(first, Mechanism):
             told = repr(first) if isinstance(first, (str, bytes)) else type(first).__name__
             limit = "must be a Mechanism, which robodyn.load makes of a file or a name"
             raise InputError("mechanism", where=function.__name__, value=told, limit=limit)
+        check(given, named)
         if at_states:
             from robodyn.dynamics.placed import within_floats
 

@@ -28,6 +28,7 @@ from robodyn import (
     load,
     loop_velocities,
     mass_matrix,
+    reference_motion,
     simulate,
 )
 from robodyn.mechanics.actuation import Actuation
@@ -133,6 +134,18 @@ class TestComputedTorque:
         wanted = 2.0 * known.coefficients[1:, :, 2]  # qdd_ref of the piece ahead
         v = wanted + 9.0 * found[at, 1] + 40.0 * found[at, 0]
         assert ahead == pytest.approx(v, abs=1e-9 * np.abs(v).max())
+
+    @pytest.mark.parametrize("profile", ["quintic", "cubic", "trapezoidal", "cycloidal"])
+    @pytest.mark.parametrize("mech", [ARM, FOUR_BAR], ids=lambda mech: f"{mech.n}")
+    def test_a_reference_motion_is_followed(self, mech: Mechanism, profile: str) -> None:
+        points = np.array([[0.9, 0.2], [1.5, 0.7], [1.2, 1.1]])[:, : len(mech.actuated)]
+        known = reference_motion(mech, points, 1.5, profile=profile)
+        times = np.linspace(0.0, 1.5, 31)
+        q, qd, _ = known.states(times)
+        tau = controller(mech, known, "computed-torque", 40.0, 9.0)
+        motion = simulate(mech, q[0], qd[0], 1.5, tau=tau, t_eval=times, **TIGHT)
+        assert np.abs(motion.q - q).max() < 1e-9
+        assert np.abs(motion.qd - qd).max() < 1e-8
 
     def test_no_step_is_tried_in_vain_where_it_jumps(self) -> None:
         known = swing(2, 1.0, 21, given=2)

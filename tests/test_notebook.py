@@ -512,7 +512,7 @@ WRONG = [
     (lambda: package.draw(ARM, REST, poses=0), "poses = 0"),
     (lambda: package.draw(ARM, REST, of=["x"]), "of"),
     (lambda: package.animate(ARM), "t and q"),
-    (lambda: package.animate("2r"), "motion = str"),
+    (lambda: package.animate("2r"), "motion = '2r': must be a Motion or a Mechanism"),
     (lambda: package.animate(ARM, [0, 1], REST), "q.shape"),
     (lambda: package.animate(ARM, [0, 1], [REST, REST], fps=0), "fps = 0"),
     (lambda: package.animate(ARM, [0, 1], [REST, REST]).save("a.avi"), "out = a.avi"),

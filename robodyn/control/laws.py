@@ -33,6 +33,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
+from typing import TYPE_CHECKING
 
 from robodyn.control.controlled_run import Continuous, Sampled
 from robodyn.control.driven_torques import driving_torques, rest_torques, torque_slopes
@@ -47,6 +48,9 @@ from robodyn.mechanics.kinks import Pieces
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import rate_limits, torque_limits
 
+if TYPE_CHECKING:
+    from robodyn.trajectories.reference import ReferenceMotion
+
 LAWS = {  # what each needs, and what it takes besides
     "pd": (("kp", "kd"), ("control_model",)),
     "pd+g": (("kp", "kd"), ("ki", "control_model")),
@@ -60,7 +64,7 @@ MOST_SAMPLES = 1_000_000  # of a run: their times and torques are kept
 
 def controller(
     mechanism: Mechanism,
-    reference: ReferenceTable,
+    reference: ReferenceTable | ReferenceMotion,
     control: str,
     kp: float | Sequence[float] | None = None,
     kd: float | Sequence[float] | None = None,
@@ -72,17 +76,19 @@ def controller(
 ) -> Actuation:
     """What `simulate` takes as tau so that the actuated joints track a reference.
 
-    The reference is that of the actuated joints, or of all; state-feedback, which has a `gain` in
-    place of kp and kd, takes from it the errors that are told.  control: one of `LAWS`.  kp, kd, ki
-    (>= 0): one value or one an actuated joint; N m/rad, N m s/rad and N m/(rad s), of computed
-    torque 1/s^2 and 1/s.  tau_max, N m: the same, or None; motors limit torques too.  control_rate:
-    samples a second, or None where the law acts continuously.  control_model: the one in the law;
-    None: the mechanism itself.
+    The reference is that of the actuated joints, or of all, or a motion, of which the actuated
+    joints are tracked; state-feedback, which has a `gain` in place of kp and kd, takes from it the
+    errors that are told.  control: one of `LAWS`.  kp, kd, ki (>= 0): one value or one an actuated
+    joint; N m/rad, N m s/rad and N m/(rad s), of computed torque 1/s^2 and 1/s.  tau_max, N m: the
+    same, or None; motors limit torques too.  control_rate: samples a second, or None where the law
+    acts continuously.  control_model: the one in the law; None: the mechanism itself.
     Raises InputError for arguments that do not fit, RobodynError where the law needs torques of a
     closed mechanism that has fewer actuators than freedoms.
     """
     given = {"kp": kp, "kd": kd, "ki": ki}
     _check(control, given | {"gain": gain, "control_model": control_model}, control_rate)
+    if not isinstance(reference, ReferenceTable):
+        reference = ReferenceTable.along(reference)
     reference = _of_actuated(mechanism, reference)
     model = mechanism if control_model is None else _agreeing(control_model, mechanism)
     limits = torque_limits(mechanism)

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import comb
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +26,12 @@ from robodyn.errors import InputError
 from robodyn.tables.arrays import Array
 from robodyn.trajectories.splines import hermite
 
+if TYPE_CHECKING:
+    from robodyn.trajectories.reference import ReferenceMotion
+
 BEND = 1e-9  # part of the largest acceleration by which pieces that meet smoothly may differ
+CUTS = 64  # of each piece of a motion that is no polynomial
+EXACT = 1e-12  # part of the angles by which a polynomial may miss a motion that is one
 ROUNDING = 1e3 * np.finfo(float).eps  # of q, which the accelerations between close rows magnify
 
 
@@ -78,6 +83,33 @@ class ReferenceTable:
         """The angles or displacements q (m,) from 0 to t (s; negative: from t to 0)."""
         coefficients = np.asarray(q, float)[None, :, None] * np.array([1.0, 0.0, 0.0])
         return object.__new__(cls)._consist(where, [min(t, 0.0), max(t, 0.0)], coefficients)
+
+    @classmethod
+    def along(cls, motion: ReferenceMotion) -> ReferenceTable:
+        """Return the reference of the actuated joints along a motion.
+
+        Pieces that are polynomials in time are exact; others miss by about 1e-11 of their way.
+        """
+        path, T = motion.path, motion.duration
+        for cuts in (1, CUTS):
+            u = np.linspace(path.breaks[:-1], path.breaks[1:], cuts, endpoint=False).T.ravel()
+            u = np.append(u, path.breaks[-1])
+            piece = np.arange(len(path.breaks) - 1).repeat(cuts)
+            # each part has ends of its own: qdd may jump between parts
+            ends = zip(path.driven(u[:-1], piece), path.driven(u[1:], piece), strict=True)
+            rows = [np.stack(pair, axis=1) / T**d for d, pair in enumerate(ends)]
+            times = motion.begin + u * T
+            pieces = [
+                hermite(times[k : k + 2], *(x[k] for x in rows)) for k in range(len(times) - 1)
+            ]
+            coefficients = np.moveaxis(np.concatenate(pieces), 1, -1)
+            found = object.__new__(cls)._consist("reference", times.tolist(), coefficients)
+            inside = u[:-1] + 0.3 * np.diff(u)  # halfway even another curve may meet by symmetry
+            exact = path.driven(inside, piece)[0]
+            miss = np.abs(found.at(motion.begin + inside * T)[0] - exact).max()
+            if miss <= EXACT * np.abs(exact).max():
+                break
+        return found
 
     def until(self, t: float) -> ReferenceTable:
         """The same, held at its end until t if that is later."""

@@ -29,7 +29,15 @@ from robodyn.dynamics.dense_dynamics import (
     elimination_is_safe,
     required_load,
 )
-from robodyn.dynamics.placed import check_directions, finite, matvec, placed, times_of, together
+from robodyn.dynamics.placed import (
+    check_directions,
+    finite,
+    matvec,
+    numbers,
+    placed,
+    times_of,
+    together,
+)
 from robodyn.engines import formulas
 from robodyn.engines.formulas import Formula
 from robodyn.errors import InputError, SingularError
@@ -306,6 +314,15 @@ def _multipliers(mechanism: Mechanism, q: Array, load: Array) -> Array:
 # -- what the multipliers are ----------------------------------------------------------------------
 
 
+def as_multipliers(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
+    """`multipliers` as floats (..., r); InputError unless they are r wide, one a closure row."""
+    lam = numbers("multipliers", multipliers)
+    if lam.shape[-1:] != (len(mechanism.rows),):
+        limit = f"must have {len(mechanism.rows)} values along the last axis, one a closure row"
+        raise InputError("multipliers.shape", value=lam.shape, limit=limit)
+    return lam
+
+
 def pin_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike | None = None) -> Array:
     """The force on the side of each closure that is named first, (..., closures, 2), N.
 
@@ -313,7 +330,7 @@ def pin_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike | None
     InputError without q (..., n) where a link that moves has a slot: its force turns with it.
     """
     E = None if q is None else placed(mechanism, q).E
-    forces = pins_at(mechanism, np.asarray(multipliers, float), E)
+    forces = pins_at(mechanism, as_multipliers(mechanism, multipliers), E)
     return np.stack([forces.real, forces.imag], axis=-1)
 
 
@@ -341,7 +358,7 @@ def kept_moments(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
     """
     kept = [r for r, row in enumerate(mechanism.rows) if row.closure is not None and row.arm]
     arms = np.array([mechanism.rows[r].arm for r in kept])
-    moments: Array = np.asarray(multipliers, float)[..., kept] * arms
+    moments: Array = as_multipliers(mechanism, multipliers)[..., kept] * arms
     return moments
 
 
@@ -351,7 +368,7 @@ def coupling_torques(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
     `multipliers` (..., r) are those of `inverse_dynamics_and_forces` and the like.  The joints on
     the other side feel the opposite, times their ratios.
     """
-    lam = np.asarray(multipliers, float)
+    lam = as_multipliers(mechanism, multipliers)
     first = len(mechanism.rows) - len(mechanism.description.couplings)
     torques: Array = lam[..., first:] * np.array([row.arm for row in mechanism.rows[first:]])
     return torques

@@ -50,6 +50,16 @@ def n_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
     raise InputError(f"{name}.shape", value=array.shape, limit=limit)
 
 
+def actuated_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
+    """`values` as floats (..., actuated); InputError unless they are so wide."""
+    array, wanted = numbers(name, values), len(mechanism.actuated)
+    if array.shape[-1:] != (wanted,):
+        names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
+        limit = f"must have {wanted} values along the last axis, one an actuated joint ({names})"
+        raise InputError(f"{name}.shape", value=array.shape, limit=limit)
+    return array
+
+
 def numbers(name: str, values: ArrayLike) -> Array:
     """`values` as floats; InputError where they are none."""
     try:

@@ -28,10 +28,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import Points, dense, points_of, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import decompose
-from robodyn.dynamics.dynamics import coupling_torques, kept_moments, pin_forces, pins_at
+from robodyn.dynamics.dynamics import (
+    as_multipliers,
+    coupling_torques,
+    kept_moments,
+    pin_forces,
+    pins_at,
+)
 from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, placed
 from robodyn.engines.row_values import rows_of
-from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
@@ -203,10 +208,7 @@ def reactions(
     `forward_dynamics_and_forces` for it, (..., 0) without closures.  Raises InputError for arrays
     that do not fit.
     """
-    lam = np.asarray(multipliers, float)
-    if lam.shape[-1:] != (len(mechanism.rows),):
-        limit = f"must have {len(mechanism.rows)} values along the last axis, one a closure row"
-        raise InputError("multipliers.shape", value=lam.shape, limit=limit)
+    lam = as_multipliers(mechanism, multipliers)
     forces = _of_numbers(mechanism, q, qd, qdd, t, lam).reactions()
     return np.stack([forces.real, forces.imag], axis=-1)
 
@@ -223,7 +225,7 @@ def slide_moments(
 
     It comes from what the link slides on, and keeps it from turning; arguments as of `reactions`.
     """
-    felt = _of_numbers(mechanism, q, qd, qdd, t, np.asarray(multipliers, float))
+    felt = _of_numbers(mechanism, q, qd, qdd, t, as_multipliers(mechanism, multipliers))
     if not mechanism.slides:
         return np.zeros((*felt.place.shape[:-1], 0))
     return np.stack(felt.slide_moments(), axis=-1)

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
+from robodyn.dynamics.placed import actuated_wide
 from robodyn.errors import AssemblyError, InputError, SingularPoseError
 from robodyn.loops.assembly_plan import Plan, joints_of
 from robodyn.loops.assembly_plan import assembly_plan as assembly_plan
@@ -59,7 +60,11 @@ def assemble(
     at any value, and AssemblyError where the loops cannot close: it tells the distance missing and
     the range of the actuated joints that can be reached.
     """
-    given = _as_actuated(mechanism, q_actuated)
+    given, closures = _as_actuated(mechanism, q_actuated), mechanism.description.closures
+    given_all = branches is None or len(branches) == len(closures)
+    if not given_all or not set(branches or ()) <= set(BRANCHES):
+        limit = f"must be {len(closures)}, one a closure, each {' or '.join(BRANCHES)}"
+        raise InputError("branches", value=", ".join(branches or ()), limit=limit)
     q, missing = attempt(mechanism, given, branches)
     flat = missing.reshape(-1)
     if flat.size and not (flat <= 0.0).all():
@@ -307,12 +312,7 @@ def _within(mechanism: Mechanism, joint: int, value: float, side: int) -> str:
 
 
 def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
-    array = np.asarray(values, float)
-    wanted = len(mechanism.actuated)
-    if array.ndim == 0 or array.shape[-1] != wanted:
-        names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
-        limit = f"must have {wanted} values along the last axis, one an actuated joint ({names})"
-        raise InputError("q_actuated.shape", value=array.shape, limit=limit)
+    array = actuated_wide(mechanism, "q_actuated", values)
     if not np.isfinite(array).all():
         raise InputError("q_actuated", limit="must be finite")
     return array

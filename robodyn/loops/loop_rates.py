@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import absolute_jacobian, closure_bias, gap_at, scaled_jacobian
-from robodyn.dynamics.placed import Placed, absolute_rates, as_states, matvec, placed
+from robodyn.dynamics.placed import (
+    Placed,
+    absolute_rates,
+    actuated_wide,
+    as_states,
+    matvec,
+    placed,
+)
 from robodyn.errors import InputError
 from robodyn.loops.change_points import (
     NEAR,
@@ -44,7 +51,7 @@ def loop_velocities(mechanism: Mechanism, q: ArrayLike, qd_actuated: ArrayLike) 
     q (..., n) is a closed configuration.  Raises SingularError at a dead centre or change point.
     """
     q = as_states(mechanism, "q", q)
-    return closing_rates(mechanism, q, np.asarray(qd_actuated, float), 0.0)
+    return closing_rates(mechanism, q, actuated_wide(mechanism, "qd_actuated", qd_actuated), 0.0)
 
 
 def loop_accelerations(
@@ -55,7 +62,10 @@ def loop_accelerations(
     q and qd (..., n) are closed.  Raises SingularError at a dead centre or change point; next to a
     change point they are those of the motion which leads across.
     """
-    q, given = as_states(mechanism, "q", q), np.asarray(qdd_actuated, float)
+    q, given = (
+        as_states(mechanism, "q", q),
+        actuated_wide(mechanism, "qdd_actuated", qdd_actuated),
+    )
     found = closing_rates(mechanism, q, given, closure_bias(mechanism, q, qd))
     if not mechanism.rows or not found.size:
         return found

@@ -29,6 +29,7 @@ from robodyn.tables.csv_fields import shown
 from robodyn.tables.short_repr import short_repr
 
 STARTS = 30
+MOST_STARTS = 1_000_000
 STEPS = 200  # of each start
 LARGEST = 1e30  # of bounds and targets: columns have squares of it, and their squares are summed
 DRAWN = 200  # times as many starts are drawn where most have no values
@@ -192,6 +193,8 @@ def solved(
     mechanism, values, subject_to = wanted.mechanism, wanted.values, wanted.subject_to
     if starts < 1:
         raise InputError("--starts", value=starts, limit="must be >= 1")
+    if starts > MOST_STARTS:
+        raise InputError("--starts", value=shown(str(starts)), limit=f"must be <= {MOST_STARTS}")
     if seed < 0:
         raise InputError("--seed", value=seed, limit="must be >= 0")
     if problem.target.size < len(problem.own):

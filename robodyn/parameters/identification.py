@@ -106,8 +106,14 @@ def identify(
     Raises InputError for arrays that do not fit, too few rows, and a motion that tells nothing.
     """
     states = [np.asarray(x, float) for x in (q, qd, qdd)]
-    given = np.asarray(tau, float)
+    given, times = np.asarray(tau, float), np.asarray(t, float)
     n, a = mechanism.n, len(mechanism.actuated)
+    for name, array in zip(("q", "qd", "qdd"), states, strict=True):
+        if array.ndim != 2 or array.shape != (len(states[0]), n):
+            limit = f"must be (T, {n}), a row a state, and the same for q, qd and qdd"
+            raise InputError(f"{name}.shape", value=array.shape, limit=limit)
+    if times.shape not in ((), (1,), (len(states[0]),)):
+        raise InputError("t.shape", value=times.shape, limit="must be (T,), one a state")
     if given.shape == (len(states[0]), n) and not given[:, list(mechanism.passive)].any():
         given = given[:, list(mechanism.actuated)]
     if given.shape != (len(states[0]), a):
@@ -123,7 +129,7 @@ def identify(
     joints = balanced_joints(mechanism)
     torques = np.zeros((len(given), len(joints)))
     torques[:, [joints.index(k) for k in mechanism.actuated]] = given
-    times = np.broadcast_to(np.asarray(t, float), len(torques))
+    times = np.broadcast_to(times, len(torques))
     data = _Data(mechanism, states, torques, times, rest)
     of = [of] if isinstance(of, str) else of
     found = _named(mechanism, data, of, physical) if of else _base(mechanism, data, physical)

@@ -96,8 +96,13 @@ class _Begin:
         qd: ArrayLike | None,
     ) -> None:
         n, joints = mechanism.n, np.array(q, float)
-        rates = np.zeros(len(joints)) if qd is None else np.array(qd, float)
-        self.whole = len(joints) == n
+        rates = np.zeros(joints.shape) if qd is None else np.array(qd, float)
+        self.whole, driven = joints.shape == (n,), len(mechanism.actuated)
+        for name, given in (("q", joints), ("qd", rates)):
+            wide = {driven, n} if self.whole or name == "q" else {driven}
+            if given.ndim != 1 or len(given) not in wide:
+                limit = f"must have {' or '.join(map(str, sorted(wide)))} values, one a joint"
+                raise InputError(f"{name}.shape", value=given.shape, limit=limit)
         if self.whole and (fault := check_closed(mechanism, joints)):
             raise fault[1]
         self.first = (close_positions if self.whole else assemble)(mechanism, joints)

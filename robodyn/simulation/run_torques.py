@@ -9,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from robodyn.dynamics.placed import finite, numbers
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
@@ -19,7 +20,11 @@ from robodyn.tables.arrays import Array
 
 def as_actuation(
     mechanism: Mechanism,
-    tau: Sequence[float] | str | Callable[..., Sequence[float]] | Actuation | None,
+    tau: Sequence[float]
+    | str
+    | Callable[[float, list[float], list[float]], Sequence[float]]
+    | Actuation
+    | None,
 ) -> Actuation:
     """Torques as constants, an expression, a function tau(t, q, qd), or none."""
     if tau is None:
@@ -30,7 +35,7 @@ def as_actuation(
         return torque_sources.expressions(mechanism, tau, "tau")
     if callable(tau):
         return torque_sources.callback(mechanism, tau)
-    return torque_sources.constant(mechanism, [float(x) for x in np.asarray(tau, float)])
+    return torque_sources.constant(mechanism, finite("tau", numbers("tau", tau)).tolist())
 
 
 TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"

@@ -130,13 +130,17 @@ def simulate(
     q: ArrayLike,
     qd: ArrayLike,
     t_end: float,
-    tau: Sequence[float] | str | Callable[..., Sequence[float]] | Actuation | None = None,
+    tau: Sequence[float]
+    | str
+    | Callable[[float, list[float], list[float]], Sequence[float]]
+    | Actuation
+    | None = None,
     method: str = "DOP853",
     rtol: float = 1e-9,
     atol: float = 1e-9,
     t_eval: ArrayLike | None = None,
     stabilize: str = "projection",
-    max_evals: int = MAX_EVALUATIONS,
+    max_evals: float = MAX_EVALUATIONS,
     order: int | None = None,
     max_step: float = np.inf,
     events: Mapping[str, str] | None = None,
@@ -180,7 +184,8 @@ def simulate(
         carried = with_sensitivities(mechanism, actuation, state, sensitivity, method)
     times = None if t_eval is None else np.asarray(t_eval, float)
     watch = watched_events(mechanism, events or {}, until, float(t_end))
-    settings = Settings(method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, max_step)
+    most: Any = max_evals  # which settings make whole
+    settings = Settings(method, rtol, atol, stabilize, BAUMGARTE, most, order, max_step)
     try:
         return _motion(mechanism, state, float(t_end), actuation, settings, times, watch, carried)
     except CallerError as failed:

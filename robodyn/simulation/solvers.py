@@ -251,7 +251,7 @@ def solver_of(
 ) -> OdeSolver:
     """The solver of this name along a way (t, y, bound), which the recorder observes."""
     (t, y, bound), (rtol, atol) = way, tolerances
-    each = np.full(len(y), atol)
+    each = np.full(len(y), atol, float)
     by_product = 2 * recorder.mechanism.n + actuation.states
     each[by_product:] = 1e100  # the work chooses no step
     kind: Any = projected(method)

@@ -63,14 +63,14 @@ def profile(name: str, acceleration: float = ACCELERATION) -> Profile:
 
     Raises InputError for a name that is none, or alpha outside of 0 < alpha <= 1/2.
     """
-    if name in SMOOTH:
-        return Profile(name, (0.0, 1.0), SMOOTH[name])
-    if name != "trapezoidal":
-        raise InputError("profile", value=name, limit=f"must be one of {', '.join(NAMES)}")
     alpha = acceleration
     if not (isfinite(alpha) and 0.0 < alpha <= 0.5):
         limit = "must be > 0 and <= 0.5, a part of the duration"
         raise InputError("acceleration", value=alpha, limit=limit)
+    if name in SMOOTH:
+        return Profile(name, (0.0, 1.0), SMOOTH[name])
+    if name != "trapezoidal":
+        raise InputError("profile", value=name, limit=f"must be one of {', '.join(NAMES)}")
     speed = 1 / (1 - alpha)
     a = speed / alpha
 
