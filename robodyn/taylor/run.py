@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
@@ -35,8 +34,6 @@ if TYPE_CHECKING:
     from robodyn.events.watch import EventWatch
     from robodyn.loops.misses import Misses
     from robodyn.simulation.right_hand_side import RightHandSide
-    from robodyn.taylor.variations import Variations
-
 
 KEPT = 32768  # steps whose series are kept at a time, of one link
 MOST_LOOKED_AT = (
@@ -72,13 +69,6 @@ class TaylorRun:
 
     def __post_init__(self) -> None:
         mechanism = self.mechanism
-        self.variations: Variations | None = None
-        self.carried = self.actuation
-        if self.actuation.by and self.actuation.alone is not None:
-            from robodyn.taylor.variations import variations_of
-
-            self.variations, self.y = variations_of(mechanism, self.actuation, self.y)
-            self.actuation = self.actuation.alone
         self.closing, self.misses, self.regular, self.far = None, None, 0.0, 0.0
         if self.project and mechanism.rows:
             from robodyn.loops.change_points import suspect_quality
@@ -149,11 +139,6 @@ class TaylorRun:
     @np.errstate(all="ignore")  # as of a run by it alone
     def _by_dop853(self, bound: float) -> Outcome | None:
         """Go on by DOP853 to where a series leads on, or the bound; the outcome if that fails."""
-        if self.variations is not None:
-            limit = "is of motions that pass no change point"
-            if self.lead > 1:
-                limit = "no Taylor series leads on there: take --method DOP853"
-            raise RobodynError("sensitivity", value=f"t = {self.t:.6g} s", limit=limit)
         from robodyn.simulation.solvers import StiffError, solver_of
 
         before, least = self.t, self.lead
@@ -188,20 +173,14 @@ class TaylorRun:
         chunk = engine.advance(self.t, self.y, bound, recorder.times_until(bound), steps)
         within: Callable[[Array], Array] = engine.within
         stop: Stop | None = None
-        variations = self.variations
         if events is not None and len(chunk.t):
             given = events, self.mechanism, chunk, self.t, self.y, engine
             chunk, within, stop = _with_events(*given)
-        told = chunk
-        if variations is not None:
-            told, within = variations.along(self.t, self.y, chunk, engine, within)
         if len(chunk.t):
             self.t, self.y = float(chunk.t[-1]), chunk.y[-1]
-            reach(self.carried, self.t, told.y[-1])
-        recorder.chunk(told, self.t_end, within)
+            reach(self.actuation, self.t, self.y)
+        recorder.chunk(chunk, self.t_end, within)
         if stop is not None:
-            if variations is not None:
-                stop = stop._replace(y=variations.both(stop.y))
             recorder.stop(stop)
         self.ahead = min(2 * self.ahead, self.most_ahead)
         return chunk
