@@ -25,7 +25,7 @@ from timeit import timeit
 from typing import Any
 
 import numpy as np
-from bench_derivatives import derivatives, sensitivities
+from bench_derivatives import derivatives
 from bench_frontier import frontier, taylor_process, what_acts
 from bench_identify import identification
 from bench_motions import (
@@ -355,7 +355,6 @@ MEASURES = [
     series_engines,
     sliding_joints,
     derivatives,
-    sensitivities,
     identification,
     many_loops,
     code_of_many_loops,

@@ -519,37 +519,6 @@ class TestRefused:
             simulate(ARM, [0, 0], [0, 0], 1.0, tau, "taylor")
 
 
-MOTORED = """
-links:
-- {name: a, m: 1, l: 1, r: 0.3, I: 0.1, motor: {inertia: 0, ratio: 2, torque_max: 4, speed_max: 6}}
-- {name: b, m: 1, l: 1, r: 0.2, I: 0.2, motor: {inertia: 0, ratio: 3, speed_max: 9}}
-"""
-
-
-@pytest.mark.parametrize("control", ["pd", "pid", "pd+g"])
-def test_the_slopes_of_a_law_are_those_of_its_torques(control: str) -> None:
-    """With torques cut off by the motors' limits, and fading where they are as fast as may be."""
-    mech, gains = random_mechanisms.mechanism(MOTORED), {"kp": [20, 30], "kd": [2, 3]}
-    acting = controller(mech, swing(2), control, **gains, **({"ki": 5} if control == "pid" else {}))
-    asked, wide = acting.function(2), 5 + acting.states
-    ways = np.eye(wide)[:, :-1]  # and with time
-    rng = np.random.default_rng(5)
-    for qd in ([0.3, -0.4], [2.92, 2.9], [-2.9, -2.93]):
-        y = np.array([*rng.uniform(-0.3, 0.3, 2), *qd, *rng.uniform(-0.1, 0.1, acting.states)])
-        h = 1e-6 * np.eye(wide)
-        ahead, behind = (
-            np.array([asked(0.4 + sign * x[-1], y + sign * x[:-1]) for x in h]) for sign in (1, -1)
-        )
-        expected = (ahead - behind).T / 2e-6
-        both = *ways[:, :4].ravel(), *ways[:, 4:].ravel()
-        found = np.array(acting.control.along(wide, timed=True)(0.4, *y, *both))
-        given, found = np.split(found, [2 + acting.states])
-        assert np.abs(given - asked(0.4, y)).max() < 1e-12
-        torques, rates = (x.reshape(wide, -1) for x in np.split(found, [2 * wide]))
-        found = np.hstack([torques, rates]).T
-        assert np.abs(found - expected).max() < 1e-6 * (1.0 + np.abs(expected).max()), (control, qd)
-
-
 def test_a_set_point_beyond_a_dead_centre_ends_the_run_soon() -> None:
     """The rods of a five-bar line up on the way: what is asked of the cranks has no bound there."""
     mechanism = scene(FIVE_BAR.format(each="damping: 0.01"))

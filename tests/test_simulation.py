@@ -927,11 +927,11 @@ class TestOutcomes:
         """Their squares do: the outcome tells, and no warning of numpy's."""
         mech = load(ROOT / f"robots/{name}.yaml")
         q = assemble(mech, [1.0])
-        for rate, by in ((1e155, []), (1e155, ["q1"]), (1e300, [])):
+        for rate in (1e155, 1e300):
             qd = loop_velocities(mech, q, [rate])
             for how in ({"method": "DOP853"}, {"method": "taylor", "engine": "python"}):
                 with suppress(RobodynError):
-                    motion = simulate(mech, q, qd, 1.0, events={"e": "q1"}, sensitivity=by, **how)
+                    motion = simulate(mech, q, qd, 1.0, events={"e": "q1"}, **how)
                     assert motion.report.outcome == "step too small"
 
     def test_singular(self):

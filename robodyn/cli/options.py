@@ -178,7 +178,11 @@ Force = Annotated[
 
 def load_with(model: Model, forces: Sequence[str] | None) -> Mechanism:
     """The mechanism of a scene file as if its `loads` ended with these forces, POINT=FX,FY."""
-    mechanism = model.load()
+    return with_forces(model.load(), forces)
+
+
+def with_forces(mechanism: Mechanism, forces: Sequence[str] | None) -> Mechanism:
+    """The mechanism with these forces, POINT=FX,FY, at the end of its loads."""
     if not forces:
         return mechanism
     from robodyn.kinematics.named_points import named_point

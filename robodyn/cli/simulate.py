@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import numpy as np
@@ -23,6 +23,7 @@ from robodyn.cli.options import (
     Text,
     load_with,
     option,
+    with_forces,
 )
 from robodyn.cli.output import default_format, extremes_writer, maker, note, opened, told
 from robodyn.cli.signals import watching
@@ -45,7 +46,7 @@ from robodyn.cli.states import (
 from robodyn.cli.times import Points, output_times
 from robodyn.errors import AssemblyError, RobodynError, at_place
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.simulation.motion_columns import motion_columns, motion_values
 from robodyn.simulation.report import Outcome, Report
@@ -58,7 +59,6 @@ from robodyn.tables.table_writer import Writer
 
 if TYPE_CHECKING:
     from robodyn.events.told import Event
-    from robodyn.simulation.sensitivity import Sensitivities
 
 _TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
 EVENTS_AT_ONCE = 1 << 14  # that are written together
@@ -111,8 +111,9 @@ def simulate(
     to stderr.  A run that does not finish writes what it computed and exits with 1.
 
     --sensitivity adds for each NAME, links.forearm.m or a start value q1 or qd1, the columns
-    dq1/NAME.., dqd1/NAME..: d(state)/d(NAME), as exact as q and qd are, relatively.  What else
-    actuated joints start with is held, the passive ones follow, and a controller believes the same.
+    dq1/NAME.., dqd1/NAME..: d(state)/d(NAME) at a fixed time, by differences of 7 runs at most.
+    Start values of other actuated joints are held, passive joints follow, and a controller keeps
+    its model.  The summary has their errors; cells are empty from where no derivative is found.
 
     An event happens when a comparison becomes true, or a function of t, q1.., qd1.. passes zero;
     what holds at the start is none.  Its time is found to rounding.
@@ -147,27 +148,25 @@ def simulate(
     settings, estimate = _accurate(mechanism, begin, duration, torques, settings, how)
     with named():
         torques = over_run(mechanism, torques, begin, duration, settings.atol)
-        carried = None
-        if how.sensitivity is not None:
-            from robodyn.simulation.sensitivity import with_sensitivities
-
-            by = [name.strip() for name in how.sensitivity.split(",")]
-            with at_place("--sensitivity", *by):
-                carried = with_sensitivities(mechanism, torques, begin, by, settings.method)
-    acting = carried.actuation if carried else torques
+    slopes = None
+    if how.sensitivity is not None:
+        slopes = _Slopes(how.sensitivity, mechanism, begin, partial(with_forces, forces=force))
     among_rows = on_terminal(results.out) and not results.extremes  # a bar would be in their lines
     with (
         watching(duration, results.quiet or among_rows) as watch,
         opened(results.out or "-", "what was computed is in", results.format) as stream,
         opened(events.events, "the events up to there are in") as table,
     ):
-        rows = _Rows(mechanism, torques, carried, results, stream)
-        given = mechanism, begin, duration, acting, settings, rows.write, times, watch, watched
+        rows = _Rows(mechanism, torques, slopes, results, stream)
+        given = mechanism, begin, duration, torques, settings, rows.write, times, watch, watched
         outcome, facts = _told(given, rows, estimate, results, table)
         if not results.quiet:
             _summary(mechanism, facts, events.until)
             if how.estimate_error and facts.error_estimate is None:
                 note("error of q and qd: not estimated, as no tighter run finishes")
+        elif slopes is not None:
+            for line in slopes.withheld:
+                note(line)
         if outcome not in (Outcome.FINISHED, Outcome.EVENT, Outcome.LIMIT):
             stream.flush()
             where = f"{facts.ended_by or facts.outcome} at t = {facts.t_reached:.6g} s"
@@ -214,8 +213,7 @@ def _accurate(
     if how.accuracy is not None:
         from robodyn.simulation.accuracy import AUTO, settings_for
 
-        auto = AUTO if how.sensitivity is None else settings.method
-        wanted = replace(settings, method=how.method or auto)
+        wanted = replace(settings, method=how.method or AUTO)
         with named(), remarks():
             return settings_for(mechanism, begin, duration, torques, wanted, how.accuracy)
     if how.estimate_error:
@@ -226,13 +224,50 @@ def _accurate(
     return settings, None
 
 
+class _Slopes:
+    """The derivatives of --sensitivity; rows wait for them until the run has ended."""
+
+    def __init__(
+        self,
+        text: str,
+        mechanism: Mechanism,
+        begin: np.ndarray,
+        forced: Callable[[Mechanism], Mechanism],
+    ) -> None:
+        from robodyn.simulation.differences import Numbers
+
+        self.names = [name.strip() for name in text.split(",")]
+        self.withheld: tuple[str, ...] = ()
+        self.kept: list[tuple[np.ndarray, np.ndarray, Mechanism]] = []
+        with at_place("--sensitivity", *self.names):
+            self.numbers = Numbers(mechanism, self.names, begin, lambda scene: forced(build(scene)))
+
+    def write(self, rows: _Rows, facts: Report, given: tuple[Any, ...]) -> bool:
+        """Write the rows with the derivatives; tells whether a signal broke off the runs."""
+        from robodyn.simulation.differences import sensitivities, tell
+
+        if not self.kept:
+            return False
+        settings, watch, events = given[4], *given[-2:]
+        t = np.concatenate([t for t, _, _ in self.kept])
+        with named(), at_place("--sensitivity", *self.names):
+            found = sensitivities(self.numbers, rows.torques, settings, t, watch)
+        self.withheld, first = found.withheld, 0
+        for t, y, moving in self.kept:
+            rows.tell(t, y, moving, found.flat[first : first + len(t)])
+            first += len(t)
+        tau = applied_torques(rows.mechanism, rows.torques, t[-1:], y[-1:])
+        tell(facts, found, events, moving, t, y, tau)
+        return found.interrupted
+
+
 @dataclass(eq=False, repr=False)
 class _Rows:
     """Writes the rows of a run, or what is asked for in their place."""
 
     mechanism: Mechanism
     torques: Actuation
-    carried: Sensitivities | None
+    slopes: _Slopes | None
     results: ResultOptions
     stream: BinaryIO
 
@@ -242,17 +277,33 @@ class _Rows:
         results, units = self.results, scene_units(self.mechanism)
         make = maker(self.stream, results.format, results.out, units)
         names = motion_columns(self.mechanism, self.torques.control is not None)
-        names += self.carried.columns if self.carried else []
+        if self.slopes is not None:
+            from robodyn.simulation.differences import columns
+
+            names += columns(self.mechanism.n, self.slopes.names)
         return told(make, names, units=units, summary=extremes_writer if results.extremes else None)
 
     def write(self, t: np.ndarray, y: np.ndarray, moving: Mechanism) -> None:
         """The rows at times t (T,) and states y; `moving` is what moves there."""
+        if self.slopes is not None:
+            self.slopes.kept.append((t, y, moving))
+        else:
+            self.tell(t, y, moving, np.zeros((len(t), 0)))
+
+    def tell(self, t: np.ndarray, y: np.ndarray, moving: Mechanism, slopes: np.ndarray) -> None:
+        """Write rows with derivatives (T, k), of which those that are nan are empty."""
         n, control = self.mechanism.n, self.torques.control
         tau = applied_torques(self.mechanism, self.torques, t, y)
         rows = [motion_values(self.mechanism, moving, t, y[:, :n], y[:, n : 2 * n], tau)]
         rows += [] if control is None else [control.errors(t, y)]
-        rows += [self.carried.flat(self.carried.of(y))] if self.carried else []
-        self.writer.write_columns(np.concatenate(rows, axis=-1))
+        values, known = np.concatenate([*rows, slopes], axis=-1), np.isfinite(slopes).all(axis=1)
+        first = len(known) if known.all() else int(np.argmin(known))
+        self.writer.write_columns(values[:first])
+        for row, empty in zip(values[first:].tolist(), ~np.isfinite(slopes[first:]), strict=True):
+            row[-len(empty) :] = [
+                None if x else y for x, y in zip(empty, row[-len(empty) :], strict=True)
+            ]
+            self.writer.write_row(row)
 
 
 def _told(
@@ -268,6 +319,9 @@ def _told(
         with named(), remarks():
             outcome, recorder = run(*given)
             facts = recorder.settle()
+            if rows.slopes is not None and rows.slopes.write(rows, facts, given):
+                outcome = Outcome.INTERRUPTED
+                facts.outcome, facts.advice = outcome.label, outcome.advice
         if estimate is not None and math.isfinite(estimate):
             facts.error_estimate = estimate
         rows.writer.close()
@@ -318,6 +372,10 @@ def _summary(mechanism: Mechanism, facts: Report, until: str | None) -> None:
     counts = {name: count for name, count in facts.events.items() if name != UNTIL}
     if counts:
         lines.append(f"events: {', '.join(f'{name} {count}' for name, count in counts.items())}")
+    for name, error in (facts.sensitivity_errors or {}).items():
+        lines.append(f"error of derivatives by {name}: about {error:.2g} of the largest")
+    for name, slope in (facts.until_sensitivity or {}).items():
+        lines.append(f"derivative of the time of --until by {name}: {slope:.6g}")
     lines += facts.remarks
     if facts.error_estimate is not None:
         lines.append(f"error of q and qd: about {facts.error_estimate:.2g}, by a tighter run")

@@ -30,7 +30,7 @@ class Tracked:
 
     def __init__(self, mechanism: Mechanism, reference: ReferenceTable, law: RecordedLaw) -> None:
         self.mechanism, self.reference = mechanism, reference
-        self.law, self.along, self.states = law.code(), law.along, law.states
+        self.law, self.states = law.code(), law.states
         self._forget()
 
     def _forget(self) -> None:

@@ -11,6 +11,7 @@ so both are written out as code on floats wherever the closures' system is no la
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -20,13 +21,11 @@ from robodyn.engines import formulas, straightline
 from robodyn.engines.expression import Value
 from robodyn.engines.factors import small_system
 from robodyn.engines.formulas import Formula, Recorded
-from robodyn.engines.tangents import slopes_by
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError
 from robodyn.loops import loop_rates
 from robodyn.loops.closing import regular_rank
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import Mode, in_mode
 
 Floats = Callable[..., Sequence[float]]
 
@@ -86,43 +85,14 @@ def driving_torques(mechanism: Mechanism) -> Floats:
     return _compiled(mechanism, False, otherwise)
 
 
-def torque_slopes(mechanism: Mechanism, rests: bool) -> Floats:
-    """Of what `rest_torques` or `driving_torques` give, by each thing that they ask (k, asked).
-
-    The function raises RobodynError where computed torque's are not known: in loops without a
-    formula, or next to a dead centre.
-    """
-    mechanism = in_mode(parts.untimed(mechanism), Mode())  # no law balances what a stop pushes
-    n, driven = mechanism.n, list(mechanism.actuated)
-
-    def otherwise(*values: float) -> Sequence[float]:
-        from robodyn.dynamics.derivatives import inverse_dynamics_derivatives
-
-        if not rests and mechanism.rows:
-            limit = "of computed torque is not known next to a dead centre, or with several loops"
-            raise RobodynError("sensitivity", where=mechanism.source, limit=limit)
-        q, qd, qdd = np.split(np.array([*values, *[0.0] * (2 * n * rests)]), 3)
-        by = inverse_dynamics_derivatives(mechanism, q, qd, qdd)
-        found = [by.by_q] if rests else [by.by_q, by.by_qd, by.by_qdd]
-        slopes: list[float] = np.concatenate(found, axis=1)[driven].ravel().tolist()
-        return slopes
-
-    return _compiled(mechanism, rests, otherwise, slopes=True)
-
-
-def _compiled(mechanism: Mechanism, rests: bool, otherwise: Floats, slopes: bool = False) -> Floats:
+def _compiled(mechanism: Mechanism, rests: bool, otherwise: Floats) -> Floats:
     """The formula as code; `otherwise` where there is none, or a closure's pivot is small."""
     rows = len(mechanism.rows)
     determined = not rows or (rows <= 2 and len(mechanism.passive) == rows)
     if mechanism.n > formulas.MAX_GENERATED or not determined:
         return otherwise
 
-    def recorded(by_direction: bool) -> Formula:
-        found = _formula(mechanism, rests, by_direction)
-        by = slopes_by(found.outputs, found.inputs) if slopes else found.outputs
-        return found._replace(outputs=tuple(by))
-
-    formula = formulas.cheapest(recorded)
+    formula = formulas.cheapest(partial(_formula, mechanism, rests))
     if formula is None:
         return otherwise
     code = straightline.compile_floats(formula, "torques")

@@ -31,11 +31,12 @@ the run has reached, and held until the next; z grows by zd/rate from sample to 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 
 from robodyn.control.controlled_run import Continuous, Sampled
-from robodyn.control.driven_torques import driving_torques, rest_torques, torque_slopes
+from robodyn.control.driven_torques import driving_torques, rest_torques
 from robodyn.control.recorded_law import RecordedLaw
 from robodyn.control.state_feedback import StateFeedback
 from robodyn.control.tracking import ReferenceTable
@@ -98,14 +99,27 @@ def controller(
     else:
         wanted, errors = _tracking(mechanism, model, reference, pieces, control, gains, law)
     law.outputs = _limited(mechanism, law, wanted, errors, limits, gains)
+    again: Callable[[Mechanism], Actuation] = partial(
+        controller,
+        reference=reference,
+        control=control,
+        tau_max=tau_max,
+        control_rate=control_rate,
+        control_model=model if gain is None else None,
+        kp=kp,
+        kd=kd,
+        ki=ki,
+        gain=gain,
+    )
     if control_rate is not None:
-        return _sampled(mechanism, reference, law, control_rate)
+        return replace(_sampled(mechanism, reference, law, control_rate), remade=again)
     jumps = reference.stops or (control == "computed-torque" and reference.jumps)
     acting = Continuous(mechanism, reference, law, pieces, jumps)
     own = [f"zd{j}" for j in range(law.states)]
     call = f"_control({', '.join(['t', *law.inputs])})"
     kinks = tuple(reference.times if jumps else reference.kinks)
-    return _actuation(mechanism, acting, own, call, {"_control": acting.law}, kinks)
+    made = _actuation(mechanism, acting, own, call, {"_control": acting.law}, kinks)
+    return replace(made, remade=again)
 
 
 def _sampled(
@@ -203,7 +217,6 @@ def _tracking(
     q, qd, z = (law.variables(name, n) for name in ("q", "qd", "z"))
     names = [f"c{j}_{d}" for j in range(joints) for d in range(powers)]
     law.lines = ["k = piece(t)", "x = t - times[k]", f"{', '.join(names)}, = coefficients[k]"]
-    law.follows = {"x": "t"}
     rows = reference.coefficients.reshape(-1, len(names)).tolist()
     law.scope = {"piece": pieces.piece, "times": reference.times, "coefficients": rows}
     errors: list[Value] = []
@@ -219,11 +232,10 @@ def _tracking(
         if "ki" in gains:
             asked = asked + gains["ki"][j] * z[j]
         wanted.append(asked)
-    slopes = cache(partial(torque_slopes, model, control == "pd+g"))
     if control == "computed-torque":
-        wanted = law.ask(driving_torques(model), slopes, [*q, *qd, *wanted])
+        wanted = law.ask(driving_torques(model), [*q, *qd, *wanted])
     elif control == "pd+g":
-        held = law.ask(rest_torques(model), slopes, q)
+        held = law.ask(rest_torques(model), q)
         wanted = [u + g for u, g in zip(wanted, held, strict=True)]
     return wanted, errors
 
@@ -235,7 +247,6 @@ def _feedback(mechanism: Mechanism, given: StateFeedback, law: RecordedLaw) -> l
         away = f"q{k} - {float(given.q[k])!r}"
         turns = k not in mechanism.slides
         law.lines.append(f"d{i} = {f'remainder({away}, turn)' if turns else away}")
-        law.follows[f"d{i}"] = f"q{k}"
     law.scope = {"remainder": math.remainder, "turn": math.tau}
     state = [*law.variables("d", count), *(qd[k] for k in given.coordinates)]
     wanted: list[Value] = []

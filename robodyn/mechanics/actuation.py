@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
@@ -59,10 +59,8 @@ class Actuation:
     told_by_leaves: bool = True  # else it changes too fast for them
     given: Actuation | None = None  # what was given, where this was made of it for a run
     states: int = 0
-    start: tuple[float, ...] = ()  # of its states, where that is not zero
-    alone: Actuation | None = None  # the torques without the sensitivities that they carry
-    modes: Any = None  # how these go from mode to mode
-    by: Any = None  # the numbers of these in a mode, where the Taylor series carries them
+    # the same torques on a mechanism with other numbers, where they depend on these or on the run
+    remade: Callable[[Mechanism], Actuation] | None = None
 
     @property
     def told(self) -> Steps | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -41,9 +41,6 @@ class Control(Steps, Protocol):
     """
 
     hardest: tuple[float, NDArray[np.float64]] | None
-
-    def along(self, count: int, timed: bool = False) -> Callable[..., Sequence[float]]:
-        """How its law changes along so many ways; see `recorded_law.py`."""
 
     def observe(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """The run has taken steps, to states y (k, 2n or more) at times t (k,)."""

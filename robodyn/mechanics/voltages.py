@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from robodyn.errors import InputError
@@ -37,6 +39,7 @@ def voltages(
         slope = motor.ratio * motor.torque_constant
         laws.append((slope / motor.resistance, slope))
 
+    again = partial(voltages, volt=volt, where=where)
     if callable(volt):
         given = volt
 
@@ -46,7 +49,7 @@ def voltages(
             each = zip(driven, laws, values, strict=True)
             return [a * (x - b * qd[k]) for k, (a, b), x in each]
 
-        return actuation.callback(mechanism, torques)
+        return replace(actuation.callback(mechanism, torques), remade=again)
 
     def driving(nodes: list[ast.expr]) -> list[ast.expr]:
         """Expressions of torques, of those of voltages."""
@@ -57,7 +60,8 @@ def voltages(
         return found
 
     text = volt if isinstance(volt, str) else ", ".join(repr(float(x)) for x in volt)
-    return actuation.expressions(mechanism, text, where, driving, "V")
+    found = actuation.expressions(mechanism, text, where, driving, "V")
+    return replace(found, remade=again)
 
 
 def _as_many(mechanism: Mechanism, given: list[Any], where: str) -> list[Any]:

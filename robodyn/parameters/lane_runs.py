@@ -10,6 +10,8 @@ of E. Hairer's DOP853 with its dense output; each accepted state is moved back o
 
 from __future__ import annotations
 
+import ast
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -28,6 +30,7 @@ from robodyn.engines.formula_rows import FormulaRows
 from robodyn.engines.formulas import Formula, Recorded, cheapest, closure_pivots
 from robodyn.engines.frames import relative
 from robodyn.engines.machine_rows import Rows
+from robodyn.engines.recorded_numbers import evaluated
 from robodyn.engines.tangents import Tangents, slopes_by, substituted
 from robodyn.errors import InputError
 from robodyn.loops.change_points import rank_beside
@@ -36,7 +39,6 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import compiled, solved_lanes
 from robodyn.scene.expressions import check_smooth
-from robodyn.simulation.varied_motion import torque_lines, torque_nodes
 from robodyn.tables.arrays import Array, Truth
 
 Places = NDArray[np.int64]
@@ -345,3 +347,37 @@ def _first_steps(y: Array, f: Array) -> Array:
 def _along(weights: Array, K: Array) -> Array:
     """The sum of weights K, over the first stages."""
     return np.asarray(np.tensordot(weights, K[: len(weights)], 1))
+
+
+def torque_lines(actuation: Actuation) -> tuple[str, ...]:
+    """Those of torques that may depend on the state, as they were given."""
+    if actuation.constants is not None or actuation.linear or actuation.control is not None:
+        return ()
+    return (actuation.given or actuation).lines
+
+
+def torque_nodes(
+    mechanism: Mechanism, lines: Sequence[str], graph: Graph, timed: bool = False
+) -> list[Value]:
+    """Those of the torques (n) that depend on the state as nodes, 0 for others; or all, `timed`."""
+    found: list[Value] = [0.0] * mechanism.n
+    for line in lines:
+        names = {x.id for x in ast.walk(ast.parse(line)) if isinstance(x, ast.Name)}
+        state = {x for x in names if re.fullmatch("qd?[0-9]+", x)}
+        if not state and not timed:
+            continue
+        target, _, code = line.partition(" = ")
+        variables = {x: graph.variable(x) for x in (*state, "t")}
+        try:
+            found[int(target.removeprefix("tau"))] = evaluated(code, variables)
+        except (TypeError, NameError, ValueError, AttributeError):
+            joint = target.removeprefix("tau")
+            what, limit = (
+                "tau",
+                "a function of Python has no derivative: give an expression as text",
+            )
+            if joint.isdigit():
+                what = f"tau{int(joint) + 1}"
+                limit = "has no derivative: of q and qd take arithmetic and smooth functions"
+            raise InputError(what, where=mechanism.source, limit=limit) from None
+    return found

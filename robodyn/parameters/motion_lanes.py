@@ -1,6 +1,6 @@
 """Columns of simulated motions, and their derivatives by numbers of the scene and start values.
 
-One run gives (q, qd) and d(q, qd)/dp, from the variational equations of `sensitivity.py`; columns
+One run gives (q, qd) and d(q, qd)/dp, from variational equations; columns
 that are functions of q, qd and numbers follow by their tangents.
 """
 

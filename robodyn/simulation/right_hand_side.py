@@ -30,7 +30,7 @@ import numpy as np
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import other_forces
 from robodyn.engines import straightline
-from robodyn.errors import RobodynError, SignalError
+from robodyn.errors import SignalError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across
 from robodyn.loops.closing import regular_rank
 from robodyn.loops.misses import Misses
@@ -146,9 +146,6 @@ def _projecting(
             if quality > SUSPECT:
                 return solved(t, closed)
         near = project.misses.nearest(q)
-        if near is not None and near.crosses and actuation.alone is not None:
-            limit = "is of motions that pass no change point"
-            raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=limit)
         if near is not None:
             led = across(t, y, near) if near.crosses else solved(t, y)
             if led is not None:

@@ -40,9 +40,8 @@ class RunStatistics:
         self.missed = 0.0  # J
         self.last_singular: float | None = None
         self.unseen: UnseenWork | None = None
-        given = actuation.alone or actuation
-        if given.constants is None and not given.linear and given.control is None:
-            self.unseen = UnseenWork(given.function(n), report.t_end)
+        if actuation.constants is None and not actuation.linear and actuation.control is None:
+            self.unseen = UnseenWork(actuation.function(n), report.t_end)
 
     @np.errstate(all="ignore")  # what leaves the floats is told by the outcome
     def take(self, mechanism: Mechanism, t: Array, y: Array) -> None:

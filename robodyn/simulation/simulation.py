@@ -42,7 +42,7 @@ from robodyn.tables.columns import Columns
 if TYPE_CHECKING:
     from robodyn.events.told import Event
     from robodyn.events.watch import EventWatch
-    from robodyn.simulation.sensitivity import Sensitivities
+    from robodyn.simulation.differences import Numbers
 
 UNTIL = "until"  # the name of the event that ends a run
 NONE: frozenset[int] = frozenset()
@@ -150,7 +150,8 @@ def simulate(
     compiled where that serves the mechanism and its torques, else python.
     `events` are expressions by name, {"apex": "qd1", "high": "q1 > 90deg"}: `motion.events` tells
     when each passes zero, or becomes true; the run ends where `until` does.  `sensitivity` names
-    numbers of the scene and start values, ["links.forearm.m", "q1"]: `motion.sensitivity`.
+    numbers of the scene and start values, ["links.forearm.m", "q1"]: `motion.sensitivity` has the
+    derivatives by them, nan where they are withheld, `motion.report` their errors.
     Raises InputError for arguments that do not fit, a state that does not close among them.
     """
     q = as_states(mechanism, "q", q)
@@ -166,18 +167,21 @@ def simulate(
             raise fault[1]
     state = np.concatenate([q, qd])
     actuation = over_run(mechanism, as_actuation(mechanism, tau), state, t_end, atol)
-    carried = None
-    if sensitivity:
-        from robodyn.simulation.sensitivity import with_sensitivities
-
-        carried = with_sensitivities(mechanism, actuation, state, sensitivity, method)
     times = None if t_eval is None else np.asarray(t_eval, float)
     watch = watched_events(mechanism, events or {}, until, float(t_end))
+    numbers = None
+    if sensitivity:
+        from robodyn.simulation.differences import Numbers
+
+        numbers = Numbers(mechanism, sensitivity, state)
     settings = Settings(
         method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step
     )
     try:
-        return _motion(mechanism, state, float(t_end), actuation, settings, times, watch, carried)
+        motion = _motion(mechanism, state, float(t_end), actuation, settings, times, watch)
+        if numbers is not None:
+            _differentiate(motion, numbers, actuation, settings, watch)
+        return motion
     except CallerError as failed:
         error = failed.error
     raise error
@@ -191,7 +195,6 @@ def _motion(
     settings: Settings,
     times: Array | None,
     watch: EventWatch | None,
-    carried: Sensitivities | None,
 ) -> Motion:
     """Run from `state` (2n,) to t_end and gather the rows."""
     rows: list[tuple[Array, Array, Mechanism]] = []
@@ -199,7 +202,7 @@ def _motion(
         mechanism,
         state,
         t_end,
-        carried.actuation if carried else actuation,
+        actuation,
         settings,
         lambda *row: rows.append(row),
         times,
@@ -210,18 +213,33 @@ def _motion(
     if recorder.contacts:
         happened = sorted([*happened, *recorder.contacts], key=lambda event: abs(event.t))
     phases = [(len(t), moving) for t, _, moving in rows]
-    wide = len(state) * (1 if carried is None else 1 + len(carried.names))
-    none = np.zeros(0), np.zeros((0, wide))
+    none = np.zeros(0), np.zeros((0, len(state)))
     t, y = joined([(t, y) for t, y, _ in rows] or [none])
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
-    by, further = None, Columns()
-    if carried is not None:
-        by = carried.of(y)
-        further = Columns(zip(carried.columns, carried.flat(by).T, strict=True))
     errors = None if actuation.control is None else actuation.control.errors(t, y)
-    facts = outcome, mechanism, phases, happened, recorder.settle, by, errors, further
+    facts = outcome, mechanism, phases, happened, recorder.settle, None, errors
     return Motion(t, q, qd, torques, *facts)
+
+
+def _differentiate(
+    motion: Motion,
+    numbers: Numbers,
+    actuation: Actuation,
+    settings: Settings,
+    watch: EventWatch | None,
+) -> None:
+    """Give a motion its derivatives by the numbers, and its report what is told of them."""
+    from robodyn.simulation.differences import columns, sensitivities, tell
+
+    report = motion.report  # of a controller before it leads other runs
+    found = sensitivities(numbers, actuation, settings, motion.t)
+    motion.sensitivity = found.values
+    names_of = columns(motion.mechanism.n, found.names)
+    motion._further.update(zip(names_of, found.flat.T, strict=True))
+    moving = motion.phases[-1][1] if motion.phases else motion.mechanism
+    y = np.hstack([motion.q, motion.qd])
+    tell(report, found, watch, moving, motion.t, y, motion.tau)
 
 
 def watched_events(
@@ -278,8 +296,7 @@ def run(
         warnings.warn(TOO_FAST, dynamics.RobodynWarning, stacklevel=2)
     report.stabilize = settings.stabilize if mechanism.rows else "none"
     work = actuation.active or mechanism.changes_energy or mechanism.switches
-    own = actuation.start or [0.0] * actuation.states
-    y = np.array([*state.tolist(), *own, *[0.0] * work])
+    y = np.array([*state.tolist(), *[0.0] * (actuation.states + work)])
     y = _begun(mechanism, actuation, y, t_end, report.stabilize == "projection")
     phases, moving = None, mechanism
     if mechanism.switches:
@@ -287,9 +304,8 @@ def run(
         from robodyn.simulation.phases import Phases
 
         events = events or EventWatch([], t_end)
-        phases = Phases(mechanism, actuation.alone or actuation, y, t_end, settings.atol)
-        y = phases.y if actuation.modes is None else actuation.modes.begin(phases)
-        moving = phases.moving
+        phases = Phases(mechanism, actuation, y, t_end, settings.atol)
+        y, moving = phases.y, phases.moving
     smooth = SmoothMotions(actuation, settings, t_end, work)
     smooth.check_start(moving, y, report)
     statistics = RunStatistics(report, actuation, mechanism.n, bool(mechanism.rows))

@@ -142,7 +142,7 @@ class SmoothMotions:
 
 def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorder) -> Outcome:
     """From the state y at t = 0, phase by phase."""
-    t, carried = 0.0, smooth.actuation.modes
+    t = 0.0
     while True:
         recorder.begin_phase(phases.moving, phases.functions)
         outcome = smooth.run(in_mode(phases.mechanism, phases.integrated), t, y, recorder)
@@ -154,10 +154,7 @@ def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorde
             recorder.end_row()
             return Outcome.LIMIT
         t = stopped.t
-        if carried is not None:
-            y = carried.next(phases, t, stopped.y, place)
-        else:
-            y = phases.next(t, stopped.y, place)
+        y = phases.next(t, stopped.y, place)
         if phases.idle == MOST_AT_ONCE:
             return Outcome.CHATTERING
         if t == smooth.t_end:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
@@ -31,8 +30,6 @@ if TYPE_CHECKING:
     from robodyn.events.told import Stop
     from robodyn.loops.misses import Misses
     from robodyn.simulation.right_hand_side import RightHandSide
-    from robodyn.taylor.variations import Variations
-
 
 KEPT = 32768  # steps whose series are kept at a time, of one link
 MOST_LOOKED_AT = (
@@ -70,13 +67,6 @@ class TaylorRun:
 
     def __post_init__(self) -> None:
         mechanism = self.mechanism
-        self.variations: Variations | None = None
-        self.carried = self.actuation
-        if self.actuation.by and self.actuation.alone is not None:
-            from robodyn.taylor.variations import variations_of
-
-            self.variations, self.y = variations_of(mechanism, self.actuation, self.y)
-            self.actuation = self.actuation.alone
         self.closing, self.misses, self.suspect = None, None, 0.0
         if self.project and mechanism.rows:
             from robodyn.loops.change_points import suspect_quality
@@ -140,11 +130,6 @@ class TaylorRun:
 
     def _lead(self, bound: float) -> Outcome | None:
         """Go on by DOP853 to where a series leads on; the outcome where that fails."""
-        if self.variations is not None:
-            limit = "is of motions that pass no change point"
-            if self.stuck:
-                limit = "no Taylor series leads on there: take --method DOP853"
-            raise RobodynError("sensitivity", value=f"t = {self.t:.6g} s", limit=limit)
         before, regular = self.t, 2.0 * self.suspect
         self._by_dop853(bound, regular, LEAD if self.stuck else 1)
         if self.t != before:
@@ -202,22 +187,17 @@ class TaylorRun:
         """The steps up to an event, told to the recorder."""
         within: Callable[[Array], Array] = runner.within
         stop: Stop | None = None
-        events, variations = self.recorder.events, self.variations
+        events = self.recorder.events
         if events is not None and len(chunk.t) and not events.took(chunk.kept):
             from robodyn.taylor.watched_steps import with_events
 
             given = events, self.mechanism, chunk, self.t, self.y, runner
             chunk, within, stop = with_events(*given)
-        told = chunk
-        if variations is not None:
-            told, within = variations.along(self.t, self.y, chunk, runner, within)
         if len(chunk.t):
             self.t, self.y = float(chunk.t[-1]), chunk.y[-1]
-            reach(self.carried, self.t, told.y[-1])
-        self.recorder.chunk(told, self.t_end, within)
+            reach(self.actuation, self.t, self.y)
+        self.recorder.chunk(chunk, self.t_end, within)
         if stop is not None:
-            if variations is not None:
-                stop = stop._replace(y=variations.both(stop.y))
             self.recorder.stop(stop)
         self.ahead = min(2 * self.ahead, self.most_ahead)
         return chunk

@@ -1,0 +1,430 @@
+"""Derivatives of a motion by numbers of its scene and by start values: differences of runs.
+
+Six runs with x + h in place of the number x give the slope of (q, qd) at x: that of the polynomial
+through them and the run itself.  With h of +-s, +-s/2, +-s/4 it is the central difference,
+extrapolated twice.  A number at its bound is moved to one side alone.  The first runs choose s.
+
+Each row takes, of the polynomials through some of the runs, to both sides or to one, that of the
+least error: by how much it moves without its outermost runs, and what the runs' tolerance makes.
+Runs that have had other contacts by then are left out; so rows beside an impact are right.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics.dynamics import motion_dynamics
+from robodyn.errors import InputError, RobodynError
+from robodyn.loops.assembly_plan import with_independent
+from robodyn.loops.closing import close_positions
+from robodyn.loops.loop_rates import check_closed, loop_velocities
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.scene.quantities import dimension_of
+from robodyn.scene.scene import Description
+from robodyn.scene.scene_values import SceneValues
+from robodyn.simulation.report import Outcome, Report
+from robodyn.simulation.settings import Settings
+from robodyn.tables.arrays import Array
+
+if TYPE_CHECKING:
+    from robodyn.events.watch import EventWatch
+
+Build = Callable[[Description], Mechanism]
+TIGHT = {"DOP853": 1e-13, "taylor": 1e-15}  # tolerances of the runs; of other methods 1 % of theirs
+SEEN = 1e-9  # by which runs differ at least, to tell how far they bend
+ROUNDING = 1e-14  # relative, of any run
+STEP = 2.0**-6  # the first, of the number's size
+STRAIGHT, BENT, LOST = 0.002, 0.05, 0.25  # bends, of a slope: steps get longer, shorter, by far so
+EVEN = 1e-4  # by which slopes of two steps differ, of themselves: a longer one will do
+APART = 0.1  # of the motion, and of a slope: runs so far apart and bent tell nothing any more
+CAUTION = 10.0  # times as large is told what is left of errors that become smaller
+FAR = 1e-3  # times as long are far shorter steps
+ALONG = 1e-5  # of a state, by which the function of an event is moved
+SETTLED = 1e-3  # of the largest derivative up to a row: a larger error withholds it
+_START = re.compile(r"(q|qd)([1-9][0-9]*)", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """Derivatives of (q, qd) at rows (T, 2n, k) by each of k names; nan where they are withheld.
+
+    `errors` are the largest error of each name's derivatives, a part of the largest of them.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    errors: dict[str, float]
+    withheld: tuple[str, ...]  # a line a name: from when on, and why
+    interrupted: bool
+
+    @property
+    def flat(self) -> Array:
+        """The values of `columns`, (T, 2n k)."""
+        return self.values.swapaxes(1, 2).reshape(len(self.values), -1)
+
+
+def columns(n: int, names: Sequence[str]) -> list[str]:
+    """The names of columns: dq1/NAME is d(q1)/d(NAME)."""
+    state = [f"d{kind}{i + 1}" for kind in ("q", "qd") for i in range(n)]
+    return [f"{x}/{name}" for name in names for x in state]
+
+
+class Numbers:
+    """A mechanism by numbers of its scene, and its start q, qd (2n) by numbers and start values.
+
+    `make` builds a mechanism from a scene.  Raises InputError for names of no number.
+    """
+
+    def __init__(
+        self, mechanism: Mechanism, names: Sequence[str], state: Array, make: Build = build
+    ) -> None:
+        where, self.mechanism, self.state, self.make = mechanism.source, mechanism, state, make
+        self.names = tuple(names)
+        if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+            limit = 'must be a list of names, such as ["q1"]'
+            raise InputError("sensitivity", where=where, value=repr(names), limit=limit)
+        if not names or len(set(names)) < len(names):
+            raise InputError("sensitivity", where=where, limit="needs names, each once")
+        self.starts = {x: place for x in names if (place := self._start_place(x)) is not None}
+        self.values = None
+        if others := [name for name in names if name not in self.starts]:
+            self.values = SceneValues(mechanism.description.written, where)
+            self.values.check(others)
+            if make(self.values.base).description != mechanism.description:
+                limit = "cannot differentiate by it: the mechanism is not that of its scene file"
+                raise InputError(", ".join(others), where=where, limit=limit)
+
+    def _start_place(self, name: str) -> int | None:
+        """The place in (q, qd) of a start value; None for other names."""
+        mechanism, match = self.mechanism, _START.fullmatch(name)
+        if name.startswith("start."):
+            limit = "is where assembly begins; name a start value, q1 or qd1"
+            raise InputError(name, where=mechanism.source, limit=limit)
+        if match is None:
+            return None
+        joint, n = int(match[2]) - 1, mechanism.n
+        if joint >= n:
+            limit = f"must be one of {match[1]}1..{match[1]}{n}"
+            raise InputError(name, where=mechanism.source, limit=limit)
+        if mechanism.rows and joint not in with_independent(mechanism).actuated:
+            limit = f"joint {mechanism.link_names[joint]} follows the actuated ones"
+            raise InputError(name, where=mechanism.source, limit=limit)
+        return joint + n * (match[1] == "qd")
+
+    def value(self, name: str) -> float:
+        """The number or start value of this name."""
+        if name in self.starts:
+            return float(self.state[self.starts[name]])
+        assert self.values is not None
+        return self.values.number(name)
+
+    def size(self, name: str, t_end: float) -> float:
+        """The size of a number; of one that is 0 the size, by its unit, of what it is added to."""
+        links = self.mechanism.description.links
+        length = max((abs(x) for link in links for x in (link.l, link.r) if x), default=1.0)
+        if name in self.starts:
+            return length if self.starts[name] % self.mechanism.n in self.mechanism.slides else 1.0
+        assert self.values is not None
+        if value := self.values.number(name):
+            return abs(value)
+        mass = sum(link.m for link in links) or 1.0
+        scales = {"m": length, "kg": mass, "s": abs(t_end) or 1.0}
+        powers = dimension_of(self.values.unit(name)).items()
+        return float(np.prod([scales.get(base, 1.0) ** power for base, power in powers]))
+
+    def at(self, values: Mapping[str, float]) -> tuple[Mechanism, Array]:
+        """The mechanism with these numbers, and its start with these start values.
+
+        Joints that follow others close the loops.  Raises InputError for values that no scene has,
+        and for loops that do not close.
+        """
+        moved, start, n = self.mechanism, self.state.copy(), self.mechanism.n
+        if numbers := {x: value for x, value in values.items() if x not in self.starts}:
+            assert self.values is not None
+            moved = self.make(self.values.replaced(numbers))
+        for name, place in self.starts.items():
+            start[place] = values.get(name, start[place])
+        if moved.rows:
+            driver = with_independent(moved)
+            held = list(driver.actuated)
+            start[:n] = close_positions(moved, start[:n], held)
+            if fault := check_closed(moved, start[:n]):
+                raise fault[1]
+            start[n:] = loop_velocities(driver, start[:n], start[n:][held])
+        return moved, start
+
+
+@dataclass
+class _Run:
+    """A run's states (T, 2n) at the rows, nan beyond its end, and its contacts' times and names."""
+
+    change: float
+    y: Array
+    contacts: list[tuple[float, str]]
+    outcome: Outcome
+
+    def as_at(self, other: _Run, times: Array) -> Array:
+        """Its states, nan in rows up to which it has had other contacts than another run."""
+        if not self.contacts and not other.contacts:
+            return self.y
+        both = [np.array([abs(t) for t, _ in run.contacts]) for run in (self, other)]
+        counts = np.stack([np.searchsorted(t, np.abs(times), "right") for t in both], axis=1)
+        alike = {
+            (a, b): a == b and _names(self.contacts[:a]) == _names(other.contacts[:b])
+            for a, b in set(map(tuple, counts.tolist()))
+        }
+        same = np.array([alike[pair] for pair in map(tuple, counts.tolist())], bool)
+        return np.where(same[:, None], self.y, np.nan)
+
+
+def _names(contacts: Sequence[tuple[float, str]]) -> Counter[str]:
+    return Counter(name for _, name in contacts)
+
+
+def sensitivities(
+    numbers: Numbers,
+    actuation: Actuation,
+    settings: Settings,
+    rows: Array,
+    watch: Callable[[float], bool] | None = None,
+) -> Sensitivities:
+    """The derivatives at times `rows` (T,) of the motion that begins at t = 0.
+
+    Raises RobodynError where no other value of a number has a motion.
+    """
+    state, names = numbers.state, numbers.names
+    times, place = np.unique(np.abs(rows), return_inverse=True)
+    times = -times if (rows < 0.0).any() else times
+    t_end = float(times[-1]) if len(times) else 0.0
+    tolerance = TIGHT.get(settings.method, 0.01 * min(settings.rtol, settings.atol))
+    tolerance = max(tolerance, settings.smallest_rtol)
+    tight = replace(
+        settings,
+        rtol=min(settings.rtol, tolerance),
+        atol=min(settings.atol, tolerance),
+        max_evaluations=100 * settings.max_evaluations,
+    )
+    torques = actuation.given or actuation
+
+    def moved(name: str, change: float) -> _Run:
+        from robodyn.simulation.simulation import run
+
+        machine, start = numbers.at({name: numbers.value(name) + change} if change else {})
+        acting = torques.remade(machine) if torques.remade is not None else torques
+        y = np.full((len(times), len(state)), np.nan)
+        parts: list[Array] = []
+        outcome, recorder = run(
+            machine, start, t_end, acting, tight, lambda t, x, _: parts.append(x), times, watch
+        )
+        found = np.concatenate(parts or [y[:0]])[: len(times), : len(state)]
+        y[: len(found)] = found
+        return _Run(change, y, [(x.t, x.name) for x in recorder.contacts], outcome)
+
+    base = moved(names[0], 0.0)
+    values = np.full((len(times), len(state), len(names)), np.nan)
+    errors: dict[str, float] = {}
+    withheld, outcomes = [], [base.outcome]
+    for k, name in enumerate(names):
+        size = numbers.size(name, t_end)
+        runs = _runs_of(partial(moved, name), size, base, times)
+        outcomes += [run.outcome for run in runs]
+        slope, error, differ = _slopes(base, runs, times, size, max(tight.rtol, ROUNDING))
+        largest = np.maximum.accumulate(np.nan_to_num(np.abs(slope)).max(axis=1))
+        off, noise = error.T
+        lost = np.flatnonzero(~(off <= SETTLED * largest + 10.0 * noise) | ~np.isfinite(noise))
+        end = int(lost[0]) if len(lost) else len(times)
+        values[:end, :, k] = slope[:end]
+        errors[name] = 0.0
+        if end and largest[end - 1]:
+            errors[name] = float(error[:end].sum(axis=1).max() / largest[end - 1])
+        if end < len(times):
+            why = "the runs differ in their events" if differ[end] else "differences do not settle"
+            withheld.append(f"columns dq1/{name}.. are empty from t = {times[end]:.6g} s on: {why}")
+    stopped = Outcome.INTERRUPTED in outcomes
+    return Sensitivities(names, values[place], errors, tuple(withheld), stopped)
+
+
+def _runs_of(moved: Callable[[float], _Run], size: float, base: _Run, times: Array) -> list[_Run]:
+    """Six runs at most, of steps that suit how far runs bend."""
+    fault: RobodynError | None = None
+
+    def tried(change: float) -> _Run | None:
+        nonlocal fault
+        try:
+            return moved(change)
+        except RobodynError as error:
+            fault = error
+            return None
+
+    h = STEP * size
+    pair = [run for change in (h, -h) if (run := tried(change)) is not None]
+    if not pair:
+        assert fault is not None
+        raise fault
+    if len(pair) == 1:
+        return [*pair, *_to_one_side(tried, pair[0], base, times)]
+    found, bent = list(pair), _bent(base, pair, times)
+    for _ in range(2):
+        if bent > LOST:
+            h *= FAR
+        elif bent > BENT:
+            h *= 0.1 * BENT / bent
+        elif len(found) > 2 and _apart(base, found, times) <= EVEN:
+            h *= 4.0  # twice the first
+        else:
+            h *= 0.5
+        pair = [run for change in (h, -h) if (run := tried(change)) is not None]
+        found += pair
+        if bent > BENT and len(pair) == 2:
+            bent = _bent(base, pair, times)
+    return found
+
+
+def _to_one_side(
+    tried: Callable[[float], _Run | None], first: _Run, base: _Run, times: Array
+) -> Iterator[_Run]:
+    """More runs to the side of the first."""
+    h, half = first.change, tried(0.5 * first.change)
+    if half is None:
+        return
+    yield half
+    bent = 2.0 * _bent(base, [half, first], times)
+    parts: tuple[float, ...] = (0.25, 0.75, 0.125, 0.375)
+    if bent <= STRAIGHT:
+        parts = (2.0, 3.0, 4.0, 1.5)
+    elif bent > BENT:
+        h *= 0.1 * BENT / bent if bent <= LOST else FAR
+        parts = (1.0, 0.75, 0.5, 0.25)
+    for part in parts:
+        if (run := tried(part * h)) is not None:
+            yield run
+
+
+@np.errstate(all="ignore")
+def _bent(base: _Run, pair: Sequence[_Run], times: Array) -> float:
+    """By which part of itself the slope differs between two runs, in the last quarter of rows."""
+    away = [run.as_at(base, times) - base.y for run in pair]
+    a, b = (y / run.change for y, run in zip(away, pair, strict=True))
+    bend, slope = (np.abs(x).max(axis=1) for x in (a - b, a + b))
+    parts = np.where(np.abs(away).max(axis=(0, 2)) < SEEN, 0.0, bend / np.fmax.accumulate(slope))
+    return float(np.nan_to_num(np.median(parts[-max(1, len(bend) // 4) :]), nan=np.inf))
+
+
+@np.errstate(all="ignore")
+def _apart(base: _Run, runs: Sequence[_Run], times: Array) -> float:
+    """By which part of itself the slope of a first pair of runs differs from that of the next."""
+    a, b, c, d = (run.as_at(base, times) for run in runs)
+    first, then = (a - b) / (2.0 * runs[0].change), (c - d) / (2.0 * runs[2].change)
+    size = np.fmax.accumulate(np.abs(then).max(axis=1))
+    parts = np.abs(first - then).max(axis=1) / size
+    return float(np.nan_to_num(parts[size > 0.0], nan=np.inf).max(initial=0.0))
+
+
+@np.errstate(all="ignore")
+def _slopes(
+    base: _Run, runs: Sequence[_Run], times: Array, size: float, tolerance: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """The slopes (T, 2n), their errors (T, 2) and where no run has the events of the run itself.
+
+    The first error is by how much a polynomial without its outermost runs differs, the second what
+    the runs' tolerance makes.
+    """
+    away = {run.change: run.as_at(base, times) - base.y for run in runs}
+    differ = np.array(np.isnan([*away.values()]).any(axis=2).all(axis=0))
+    scale = np.maximum.accumulate(np.maximum(1.0, np.nan_to_num(np.abs(base.y)).max(axis=1)))
+    moved = np.fmax.accumulate(np.abs(base.y - base.y[:1]), axis=0)
+    best: Array = np.full(base.y.shape, np.nan)
+    error = np.full((len(times), 2), np.inf)
+    least = np.full(len(times), np.inf)
+    sizes = sorted({abs(h) for h in away}, reverse=True)
+    both = [[h, -h] for h in sizes if h in away and -h in away]
+    bends: dict[float, Array] = {}  # of the slope, relative
+    for h, _ in both:
+        slope = np.fmax.accumulate(np.abs(away[h] - away[-h]).max(axis=1))
+        bend = np.abs(away[h] + away[-h]).max(axis=1)
+        bends[h] = np.where(bend <= 10.0 * tolerance * scale, 0.0, bend / slope)
+        far = (np.abs(away[h]) > APART * np.minimum(moved, 1.0)).any(axis=1)
+        lost = np.logical_or.accumulate(far & (bends[h] > APART))  # nor does it find back
+        away[h], away[-h] = (np.where(lost[:, None], np.nan, away[x]) for x in (h, -h))
+    valid = {h: np.isfinite(away[h] + away[-h]).all(axis=1) for h, _ in both}
+    others = {h: np.any([x for k, x in valid.items() if k != h], axis=0) for h in valid}
+    sides = [[[h] for h in sorted(away, key=abs, reverse=True) if h * s > 0.0] for s in (1.0, -1.0)]
+    for levels in (both, *sides):
+        for i in range(len(levels)):
+            used: list[float] = []
+            found: list[Array] = []  # of level i, then with one more level before it each
+            for level in levels[i::-1]:
+                used += level
+                weights = _weights(used)
+                slope = np.asarray(sum(w * away[h] for w, h in zip(weights, used, strict=True)))
+                found.append(slope)
+                largest = np.fmax.accumulate(np.abs(slope).max(axis=1))
+                off = np.full(len(times), np.inf)
+                if len(found) == 1 and levels is both:  # of no other order than its square
+                    off = np.fmax.accumulate(bends[level[0]]) ** 2 * largest
+                    off[others[level[0]]] = np.inf
+                elif len(found) > 1:
+                    off = np.abs(slope - found[-2]).max(axis=1)
+                    before = np.abs(found[-2] - (found[-3] if found[2:] else 0.0)).max(axis=1)
+                    part = np.where(before > 0.0, off / before, 0.0)
+                    off *= np.minimum(1.0, CAUTION * (part if found[2:] else np.sqrt(part)))
+                noise = tolerance * (scale + size * largest) * np.abs(weights).sum()
+                part = np.where(largest > 0.0, (off + noise) / largest, off + noise)
+                better = np.isfinite(slope).all(axis=1) & (part < least)
+                best[better], least[better] = slope[better], part[better]
+                error[better] = np.stack([off, noise], axis=1)[better]
+    return best, error, differ
+
+
+def _weights(h: Sequence[float]) -> Array:
+    """Weights of f(h) - f(0) in the slope at 0 of the polynomial through f(0) and all f(h)."""
+    x = np.array(h)
+    apart = x[:, None] - x
+    np.fill_diagonal(apart, 1.0)
+    parts = -x / apart
+    np.fill_diagonal(parts, 1.0)
+    return np.asarray(parts.prod(axis=1) / x)
+
+
+def tell(
+    report: Report,
+    found: Sensitivities,
+    events: EventWatch | None,
+    moving: Mechanism,
+    t: Array,
+    y: Array,
+    tau: Array,
+) -> None:
+    """Tell a run's report the errors of its derivatives, and those of the time that ended it.
+
+    The last of times t (T,), states y (T, 2n or more) and torques tau (T, n) are those of the end,
+    where `moving` moves.  With g the function of the event and s = d(q, qd)/dp there, dt/dp =
+    -g_y s/g', g' its rate along the motion.
+    """
+    report.sensitivity_errors = found.errors
+    report.remarks = [*report.remarks, *found.withheld]
+    if events is None or report.ended_by not in {events.functions[i].name for i in events.stops}:
+        return
+    g = events.functions[min(events.stops)]
+    t, (q, qd) = t[-1:], np.split(y[-1:, : 2 * moving.n], 2, axis=1)
+    y, along = np.hstack([q, qd]), np.hstack([qd, motion_dynamics(moving, q, qd, tau[-1:], t).qdd])
+
+    def slope(rate: float, way: Array) -> float:
+        h = ALONG / max(1.0, float(np.abs(way).max()))
+        ahead, behind = (g.values(t + x * rate, y + x * way)[0] for x in (h, -h))
+        return float(ahead - behind) / (2.0 * h)
+
+    by = found.values[-1].T
+    with np.errstate(all="ignore"):
+        times = [-slope(0.0, s[None]) / (slope(1.0, along) or np.nan) for s in by]
+    pairs = zip(found.names, times, strict=True)
+    report.until_sensitivity = {x: dt for x, dt in pairs if np.isfinite(dt)}
