@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from robodyn.notebook.sweep_table import sweep as sweep
     from robodyn.parameters.fitting import fit as fit
     from robodyn.parameters.identification import identify as identify
-    from robodyn.parameters.motion_lanes import fit_motion as fit_motion
+    from robodyn.parameters.motion_fit import fit_motion as fit_motion
     from robodyn.parameters.regression_matrix import regressor as regressor
     from robodyn.rest.linear_model import linearize as linearize
     from robodyn.rest.poses_at_rest import equilibria as equilibria
@@ -118,7 +118,7 @@ _ROOMS = {
     "parameters.identification": ["identify"],
     "parameters.regression_matrix": ["regressor"],
     "parameters.fitting": ["fit"],
-    "parameters.motion_lanes": ["fit_motion"],
+    "parameters.motion_fit": ["fit_motion"],
     "rest.poses_at_rest": ["equilibria", "equilibrium"],
     "rest.linear_model": ["linearize"],
     "rest.regulator": ["lqr"],

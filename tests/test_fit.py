@@ -30,7 +30,7 @@ from robodyn.loops.assembly_plan import assembly_plan
 from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import build, load
 from robodyn.mechanics.motors import motor_columns, motor_values
-from robodyn.parameters import lane_runs, motion_lanes
+from robodyn.parameters import motion_fit
 from robodyn.parameters.base_parameters import random_states
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import LaneStates, Rows
@@ -485,7 +485,7 @@ def test_numbers_of_a_motion() -> None:
 
 def test_derivatives_of_motions_are_differences(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a mass, a length and a start value, of angles and points, central differences of runs."""
-    monkeypatch.setattr(motion_lanes, "solved", lambda wanted, problem, *rest: problem)
+    monkeypatch.setattr(motion_fit, "solved", lambda wanted, problem, *rest: problem)
     vary = {"links.coupler.m": (0.5, 2.0), "links.rocker.l": (0.7, 0.9), "qd1": (0.0, 6.0)}
     columns, t = ["q1", "qd3", "P_x", "P_vy"], np.linspace(0.0, 0.5, 6)
     problem = robodyn.fit_motion(
@@ -500,44 +500,8 @@ def test_derivatives_of_motions_are_differences(monkeypatch: pytest.MonkeyPatch)
     assert np.abs(exact - differences).max() < 1e-5
 
 
-@pytest.mark.parametrize("machine", [True, False])
-def test_starts_advance_as_lanes(machine: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All starts in one sweep of lanes, which are the runs of each alone."""
-    monkeypatch.setattr(motion_lanes, "solved", lambda wanted, problem, *rest: problem)
-    if not machine:
-        monkeypatch.setattr(lane_runs.Rows, "compile", lambda self: None)
-        monkeypatch.setattr(motion_lanes, "FEW", 1)
-    changes = np.array([[0.0, 0.0, 0.0], [0.3, 0.05, -1.0], [-0.2, 0.02, 2.0]])
-    for name in ("four-bar", "spring-slider-crank") if machine else ("2r",):
-        mech = load(ROOT / f"robots/{name}.yaml")
-        last, a = mech.link_names[-1], len(mech.actuated)
-        vary = {f"links.{last}.m": (0.1, 3.0), "links[1].l": (0.1, 2.0), "qd1": (-3.0, 5.0)}
-        columns = [f"{x}{k + 1}" for x in ("q", "qd") for k in range(mech.n)]
-        start = np.linspace(0.5, 0.3, a), [1.0] * a, [0.2] * a
-        given = mech, vary, columns, np.linspace(0.0, 0.4, 9), *start
-
-        def lanes(alone: bool, given=given):
-            with monkeypatch.context() as patch:
-                if alone:
-                    patch.setattr(motion_lanes, "serves", lambda *given: False)
-                else:
-                    patch.setattr(motion_lanes, "simulate", None)
-                return robodyn.fit_motion(*given).states(changes)
-
-        (one, one_by, *_), (every, every_by, *_) = lanes(True), lanes(False)
-        assert np.abs(one - every).max() < 2e-8
-        assert np.abs(one_by - every_by).max() < 1e-7 * np.abs(one_by).max()
-
-
-def test_lanes_that_end_are_run_alone() -> None:
-    """A bar of equal lengths comes to its change point, where lanes have no way on."""
-    mech, t = load(ROOT / "robots/parallelogram.yaml"), np.linspace(0.0, 1.0, 6)
-    with pytest.raises(RobodynError, match="is of motions that pass no change point"):
-        robodyn.fit_motion(mech, {"links[1].m": (0.1, 3.0)}, ["q1"], t, [1.0], starts=1)
-
-
 def test_motions_with_stops_and_dry_friction(tmp_path) -> None:
-    """By what `simulate(sensitivity=)` has; forces at states jump, and are refused by name."""
+    """By differences of runs; forces at states jump, and are refused by name."""
     path = tmp_path / "rod.yaml"
     text = "links:\n  - {name: rod, m: 0.4, l: 0.3, r: 0.15, I: 0.0088, limits: {max: 60deg, "
     path.write_text(f"{text}restitution: 0.6}}, friction: {{torque: 0.05, static: 0.05}}}}\n")

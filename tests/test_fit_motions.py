@@ -1,4 +1,4 @@
-"""Runs of a fit in lanes: scenes whose loads and torques vary, free joints, dependent closures."""
+"""Runs of a fit: scenes whose loads and torques vary, free joints, dependent closures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from named_case import case
 import robodyn
 from robodyn import load
 from robodyn.errors import InputError
-from robodyn.parameters import motion_lanes
+from robodyn.parameters import motion_fit
 
 ROOT = Path(__file__).parents[1]
 LOADED = """loads:
@@ -31,14 +31,12 @@ actuated: [crank]
 
 @pytest.fixture
 def problem(monkeypatch: pytest.MonkeyPatch):
-    """The problem of a fit, none of whose runs are taken alone."""
-    monkeypatch.setattr(motion_lanes, "solved", lambda wanted, problem, *rest: problem)
-    monkeypatch.setattr(motion_lanes, "simulate", None)
-    monkeypatch.setattr(motion_lanes, "FEW", 1)
+    """The problem of a fit, which is not solved."""
+    monkeypatch.setattr(motion_fit, "solved", lambda wanted, problem, *rest: problem)
     return robodyn.fit_motion
 
 
-def test_lanes_of_all_kinds(problem, tmp_path: Path) -> None:
+def test_runs_of_all_kinds(problem, tmp_path: Path) -> None:
     """Motions are those of `simulate`, derivatives differences of its motions."""
     four_bar = (ROOT / "robots/four-bar.yaml").read_text()
     texts = {"loaded": four_bar + LOADED.rsplit("springs", 1)[0], "hanging": HANGING}
@@ -69,7 +67,9 @@ def test_lanes_of_all_kinds(problem, tmp_path: Path) -> None:
             run = robodyn.simulate(mech, start, rates, 0.5, tau, rtol=1e-11, atol=1e-11, t_eval=t)
             assert np.abs(found[0] - np.hstack([run.q, run.qd])).max() < 2e-8
             h = 1e-3 * np.eye(len(vary))
-            ends = [states(np.concatenate([k * h, -k * h]))[0] for k in (1, 2)]
+            ends = [
+                np.stack([states._columns(x) for x in (*(k * h), *(-k * h))]) for k in (1, 2)
+            ]
             k = len(vary)
             one, two = ((x[:k] - x[k:]) / (2e-3 * i) for i, x in zip((1, 2), ends, strict=True))
             differences = np.moveaxis((4.0 * one - two) / 3.0, 0, -1)
@@ -99,9 +99,3 @@ def test_conditions_on_motions() -> None:
     for text in ("tau1 <= 1", "qdd1 <= 2"):
         with pytest.raises(InputError, match=f"--subject-to = {text}: .*no column of a motion"):
             robodyn.fit_motion(*given, subject_to=[text])
-
-
-def test_change_points_of_dependent_closures_are_told() -> None:
-    given = load(ROOT / "tests/hard_cases/third-crank.yaml"), {"links[1].m": (0.1, 3.0)}, ["q1"]
-    with pytest.raises(InputError, match=r"closures depend on one another: .* no change point"):
-        robodyn.fit_motion(*given, [0.0, 0.5, 1.0], [1.0], [2.0], starts=1)

@@ -413,7 +413,8 @@ def test_the_time_of_until_in_the_summary(robodyn: Callable[..., Outcome], tmp_p
 def test_forces_of_the_command_line(robodyn: Callable[..., Outcome], scene: Scene) -> None:
     """As those of the scene; at a tip they move with the length."""
     text = ARM % 0.1
-    run = ["--q", 0, "--time", 0.5, "--points", 2, "--quiet", "--sensitivity", "links.a.m,links.a.l"]
+    run = ["--q", 0, "--time", 0.5, "--points", 2, "--quiet"]
+    run += ["--sensitivity", "links.a.m,links.a.l"]
     given = robodyn("simulate", scene(text), "--force", "a=3,-4", *run)
     written = robodyn(
         "simulate", scene(text + "loads: [{link: a, at: [1, 0], force: [3, -4]}]"), *run

@@ -105,8 +105,8 @@ class FitOptions:
         }
         if self.simulate:
             from robodyn.mechanics.actuation import expressions
-            from robodyn.parameters.motion_lanes import STARTS as FEW
-            from robodyn.parameters.motion_lanes import fit_motion
+            from robodyn.parameters.motion_fit import STARTS as FEW
+            from robodyn.parameters.motion_fit import fit_motion
 
             torques = expressions(mechanism, self.tau, "--tau") if self.tau else None
             motion = rows.columns, rows.t, rows.q[0], rows.qd[0], torques

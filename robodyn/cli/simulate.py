@@ -239,7 +239,7 @@ class _Slopes:
         self.names = [name.strip() for name in text.split(",")]
         self.withheld: tuple[str, ...] = ()
         self.kept: list[tuple[np.ndarray, np.ndarray, Mechanism]] = []
-        with at_place("--sensitivity", *self.names):
+        with named(), at_place("--sensitivity", *self.names):
             self.numbers = Numbers(mechanism, self.names, begin, lambda scene: forced(build(scene)))
 
     def write(self, rows: _Rows, facts: Report, given: tuple[Any, ...]) -> bool:
@@ -372,9 +372,9 @@ def _summary(mechanism: Mechanism, facts: Report, until: str | None) -> None:
     counts = {name: count for name, count in facts.events.items() if name != UNTIL}
     if counts:
         lines.append(f"events: {', '.join(f'{name} {count}' for name, count in counts.items())}")
-    for name, error in (facts.sensitivity_errors or {}).items():
+    for name, error in facts.sensitivity_errors.items():
         lines.append(f"error of derivatives by {name}: about {error:.2g} of the largest")
-    for name, slope in (facts.until_sensitivity or {}).items():
+    for name, slope in facts.until_sensitivity.items():
         lines.append(f"derivative of the time of --until by {name}: {slope:.6g}")
     lines += facts.remarks
     if facts.error_estimate is not None:

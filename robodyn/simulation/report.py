@@ -87,8 +87,8 @@ class Report:
     nearest_singular_time: float | None = None
     missed: str = ""  # of a change point that the loops just miss there
     error_estimate: float | None = None  # largest of q and qd along the run, by a tighter run
-    sensitivity_errors: dict[str, float] | None = None  # of each name's derivatives, relative
-    until_sensitivity: dict[str, float] | None = None  # d(time of --until)/d(each name)
+    sensitivity_errors: dict[str, float] = field(default_factory=dict)  # of derivatives, relative
+    until_sensitivity: dict[str, float] = field(default_factory=dict)  # d(time of --until)/d(name)
     tracking: list[JointTracking] | None = None  # of each actuated joint, over accepted steps
     events: dict[str, int] = field(default_factory=dict)  # how often each happened
     ended_by: str = ""  # the event that ended the run

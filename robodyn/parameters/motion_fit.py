@@ -1,36 +1,33 @@
-"""Columns of simulated motions, and their derivatives by numbers of the scene and start values.
-
-One run gives (q, qd) and d(q, qd)/dp, from variational equations; columns
-that are functions of q, qd and numbers follow by their tangents.
-"""
+"""Columns of simulated motions, and their derivatives by numbers of the scene and start values."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.engines.tangents import slopes_by
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.assembly import assemble
+from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed, loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.fit_problem import Problem
 from robodyn.parameters.fitting import Fit, Wanted, as_target, solved
-from robodyn.parameters.lane_runs import LaneRuns, freedoms, serves
 from robodyn.parameters.lane_states import compiled
-from robodyn.simulation.run_torques import as_actuation, over_run
+from robodyn.simulation.run_torques import as_actuation
 from robodyn.simulation.simulation import simulate
 from robodyn.tables.arrays import Array
 
 STARTS = 4  # runs take longer than states
 TOLERANCE = 1e-10
-FEW = 4  # runs that numpy steps side by side no sooner than each alone
+STEP = 2.0**-15  # of differences, of a number's size
+DOP853: dict[str, Any] = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-13}
 _TIME = re.compile(r"\bt\b")
 _START = re.compile(r"(qd?)([1-9][0-9]*)", re.ASCII)
 
@@ -85,7 +82,7 @@ class _Begin:
     """Where motions begin: q and qd of all joints (`whole`), or of the actuated ones.
 
     `places` are start values among the names of `vary`, each with its kind, q or qd, and its joint.
-    The rows `kept` of closures have the others' meaning; joints `held` tell all others at `first`.
+    Joints `held` tell all others at `first`.
     """
 
     def __init__(
@@ -104,7 +101,7 @@ class _Begin:
         if self.whole and len(rates) < n:
             rates = loop_velocities(mechanism, self.first, rates)
         self.mechanism, self.given = mechanism, {"q": joints, "qd": rates}
-        self.kept, self.held = freedoms(mechanism, self.first)
+        self.held = list(with_independent(mechanism).actuated)
         self.joints = list(range(n) if self.whole else mechanism.actuated)  # of what is given
         self.places: dict[str, tuple[str, int]] = {}
         for name in vary:
@@ -135,7 +132,7 @@ class _Begin:
 class _Motions:
     """Columns at the times (T,) of motions, by changes of what varies, whose own values are `own`.
 
-    All motions advance as lanes where these serve, else each is a run of its own.
+    Slopes are central differences of runs, of the series in machine code if that serves.
     """
 
     def __init__(
@@ -159,69 +156,69 @@ class _Motions:
                 condition = i >= len(wanted.names) - len(wanted.equal)
                 what = "--subject-to" if condition else "column"
                 raise InputError(what, value=name, limit=limit + " are")
-        nodes, count = wanted.nodes, len(wanted.nodes)
-        slopes = ((count, len(self.known)), slopes_by(nodes, self.known))
-        self._code = compiled(formulas.inputs, [((count,), nodes), slopes])
-        self._lanes = self._as_lanes() if serves(self.mechanism, actuation) else None
-
-    @property
-    def duration(self) -> float:
-        """How long a motion is, s."""
-        return float(self.times[-1] - self.times[0])
-
-    def _as_lanes(self) -> LaneRuns:
-        begin, state = self.begin, np.concatenate([self.begin.first, np.zeros(self.mechanism.n)])
-        over = over_run(self.mechanism, self.actuation, state, self.duration, TOLERANCE)
-        places = (begin.places.get(name) for name in self.names)
-        varied = [(x[0], begin.held.index(x[1])) if x else None for x in places]
-        sizes = np.where(self.own == 0.0, 1.0, np.abs(self.own))
-        torques = replace(self.actuation, leaves=over.leaves)
-        given = sizes, torques, self.times, TOLERANCE, begin.kept, begin.held
-        return LaneRuns(self.wanted.formulas, varied, *given)
+        self._code = compiled(formulas.inputs, [((len(wanted.nodes),), wanted.nodes)])
+        self._how: dict[str, Any] = {
+            "method": "taylor",
+            "engine": "compiled",
+            "rtol": 1e-15,
+            "atol": 1e-15,
+        }
 
     def __call__(self, changes: Array) -> tuple[Array, Array, Array, Array]:
         """Columns (S, T, c), their slopes (S, T, c, k); and that nothing is missing (S, T, 0)."""
-        S, T, n = len(changes), len(self.times), self.mechanism.n
-        y, s = self._states(changes)
-        x = np.zeros((S, T, len(self.wanted.formulas.inputs)))
-        x[..., : 2 * n] = y
-        x[..., x.shape[-1] - len(self.order) :] = changes[:, None, self.order]
-        found, by = self._code(x.reshape(S * T, -1))
-        slopes = by[..., : 2 * n] @ s.reshape(S * T, 2 * n, -1)
-        slopes[..., self.order] += by[..., 2 * n :]
-        shape, none = (S, T, found.shape[-1]), np.zeros((S, T, 0, len(self.own)))
-        return found.reshape(shape), slopes.reshape(*shape, -1), none[..., 0], none
-
-    def _states(self, changes: Array) -> tuple[Array, Array]:
-        """(q, qd) (S, T, 2n) and their derivatives (S, T, 2n, k); nan where there are none."""
-        S, T, n = len(changes), len(self.times), self.mechanism.n
+        S, T, k = len(changes), len(self.times), len(self.own)
+        found = np.full((S, T, len(self.wanted.nodes)), np.nan)
+        slopes = np.full((*found.shape, k), np.nan)
+        steps = STEP * np.where(self.own == 0.0, 1.0, np.abs(self.own))
         scene_itself = S == 1 and not np.any(changes)  # whose faults are told
-        y, s = np.full((S, T, 2 * n), np.nan), np.full((S, T, 2 * n, len(self.own)), np.nan)
-        starts = np.full((2, S, n), np.nan)
         for i, each in enumerate(changes):
             try:
-                _, *starts[:, i] = self._begun(each)
-            except RobodynError:  # does not close
+                found[i] = self._columns(each)
+            except RobodynError:  # does not close, or is no scene
                 if scene_itself:
                     raise
-        alone = np.isfinite(starts).all(axis=(0, 2))
-        dependent = len(self.begin.kept) < len(self.mechanism.rows)
-        if self._lanes is not None and (self._lanes.fast or S >= FEW or dependent):
-            y, s = self._lanes(changes[:, self.order], *starts)
-            alone &= ~np.isfinite(y[:, -1]).all(axis=1)
-        if dependent:  # no run alone has derivatives
-            if alone.any() and not np.any(changes):
-                limit = "closures depend on one another: no stop, no dry friction, no torque or"
-                limit += " load that switches, and no change point may be on the way"
-                raise InputError("a fit of motions", where=self.mechanism.source, limit=limit)
-            return y, s
-        for i in np.flatnonzero(alone).tolist():
+            if np.isfinite(found[i]).all():
+                for j, h in enumerate(np.diag(steps)):
+                    slopes[i, ..., j] = self._slope(each, found[i], h, steps[j])
+        none = np.zeros((S, T, 0, k))
+        return found, slopes, none[..., 0], none
+
+    def _slope(self, changes: Array, here: Array, step: Array, h: float) -> Array:
+        """The slope (T, c) along a step of size h: to one side at a bound of the number."""
+
+        def at(times: float) -> Array | None:
             try:
-                y[i], s[i] = self._alone(changes[i])
-            except RobodynError:  # cannot be differentiated there
-                if scene_itself:
-                    raise
-        return y, s
+                return self._columns(changes + times * step)
+            except RobodynError:
+                return None
+
+        ahead, behind = at(1.0), at(-1.0)
+        if ahead is not None and behind is not None:
+            return (ahead - behind) / (2.0 * h)
+        for side, one in ((1.0, ahead), (-1.0, behind)):
+            if one is not None and (two := at(2.0 * side)) is not None:
+                return side * (4.0 * one - 3.0 * here - two) / (2.0 * h)
+        return np.full(here.shape, np.nan)
+
+    def _columns(self, changes: Array) -> Array:
+        """The columns (T, c) of one motion, nan beyond its end."""
+        begun, times = self._begun(changes), self.times - self.times[0]
+        torques = self.actuation
+        if torques.remade is not None:
+            torques = torques.remade(begun[0])
+        given = (*begun, float(times[-1]), torques)
+        try:
+            run = simulate(*given, t_eval=times, **self._how)
+        except InputError:  # machine code does not serve
+            if self._how is DOP853:
+                raise
+            self._how = DOP853
+            run = simulate(*given, t_eval=times, **self._how)
+        x = np.full((len(times), len(self.wanted.formulas.inputs)), np.nan)
+        x[: len(run.t), : 2 * self.mechanism.n] = np.hstack([run.q, run.qd])
+        x[:, 2 * self.mechanism.n : x.shape[1] - len(self.order)] = 0.0
+        x[:, x.shape[1] - len(self.order) :] = changes[self.order]
+        return self._code(x)[0]
 
     def _begun(self, changes: Array) -> tuple[Mechanism, Array, Array]:
         """The mechanism, q and qd where it starts."""
@@ -230,18 +227,3 @@ class _Motions:
             numbers = {name: values[name] for name in self.wanted.formulas.names}
             moved = build(self.wanted.values.replaced(numbers))
         return moved, *self.begin.at(moved, values)
-
-    def _alone(self, changes: Array) -> tuple[Array, Array]:
-        """(q, qd) (T, 2n) and their derivatives (T, 2n, k) of one run."""
-        run = simulate(
-            *self._begun(changes),
-            self.duration,
-            self.actuation,
-            rtol=TOLERANCE,
-            atol=TOLERANCE,
-            t_eval=self.times - self.times[0],
-            sensitivity=self.names,
-        )
-        if len(run.t) < len(self.times) or run.sensitivity is None:
-            return np.array(np.nan), np.array(np.nan)
-        return np.hstack([run.q, run.qd]), run.sensitivity
