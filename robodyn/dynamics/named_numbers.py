@@ -104,11 +104,6 @@ def _turned(row: ClosureRow, by: Any) -> ClosureRow:
     return row._replace(ground=turn * ground if ground else ground, P=P)
 
 
-def size_of(mechanism: Mechanism, name: str) -> float:
-    """The size of the number called `name`, or 1 where it is zero."""
-    return abs(named_values(mechanism, name).number(name)) or 1.0
-
-
 def named_values(mechanism: Mechanism, *names: str) -> SceneValues:
     """The numbers of the scene that the mechanism was made from, of which the `names` are some.
 

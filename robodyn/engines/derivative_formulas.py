@@ -10,14 +10,12 @@ so that what is eliminated once serves all directions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-
 from robodyn.engines.expression import Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.formulas import Formula, Recorded, cheapest, closure_pivots
 from robodyn.engines.frames import relative
 from robodyn.engines.series import Series
-from robodyn.engines.tangents import Tangents, slopes_by, substituted
+from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.mechanics.planar_model import Mechanism
 
 KINDS = ("q", "qd", "tau")
@@ -31,30 +29,6 @@ def residuals(state: Recorded) -> tuple[Series, list[Value], list[dict[int, Valu
     u = [state.graph.variable(f"u{i}") for i in range(len(r))]
     R = [x + sum((k * u[i] for i, k in row.items()), 0.0) for x, row in zip(r, K, strict=True)]
     return series, r, K, R
-
-
-class Solved:
-    """The unknowns u of a state as nodes, and how they change."""
-
-    def __init__(self, state: Recorded) -> None:
-        self.state = state
-        series, r, _, self.R = residuals(state)
-        factors = series.factorise()
-        assert isinstance(factors, Factors)
-        self.factors, self.u = factors, factors.solve([-x for x in r])
-
-    def along(
-        self,
-        names: Sequence[str],
-        by: Mapping[str, Tangents] | None = None,
-        R: Sequence[Value] | None = None,
-        **known: Value,
-    ) -> Iterator[list[Value]]:
-        """du by each of the names, which the inputs change `by`; some values may be known."""
-        held = {**known, **{f"u{i}": x for i, x in enumerate(self.u)}}
-        slopes = substituted(slopes_by(R or self.R, by or names, names), held)
-        for j in range(len(names)):
-            yield self.factors.solve([-x for x in slopes[j :: len(names)]])
 
 
 def _directions(mechanism: Mechanism) -> list[str]:
@@ -71,12 +45,17 @@ def forward_derivatives_formula(mechanism: Mechanism, parameters: bool = False) 
 
 def _forward(state: Recorded) -> Formula:
     mechanism, n = state.mechanism, state.mechanism.n
-    solved, names = Solved(state), _directions(mechanism)
-    found = [relative(mechanism, du[:n]) for du in solved.along(names)]
-    outputs = relative(mechanism, solved.u[:n])
+    names, (series, r, _, R) = _directions(mechanism), residuals(state)
+    factors = series.factorise()
+    assert isinstance(factors, Factors)
+    u = factors.solve([-x for x in r])
+    slopes = substituted(slopes_by(R, names), {f"u{i}": x for i, x in enumerate(u)})
+    every = (factors.solve([-x for x in slopes[j :: len(names)]]) for j in range(len(names)))
+    found = [relative(mechanism, du[:n]) for du in every]
+    outputs = relative(mechanism, u[:n])
     for kind in range(len(KINDS)):
         outputs += [found[kind * n + j][i] for i in range(n) for j in range(n)]
-    pivots = closure_pivots(state, solved.factors)
+    pivots = closure_pivots(state, factors)
     return Formula(state.inputs + state.timed, tuple(outputs), pivots)
 
 
