@@ -616,5 +616,5 @@ def test_no_names_and_what_are_none() -> None:
         assert rd.simulate(mech, [0, 0], [0, 0], 0.1, sensitivity=nothing).sensitivity is None
     wrong: list[object] = ["q1", [None], [1]]
     for names in wrong:
-        with pytest.raises(InputError, match=r"sensitivity = .*: must be a list of names"):
+        with pytest.raises(InputError, match=r"sensitivity = .*: must be a list of texts"):
             rd.simulate(mech, [0, 0], [0, 0], 0.1, sensitivity=names)  # type: ignore[arg-type]

@@ -230,6 +230,7 @@ def sensitivities(
         return _Run(change, y, [(x.t, x.name) for x in recorder.contacts], outcome)
 
     base = moved(names[0], 0.0)
+    jumps = np.isin(times, [t for t, _ in base.contacts])  # rows that have no derivative alone
     values = np.full((len(times), len(state), len(names)), np.nan)
     errors: dict[str, float] = {}
     withheld, outcomes = [], [base.outcome]
@@ -240,12 +241,14 @@ def sensitivities(
         slope, error, differ = _slopes(base, runs, times, size, max(tight.rtol, ROUNDING))
         largest = np.maximum.accumulate(np.nan_to_num(np.abs(slope)).max(axis=1))
         off, noise = error.T
-        lost = np.flatnonzero(~(off <= SETTLED * largest + 10.0 * noise) | ~np.isfinite(noise))
+        lacks = ~(off <= SETTLED * largest + 10.0 * noise) | ~np.isfinite(noise)
+        lost = np.flatnonzero(lacks & ~jumps)
         end = int(lost[0]) if len(lost) else len(times)
-        values[:end, :, k] = slope[:end]
+        values[:end, :, k] = np.where(lacks[:end, None], np.nan, slope[:end])
         errors[name] = 0.0
         if end and largest[end - 1]:
-            errors[name] = float(error[:end].sum(axis=1).max() / largest[end - 1])
+            told = error[:end][~lacks[:end]].sum(axis=1)
+            errors[name] = float(told.max(initial=0.0) / largest[end - 1])
         if end < len(times):
             why = "the runs differ in their events" if differ[end] else "differences do not settle"
             withheld.append(f"columns dq1/{name}.. are empty from t = {times[end]:.6g} s on: {why}")

@@ -146,7 +146,7 @@ def simulate(
     events: Mapping[str, str] | None = None,
     until: str | None = None,
     sensitivity: Sequence[str] | None = None,
-    engine: None = None,
+    engine: object = None,
 ) -> Motion:
     """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
