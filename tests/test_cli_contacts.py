@@ -115,7 +115,7 @@ def test_states_tell_what_sticks_and_presses(robodyn: Run, tmp_path: Path) -> No
 def test_what_is_left_out_is_said(robodyn: Run, tmp_path: Path) -> None:
     path = scene(tmp_path, SOFT, STICKS)
     assert "dry friction is that in motion" in robodyn("equations", path).err
-    assert "are left out" in robodyn("terms", path, "--q", "0,0").err
+    assert "Q is without the dry friction of fore" in robodyn("terms", path, "--q", "0,0").err
     robodyn("check", path).succeeds()
     hard = scene(tmp_path, STICKS, HARD)
     assert "hard stops and limits are left out" in robodyn("equations", hard).err

@@ -347,7 +347,7 @@ def test_correlations_skip_what_has_no_result(robodyn: Run) -> None:
 
 
 def test_what_does_not_finish_has_its_end_and_no_columns(robodyn: Run) -> None:
-    line = ("sweep", ARM, "--vary", "qd1=3", "--max-steps", 20, "--time", 10, "--quiet")
+    line = ("sweep", ARM, "--vary", "qd1=3", "--max-steps", 100, "--time", 10, "--quiet")
     (row,) = robodyn(*line, "--result", "final,max(q1)", "--points", 4).succeeds().rows
     assert row["outcome"] == "too many evaluations"
     assert row["max(q1)"] == ""

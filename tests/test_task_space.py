@@ -550,7 +550,7 @@ def test_length_until_a_part_of_a_path() -> None:
         ({"xy": [1, 0], "of": "tip3,tip2"}, "names 2 points; give one"),
         ({"xy": "ab", "of": "tip3"}, "xy = 'ab': must be numbers"),
         ({"xy": [1, 0], "of": "tip3", "near": "x"}, "near = 'x': must be numbers"),
-        ({"xy": [1, 0], "of": None}, "must be the name of a point"),
+        ({"xy": [1, 0], "of": None}, "of = None: must be a text"),
         ({"xy": [1, 0], "of": "tip2", "angle": 0}, "2 freedoms; x, y and the angle need 3"),
     ],
 )

@@ -138,7 +138,7 @@ def fit(
     and t; the other joints are assembled anew for each trial.  The sum of squares of all columns,
     as they are in SI units, becomes least.
 
-    Many starts are searched at once by the exact derivatives, the best are finished by scipy's
+    Many starts are searched at once by derivatives, the best are finished by scipy's
     least_squares.  Where loops do not close on the way, what is missing counts ten times; results
     that do not close are thrown away.  Conditions of --subject-to may have numbers of the scene
     and columns, which then keep them at every row; they hold to 1e-12 of their size, by the
