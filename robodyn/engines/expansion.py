@@ -223,41 +223,10 @@ def horner(coefficients: Sequence[Value], x: Value) -> tuple[Value, Value]:
     return value, slope
 
 
-def _by_powers(coefficients: Sequence[Value], powers: Sequence[Value]) -> tuple[Value, Value]:
-    """The same of several polynomials, by the powers x, x^2, ... that they share."""
-    total: Value = 0.0
-    slope: Value = 0.0
-    for coefficient, power in zip(coefficients[:1:-1], powers[::-1], strict=True):
-        total = total + coefficient * power
-        slope = slope + total
-    total = total + coefficients[1]
-    return coefficients[0] + powers[0] * total, slope + total
-
-
 def turning(z: Planar, slope: Planar) -> Value:
     """Im(conj(z) z')/|z|^2."""
     (r, t), (dr, dt) = z, slope
     return (r * dt - t * dr) / (r * r + t * t)
-
-
-def end_of_step(
-    mechanism: Mechanism,
-    series: Coefficients,
-    steady: Sequence[Value],
-    work: bool,
-    given: Callable[[str], Value],
-) -> list[Value]:
-    """q, qd (n each) and, if wanted, the work at the time x after the start."""
-    x = given("x")
-    powers = [x]
-    for _ in series.rho[0][3:]:
-        powers.append(powers[-1] * x)
-    turns = []
-    for rho, theta in zip(series.rho, series.theta, strict=True):
-        (r, dr), (t, dt) = _by_powers(rho, powers), _by_powers(theta, powers)
-        turns.append(((r, t), (dr, dt)))
-    power = integral(series.power, x) if work and series.power else 0.0
-    return ends(mechanism, turns, power, steady, work, given)
 
 
 def ends(
@@ -268,7 +237,10 @@ def ends(
     work: bool,
     given: Callable[[str], Value],
 ) -> list[Value]:
-    """The same from rho + i theta of the coordinates, their slopes, and the work of a power."""
+    """q, qd (n each) and, if `work`, the work done, at the end of a step.
+
+    They follow from rho + i theta of the coordinates, their slopes, and the work of a power.
+    """
     slides = set(mechanism.slides)
     ways: list[Value] = []
     rates: list[Value] = []
