@@ -33,6 +33,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # what modules of the package import only when they run
 LATE = ("scipy.integrate", "scipy.optimize", "scipy.linalg", "rich.table", "llvmlite.binding")
 LATE += ("matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg")
+EXTRAS = ("llvmlite", "orjson", "matplotlib")  # what the base installation lacks
 SIZE = 1 << 20  # bytes that a call may have
 
 # it must start in a few milliseconds: nothing but modules in C
@@ -54,12 +55,16 @@ posix._exit(status >> 8)
 
 
 @cache
-def folder() -> Path:
-    """The folder of a program `robodyn` that starts at once; its server ends with this process."""
+def folder(extras: bool = True) -> Path:
+    """The folder of a program `robodyn` that starts at once; its server ends with this process.
+
+    Without `extras` the program finds no package of an extra, as in the base installation.
+    """
     path = Path(tempfile.mkdtemp(prefix="robodyn-"))
     (path / "robodyn").write_text(CLIENT.format(python=sys.executable, address=f"{path}/socket"))
     (path / "robodyn").chmod(0o700)
-    line = [sys.executable, str(Path(__file__).resolve()), f"{path}/socket"]
+    hidden = () if extras else EXTRAS
+    line = [sys.executable, str(Path(__file__).resolve()), f"{path}/socket", *hidden]
     server = subprocess.Popen(line, cwd=ROOT, stdin=subprocess.PIPE, start_new_session=True)
     atexit.register(shutil.rmtree, path)
     atexit.register(server.wait)
@@ -72,8 +77,10 @@ def folder() -> Path:
     return path
 
 
-def serve(address: str) -> None:
+def serve(address: str, hidden: list[str]) -> None:
     """Answer calls until stdin, which the process that began this one holds, is closed."""
+    for name in hidden:
+        sys.modules[name] = None  # type: ignore[assignment]  # an import of it fails from now on
     import robodyn
 
     kept = warnings.filters[:]
@@ -82,7 +89,8 @@ def serve(address: str) -> None:
         if not found.name.startswith("robodyn.robots"):
             import_module(found.name)
     for name in LATE:
-        import_module(name)
+        if name.partition(".")[0] not in hidden:
+            import_module(name)
     sys.modules["__main__"] = import_module("robodyn.__main__")  # what processes of a sweep begin
     warnings.filters[:] = kept
     gc.collect()
@@ -147,10 +155,11 @@ def _become(link: socket.socket) -> None:
     import_module("robodyn.__main__").main()
 
 
-def path_with_it() -> str:
+def path_with_it(extras: bool = True) -> str:
     """A search path on which `robodyn` is the program that starts at once."""
-    return os.pathsep.join([str(folder()), str(Path(sys.executable).parent), os.environ["PATH"]])
+    places = [str(folder(extras)), str(Path(sys.executable).parent), os.environ["PATH"]]
+    return os.pathsep.join(places)
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1])
+    serve(sys.argv[1], sys.argv[2:])
