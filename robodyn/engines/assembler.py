@@ -1,7 +1,9 @@
 """The kernel language: functions of machine code, written as the text of LLVM's IR.
 
-A `Kernel` is one function under way; each method writes an instruction (`instructions.py`) or a
-control structure, and returns the word it makes.  Recorded graphs go in by `segment.py`, sines by
+A `Word` is a value that an instruction left: numbers of W lanes, a mask over them, a whole number,
+an address.  `Instructions` are those of a function under way, one after the other.  A `Kernel` is
+such a function with its loops and branches; each method writes an instruction or a control
+structure, and returns the word it makes.  Recorded graphs go in by `segment.py`, sines by
 `sines.py`.
 
     with kernel.loop(count) as i:              # i = 0 .. count - 1
@@ -14,12 +16,271 @@ Variables that change over a loop are slots: `kernel.slot`, `kernel.get`, `kerne
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import NamedTuple
 
-from robodyn.engines.instructions import ADDRESS, SCALAR, WHOLE, Instructions, Module, Word
+WHOLE, SCALAR, ADDRESS, TRUTH = "i64", "double", "ptr", "i1"
 
-__all__ = ["ADDRESS", "SCALAR", "WHOLE", "Kernel", "Module", "Word"]
+
+class Word(NamedTuple):
+    """A value: how the text names it, and its LLVM type."""
+
+    text: str
+    type: str
+
+    def __str__(self) -> str:
+        return f"{self.type} {self.text}"
+
+
+class Module:
+    """The text of one object: kernels, and the functions of the C library that they call."""
+
+    def __init__(self, lanes: int, short: bool = False, together: int = 0) -> None:
+        self.lanes = lanes
+        self.together = together  # vectors of eight numbers that a loop sums; 0: `sum_rows` does
+        self.short = short  # whether what is long is written once, and called
+        self.functions: dict[str, str] = {}  # by name: definitions and declarations
+
+    @property
+    def text(self) -> str:
+        return "\n\n".join(self.functions.values()) + "\n"
+
+    def declare(self, name: str, result: str, *arguments: str) -> None:
+        line = f"declare {result} @{name}({', '.join(arguments)})"
+        self.functions.setdefault(name, line)
+
+
+class Instructions:
+    """One function: its instructions so far."""
+
+    def __init__(
+        self, module: Module, name: str, arguments: Sequence[str], result: str = WHOLE
+    ) -> None:
+        self.module, self.name, self.result = module, name, result
+        self.lanes = module.lanes
+        self.numbers = f"<{self.lanes} x double>" if self.lanes > 1 else SCALAR
+        self.mask = f"<{self.lanes} x i1>" if self.lanes > 1 else TRUTH
+        self.wholes = f"<{self.lanes} x i64>" if self.lanes > 1 else WHOLE
+        self.arguments = [Word(f"%a{i}", type) for i, type in enumerate(arguments)]
+        self._slots: list[str] = []
+        self._lines: list[str] = []
+        self._count = 0
+
+    # -- text ------------------------------------------------------------------------------------
+
+    def fresh(self) -> str:
+        self._count += 1
+        return str(self._count)
+
+    def op(self, type: str, text: str) -> Word:
+        """The word of type `type` that the instruction `text` makes."""
+        word = Word(f"%v{self.fresh()}", type)
+        self._lines.append(f"  {word.text} = {text}")
+        return word
+
+    def line(self, text: str) -> None:
+        self._lines.append(f"  {text}")
+
+    def done(self, value: Word | None = None) -> None:
+        """Return, and put the function into its module."""
+        self.line("ret void" if value is None else f"ret {value}")
+        arguments = ", ".join(map(str, self.arguments))
+        head = f"define {self.result} @{self.name}({arguments}) nounwind {{\nentry:"
+        slots = [f"  {line}" for line in self._slots]
+        self.module.functions[self.name] = "\n".join([head, *slots, *self._lines, "}"])
+
+    # -- constants -------------------------------------------------------------------------------
+
+    def number(self, value: float) -> Word:
+        """The same number in every lane."""
+        return self._everywhere(self.scalar(value))
+
+    def scalar(self, value: float) -> Word:
+        """One number, every bit of it."""
+        return Word("0x" + struct.pack(">d", value).hex().upper(), SCALAR)
+
+    def whole(self, value: int) -> Word:
+        """A whole number."""
+        return Word(str(value), WHOLE)
+
+    def whole_lanes(self, value: int) -> Word:
+        """The same whole number in every lane."""
+        return self._everywhere(self.whole(value))
+
+    def all_lanes(self, value: bool) -> Word:
+        """A mask, the same in every lane."""
+        return self._everywhere(Word(str(value).lower(), TRUTH))
+
+    def vector(self, values: Sequence[float]) -> Word:
+        """These numbers side by side, one a lane."""
+        return Word(f"<{', '.join(str(self.scalar(value)) for value in values)}>", self.numbers)
+
+    def _everywhere(self, one: Word) -> Word:
+        if self.lanes == 1:
+            return one
+        return Word(f"<{', '.join([str(one)] * self.lanes)}>", f"<{self.lanes} x {one.type}>")
+
+    # -- calls -----------------------------------------------------------------------------------
+
+    def call(self, function: str | Word, *arguments: Word) -> None:
+        """Call a function without a result, by its name or by its address."""
+        target = function.text if isinstance(function, Word) else f"@{function}"
+        self.line(f"call void {target}({', '.join(map(str, arguments))})")
+
+    def result_of(self, type: str, name: str, *arguments: Word) -> Word:
+        """What the function of this name gives, which is of this type."""
+        return self.op(type, f"call {type} @{name}({', '.join(map(str, arguments))})")
+
+    # -- arithmetic ------------------------------------------------------------------------------
+
+    def binary(self, op: str, a: Word, b: Word) -> Word:
+        """An instruction on two words of one type; floats by `fadd contract` and the like."""
+        return self.op(a.type, f"{op} {a}, {b.text}")
+
+    def add(self, a: Word, b: Word) -> Word:
+        return self.binary(_KIND["add"][_floats(a)], a, b)
+
+    def subtract(self, a: Word, b: Word) -> Word:
+        return self.binary(_KIND["sub"][_floats(a)], a, b)
+
+    def multiply(self, a: Word, b: Word) -> Word:
+        return self.binary(_KIND["mul"][_floats(a)], a, b)
+
+    def divide(self, a: Word, b: Word) -> Word:
+        return self.binary("fdiv", a, b)
+
+    def negate(self, a: Word) -> Word:
+        return self.op(a.type, f"fneg {a}")
+
+    def intrinsic(self, name: str, *args: Word) -> Word:
+        """llvm.sqrt, llvm.fabs and the like of numbers."""
+        type = args[0].type
+        suffix = "f64" if type == SCALAR else f"v{type[1:].split()[0]}f64"
+        full = f"llvm.{name}.{suffix}"
+        self.module.declare(full, type, *(a.type for a in args))
+        return self.result_of(type, full, *args)
+
+    def convert(self, op: str, a: Word, type: str) -> Word:
+        """bitcast, sitofp, zext and the like."""
+        return self.op(type, f"{op} {a} to {type}")
+
+    # -- masks -----------------------------------------------------------------------------------
+
+    def compare(self, how: str, a: Word, b: Word) -> Word:
+        """Lane by lane; `how` as in LLVM: olt, oge, une (floats), slt, eq, ult (wholes)."""
+        op = "fcmp" if _floats(a) else "icmp"
+        type = self.mask if a.type in (self.numbers, self.wholes) and self.lanes > 1 else TRUTH
+        return self.op(type, f"{op} {how} {a}, {b.text}")
+
+    def less(self, a: Word, b: Word) -> Word:
+        """a < b; false where one is nan."""
+        return self.compare("olt", a, b)
+
+    def select(self, mask: Word, a: Word, b: Word) -> Word:
+        """a where the mask is set, b elsewhere."""
+        return self.op(a.type, f"select {mask}, {a}, {b}")
+
+    def both(self, a: Word, b: Word) -> Word:
+        return self.binary("and", a, b)
+
+    def either(self, a: Word, b: Word) -> Word:
+        return self.binary("or", a, b)
+
+    def invert(self, mask: Word) -> Word:
+        single = mask.type == TRUTH
+        return self.binary("xor", mask, Word("true", TRUTH) if single else self.all_lanes(True))
+
+    def any(self, mask: Word) -> Word:
+        """Whether the mask is set in any lane."""
+        if mask.type == TRUTH:
+            return mask
+        bits = self.convert("bitcast", mask, f"i{self.lanes}")
+        return self.op(TRUTH, f"icmp ne {bits}, 0")
+
+    def count(self, mask: Word) -> Word:
+        """In how many lanes it is set."""
+        if mask.type == TRUTH:
+            return self.convert("zext", mask, WHOLE)
+        bits = self.convert("bitcast", mask, f"i{self.lanes}")
+        wide = self.convert("zext", bits, WHOLE)
+        self.module.declare("llvm.ctpop.i64", WHOLE, WHOLE)
+        return self.result_of(WHOLE, "llvm.ctpop.i64", wide)
+
+    # -- lanes -----------------------------------------------------------------------------------
+
+    def spread(self, value: Word, lanes: int = 0) -> Word:
+        """A scalar, in every lane, or so often."""
+        lanes = lanes or self.lanes
+        if lanes == 1:
+            return value
+        type = f"<{lanes} x {value.type}>"
+        first = self.op(type, f"insertelement {type} poison, {value}, i64 0")
+        zeros = f"<{lanes} x i32> zeroinitializer"
+        return self.op(type, f"shufflevector {first}, {type} poison, {zeros}")
+
+    def shuffled(self, value: Word, places: Sequence[int]) -> Word:
+        """A vector of what stands in these lanes of another."""
+        listed = ", ".join(f"i32 {i}" for i in places)
+        text = f"shufflevector {value}, {value.type} poison, <{len(places)} x i32> <{listed}>"
+        return self.op(f"<{len(places)} x {value.type.split()[-1]}", text)
+
+    def lane(self, value: Word, i: int) -> Word:
+        """What stands in lane i."""
+        if self.lanes == 1:
+            return value
+        return self.op(value.type.split()[-1][:-1], f"extractelement {value}, i64 {i}")
+
+    def gathered(self, values: Sequence[Word]) -> Word:
+        """Scalars side by side."""
+        if len(values) == 1:
+            return values[0]
+        type = f"<{len(values)} x {values[0].type}>"
+        word = Word("poison", type)
+        for i, value in enumerate(values):
+            word = self.op(type, f"insertelement {word}, {value}, i64 {i}")
+        return word
+
+    # -- memory ----------------------------------------------------------------------------------
+
+    def at(self, base: Word, index: Word | int, type: str = SCALAR) -> Word:
+        """The address of item `index` of an array of `type`."""
+        index = self.whole(index) if isinstance(index, int) else index
+        return self.op(ADDRESS, f"getelementptr {type}, {base}, {index}")
+
+    def load(self, address: Word, type: str | None = None) -> Word:
+        """Numbers side by side, or one word of another type; 8 bytes aligned."""
+        type = type or self.numbers
+        return self.op(type, f"load {type}, {address}, align 8")
+
+    def store(self, value: Word, address: Word) -> None:
+        self.line(f"store {value}, {address}, align 8")
+
+    def slot(self, start: Word) -> Word:
+        """A variable that begins as `start`."""
+        address = self.room(start.type, 1)
+        self.set(address, start)
+        return address
+
+    def room(self, type: str, count: int) -> Word:
+        """Room for so many words on the stack."""
+        word = Word(f"%s{self.fresh()}", ADDRESS)
+        self._slots.append(f"{word.text} = alloca {type}, i64 {count}, align 64")
+        return word
+
+    def get(self, slot: Word, type: str | None = None) -> Word:
+        return self.load(slot, type)
+
+    def set(self, slot: Word, value: Word) -> None:
+        self.store(value, slot)
+
+
+_KIND = {name: (name, f"f{name} contract") for name in ("add", "sub", "mul")}
+
+
+def _floats(word: Word) -> bool:
+    return "double" in word.type
 
 
 class Kernel(Instructions):
