@@ -155,11 +155,13 @@ class Phases:
         if guard.kind in ("inside", "presses", "apart"):
             size += float(self.mechanism.arrays.units[guard.joint])
         offset, missed = 0.0, 0.0
-        if abs(here) <= NEAR * size:  # it is zero there, but for rounding
+        fastest = float(np.abs(self._split(self.y)[1]).max(initial=0.0))
+        least = max(self.small, INSTANT * math.ulp(t) * fastest)
+        # it is zero there, but for rounding, or for what an earlier phase let it miss
+        if abs(here) <= NEAR * size or (guard.kind == "inside" and -least <= here < 0.0):
             offset = min(here, 0.0)
             if self.idle or self.doubts:  # what is below the tolerance ended a phase at once
-                fastest = float(np.abs(self._split(self.y)[1]).max(initial=0.0))
-                missed = max(self.small, INSTANT * math.ulp(t) * fastest)
+                missed = max(least + offset, 0.0)
         return EventFunction(
             lambda t, y: self._but_for(missed, guard, values(t, y) - offset, y),
             lambda t, y: ROUNDING * self._size(guard, t, y),
