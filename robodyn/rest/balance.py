@@ -81,9 +81,9 @@ def rests(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> NDArray[np.b
     acts = np.abs(load).max(axis=-1) + np.abs(tau).max(axis=-1)
     acts += np.abs(arrays.weights).sum() + np.abs(arrays.moments).sum()
     if mechanism.rows:
-        for k in np.flatnonzero(still):
-            along = (free_motions(mechanism, q[k]) / units[:, None]).T @ left[k]
-            left[k] = np.abs(along).max(initial=0.0)
+        found = decompose(mechanism, scaled_jacobian(mechanism, q))
+        free = np.arange(mechanism.n) >= np.asarray(found.rank)[:, None]
+        left = np.where(free, (left[:, None, :] @ found.V)[:, 0], 0.0)
     return np.asarray(still & (np.abs(left).max(axis=-1) <= ROUNDING * acts * units.max()))
 
 
