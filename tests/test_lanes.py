@@ -1,4 +1,4 @@
-"""Many motions at once, in numpy and in machine code, against single motions of another method."""
+"""Many motions at once in machine code, against single motions of another method."""
 
 import math
 import re
@@ -24,12 +24,10 @@ from robodyn.sweeps.sweep_plan import Plan
 from robodyn.sweeps.variation import Variation
 from robodyn.taylor import Status
 
-ENGINES = ["python"]
-if machine.available():
-    ENGINES.append("compiled")
+pytestmark = pytest.mark.skipif(not machine.available(), reason="needs llvmlite")
 
 
-def run(engine: str, mechanism: Mechanism, y, t_end: float, tau=None, angle=None, **aims) -> Ends:
+def run(mechanism: Mechanism, y, t_end: float, tau=None, angle=None, **aims) -> Ends:
     """Lanes of one mechanism, tau (L, n) or (n,)."""
     tau = np.broadcast_to(np.zeros(mechanism.n) if tau is None else tau, (len(y), mechanism.n))
     options = {"rtol": 1e-12, "atol": 1e-12, **aims}
@@ -38,7 +36,7 @@ def run(engine: str, mechanism: Mechanism, y, t_end: float, tau=None, angle=None
     chosen = Aims(suspect=suspect, work=True, **options)
     motions = Motions(mechanism, np.array(y), tau, angle)
     driven = [True] * mechanism.n
-    (found,) = integrate([motions], t_end, chosen, driven, engine == "compiled")
+    (found,) = integrate([motions], t_end, chosen, driven)
     assert found is not None
     return found
 
@@ -59,10 +57,9 @@ def turning(mechanism: Mechanism, count: int, seed: int = 0) -> np.ndarray:
     return np.hstack([q, loop_velocities(mechanism, q, rng.normal(size=(count, 1)) * 3)])
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 class TestAgainstDOP853:
-    def compare(self, engine, mechanism, y, tau, time, bound) -> None:
-        found = run(engine, mechanism, y, time, tau)
+    def compare(self, mechanism, y, tau, time, bound) -> None:
+        found = run(mechanism, y, time, tau)
         for k, state in enumerate(y):
             n = mechanism.n
             motion = simulate(
@@ -75,27 +72,25 @@ class TestAgainstDOP853:
 
     @pytest.mark.parametrize("seed", range(5))
     @pytest.mark.thinned
-    def test_trees(self, engine, seed) -> None:
+    def test_trees(self, seed) -> None:
         drawn = seeded_tree(seed, 1 + seed)
         rng = np.random.default_rng(seed)
         y = np.hstack([drawn.q, drawn.qd]) + rng.normal(scale=0.3, size=(3, 2 * drawn.n))
-        self.compare(engine, drawn.mechanism, y, rng.uniform(-3, 3, drawn.n), 0.4, 1e-9)
+        self.compare(drawn.mechanism, y, rng.uniform(-3, 3, drawn.n), 0.4, 1e-9)
 
     @pytest.mark.parametrize("shape", LOOPS)
     @pytest.mark.thinned
-    def test_loops(self, engine, shape) -> None:
+    def test_loops(self, shape) -> None:
         drawn = seeded_scene(3, LOOPS[shape])
         tau = np.zeros(drawn.mechanism.n)
         tau[list(drawn.mechanism.actuated)] = 1.5
         y = np.hstack([drawn.q, drawn.qd])[None]
-        self.compare(engine, drawn.mechanism, y, tau, 0.05, 1e-8)
+        self.compare(drawn.mechanism, y, tau, 0.05, 1e-8)
 
     @pytest.mark.parametrize("time", [1.0, -0.7])
-    def test_either_way(self, engine, time) -> None:
-        self.compare(engine, scene("2r"), swings(4), [0.3, -0.2], time, 1e-9)
-        self.compare(
-            engine, scene("four-bar"), turning(scene("four-bar"), 4), [1, 0, 0], time, 1e-9
-        )
+    def test_either_way(self, time) -> None:
+        self.compare(scene("2r"), swings(4), [0.3, -0.2], time, 1e-9)
+        self.compare(scene("four-bar"), turning(scene("four-bar"), 4), [1, 0, 0], time, 1e-9)
 
 
 class TestForces:
@@ -113,7 +108,7 @@ class TestForces:
         assert not mechanism.friction
         n = mechanism.n
         y = np.hstack([plain.q, plain.qd])[None]
-        found = run("python", mechanism, y, 0.3)
+        found = run(mechanism, y, 0.3)
         motion = simulate(mechanism, y[0, :n], y[0, n:], 0.3, rtol=1e-12, atol=1e-12)
         expected = np.concatenate([motion.q[-1], motion.qd[-1]])
         assert found.status == Status.REACHED
@@ -133,7 +128,7 @@ class TestForces:
         assert mechanism.friction
         n = mechanism.n
         y = np.random.default_rng(seed).normal(size=(2, 2 * n))
-        found = run("python", mechanism, y, 0.4, rtol=1e-11, atol=1e-11)
+        found = run(mechanism, y, 0.4, rtol=1e-11, atol=1e-11)
         assert (found.status == Status.REACHED).all()
         assert found.drift.max() < 1e-7
         for k, state in enumerate(y):
@@ -149,7 +144,7 @@ class TestForces:
         y, n = turning(mechanism, 3), mechanism.n
         tau = np.zeros(n)
         tau[mechanism.actuated[0]] = 1.0
-        found = run("python", mechanism, y, 0.5, tau)
+        found = run(mechanism, y, 0.5, tau)
         assert np.abs(closure_gap(mechanism, found.y[:, :n])).max() < 1e-14
         for k, state in enumerate(y):
             motion = simulate(mechanism, state[:n], state[n:], 0.5, tau=tau, rtol=1e-12, atol=1e-12)
@@ -157,19 +152,8 @@ class TestForces:
             assert found.y[k] == pytest.approx(expected, rel=1e-8, abs=1e-8)
             assert found.drift[k] < 1e-9
 
-    @pytest.mark.parametrize("name", ["2r", "geared-five-bar", "spring-slider-crank"])
-    def test_in_numpy_as_in_machine_code(self, name) -> None:
-        mechanism = scene(name)
-        y = turning(mechanism, 3) if mechanism.rows else swings(3)
-        options = {"rtol": 1e-13, "atol": 1e-13, "link": 1}
-        found, other = (run(engine, mechanism, y, 0.3, **options) for engine in (ENGINES * 2)[:2])
-        for each in ("t", "y", "low", "high", "energy", "flip"):
-            expected = pytest.approx(getattr(found, each), rel=1e-9, abs=1e-9, nan_ok=True)
-            assert getattr(other, each) == expected
-
-    @pytest.mark.parametrize("engine", ENGINES)
     @pytest.mark.parametrize("name", ["pendulum", "2r", "four-bar", "spring-slider-crank"])
-    def test_lanes_are_the_same_to_the_last_bit(self, name, engine) -> None:
+    def test_lanes_are_the_same_to_the_last_bit(self, name) -> None:
         """However many go together."""
         mechanism, n = scene(name), scene(name).n
         rng = np.random.default_rng(5)
@@ -179,9 +163,9 @@ class TestForces:
         angle = np.linspace(-1, 1, 9)
         options = {"rtol": 1e-9, "atol": 1e-9, "link": n - 1}
         time = 0.2 if mechanism.springs else 1.0
-        together = run(engine, mechanism, y, time, tau, angle, **options)
+        together = run(mechanism, y, time, tau, angle, **options)
         for some in (slice(1, 3), slice(3, 9)):
-            alone = run(engine, mechanism, y[some], time, tau[some], angle[some], **options)
+            alone = run(mechanism, y[some], time, tau[some], angle[some], **options)
             for each in Ends.__slots__:
                 expected = getattr(together, each)[some]
                 assert np.array_equal(getattr(alone, each), expected, equal_nan=True), each
@@ -195,7 +179,7 @@ class TestForces:
         y = np.concatenate([np.hstack([assemble(m, [1.0]), np.zeros(2)])[None] for m in made])
         aims = Aims(1e-11, 1e-11, suspect=suspect_quality(made[0]), work=True)
         two = [Motions(m, y[[i, i]], np.zeros((2, 2)), np.zeros(2)) for i, m in enumerate(made)]
-        found = integrate(two, 0.4, aims, [False, False], compiled=False)
+        found = integrate(two, 0.4, aims, [False, False])
         for k in range(6):
             m = made[k // 2]
             motion = simulate(m, y[k // 2, :2], y[k // 2, 2:], 0.4, rtol=1e-11, atol=1e-11)
@@ -204,7 +188,6 @@ class TestForces:
             assert ends.y[k % 2, :2] == pytest.approx(motion.q[-1], abs=1e-8)
 
 
-@pytest.mark.skipif("compiled" not in ENGINES, reason="needs llvmlite")
 class TestForcesCompiled:
     """Springs, dampers, friction, turning forces and couplings, each lane with its own numbers."""
 
@@ -218,7 +201,7 @@ class TestForcesCompiled:
         )
         mechanism = build(from_text(forced(seed, plain).text, "x"))
         n, y = mechanism.n, np.hstack([plain.q, plain.qd])[None]
-        found = run("compiled", mechanism, y, 0.1)
+        found = run(mechanism, y, 0.1)
         motion = simulate(mechanism, y[0, :n], y[0, n:], 0.1, rtol=1e-12, atol=1e-12)
         expected = np.concatenate([motion.q[-1], motion.qd[-1]])
         assert found.status == Status.REACHED
@@ -251,22 +234,21 @@ class TestForcesCompiled:
             assert ends.y[0, :2] == pytest.approx(motion.q[-1], abs=1e-8)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 class TestResults:
-    def test_error_follows_the_tolerance(self, engine) -> None:
+    def test_error_follows_the_tolerance(self) -> None:
         y = swings(20)
-        exact = run(engine, scene("2r"), y, 1.0, rtol=1e-14, atol=1e-14).y
+        exact = run(scene("2r"), y, 1.0, rtol=1e-14, atol=1e-14).y
         for tolerance in (1e-4, 1e-6, 1e-8, 1e-10):
-            found = run(engine, scene("2r"), y, 1.0, rtol=tolerance, atol=tolerance)
+            found = run(scene("2r"), y, 1.0, rtol=tolerance, atol=tolerance)
             assert tolerance / 1e3 < np.abs(found.y - exact).max() < 1e4 * tolerance
 
     @pytest.mark.parametrize("name", ["2r", "four-bar"])
     @pytest.mark.thinned
-    def test_extremes_are_those_of_a_fine_grid(self, engine, name) -> None:
+    def test_extremes_are_those_of_a_fine_grid(self, name) -> None:
         mechanism = scene(name)
         y = swings(3, 5) if name == "2r" else turning(mechanism, 3, 5)
         n = mechanism.n
-        found = run(engine, mechanism, y, 2.0)
+        found = run(mechanism, y, 2.0)
         for k, state in enumerate(y):
             times = np.linspace(0.0, 2.0, 40_001)
             motion = simulate(
@@ -290,36 +272,36 @@ class TestResults:
             energy = energy + potential_energy(mechanism, state[:n]) - mechanism.energy_offset
             assert found.energy[k] == pytest.approx([energy, energy], abs=1e-9)
 
-    def test_drift_takes_work_into_account(self, engine) -> None:
+    def test_drift_takes_work_into_account(self) -> None:
         links = [
             f"{{name: {k}, m: 1, l: 1.{k}, r: 0.5, I: 0.1, damping: 0.{k}}}" for k in (1, 2, 3)
         ]
         mechanism = build(from_text(f"gravity: 9.81\nlinks: [{', '.join(links)}]\n", "x"))
         y = np.random.default_rng(0).normal(size=(5, 6))
-        found = run(engine, mechanism, y, 1.0, tau=[1.0, 0.5, -2.0])
+        found = run(mechanism, y, 1.0, tau=[1.0, 0.5, -2.0])
         assert found.drift.max() < 1e-9
         assert (found.energy[:, 1] - found.energy[:, 0] > 1e-3).all()
 
-    def test_loops_stay_closed(self, engine) -> None:
+    def test_loops_stay_closed(self) -> None:
         mechanism = scene("four-bar")
-        found = run(engine, mechanism, turning(mechanism, 50), 3.0)
+        found = run(mechanism, turning(mechanism, 50), 3.0)
         assert np.abs(closure_gap(mechanism, found.y[:, :3])).max() < 1e-14
 
-    def test_change_points_stop_a_lane_and_are_told(self, engine) -> None:
+    def test_change_points_stop_a_lane_and_are_told(self) -> None:
         mechanism = scene("parallelogram")
-        found = run(engine, mechanism, turning(mechanism, 20), 5.0)
+        found = run(mechanism, turning(mechanism, 20), 5.0)
         assert set(found.status) <= {Status.REACHED, Status.SINGULAR}
         assert Status.SINGULAR in found.status
         stopped = found.status == Status.SINGULAR
         assert (found.t[stopped] < 5.0).all()
 
-    def test_too_many_steps_and_what_is_not_finite(self, engine) -> None:
-        found = run(engine, scene("2r"), swings(3), 10.0, most=5)
+    def test_too_many_steps_and_what_is_not_finite(self) -> None:
+        found = run(scene("2r"), swings(3), 10.0, most=5)
         assert found.status.tolist() == [Status.FULL] * 3
         assert found.steps.tolist() == [5] * 3
         y = swings(3)
         y[1, 2] = 1e200
-        found = run(engine, scene("2r"), y, 0.1)
+        found = run(scene("2r"), y, 0.1)
         assert found.status[[0, 2]].tolist() == [Status.REACHED] * 2
         assert found.status[1] in (Status.NOT_FINITE, Status.STUCK)
 
@@ -363,11 +345,10 @@ def flips() -> tuple[np.ndarray, np.ndarray]:
     return y, flips_by_events(y, 2.0)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_flips_are_where_events_find_them(engine) -> None:
+def test_flips_are_where_events_find_them() -> None:
     y, expected = flips()
     assert 5 < np.isnan(expected).sum() < 19
-    found = run(engine, scene("2r"), y, 2.0, angle=from_hanging(y), link=1)
+    found = run(scene("2r"), y, 2.0, angle=from_hanging(y), link=1)
     assert found.flip == pytest.approx(expected, abs=1e-8, nan_ok=True)
 
 
@@ -382,7 +363,7 @@ class TestSingle:
     def test_is_what_lanes_find(self) -> None:
         y, expected = flips()
         y = y[:6]
-        together = run("python", scene("2r"), y, 2.0, angle=from_hanging(y), link=1)
+        together = run(scene("2r"), y, 2.0, angle=from_hanging(y), link=1)
         ends = Ends.room(6, 2)
         aims = Aims(1e-12, 1e-12, link=1)
         for k, state in enumerate(y):
@@ -398,7 +379,7 @@ class TestSingle:
     def test_passes_change_points(self) -> None:
         mechanism = scene("parallelogram")
         y = turning(mechanism, 20)
-        stopped = run("python", mechanism, y, 3.0).status == Status.SINGULAR
+        stopped = run(mechanism, y, 3.0).status == Status.SINGULAR
         (k,) = np.flatnonzero(stopped)[:1]
         ends = Ends.room(1, 3)
         outcome = alone(mechanism, y[k], 3.0, Aims(1e-9, 1e-9), ends)

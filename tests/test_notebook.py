@@ -496,7 +496,7 @@ WRONG = [
     (lambda: package.sweep(ARM, {"q9": [0]}), "vary = q9"),
     (lambda: package.sweep(ARM, {"q1": "0:1"}), "vary q1 = 0:1"),
     (lambda: package.sweep(ARM, MOVED, tim=3), "tim: is no option"),
-    (lambda: package.sweep(ARM, MOVED, engine="fast"), "engine = fast"),
+    (lambda: package.sweep(ARM, MOVED, engine="fast"), "engine: is no option of sweep"),
     (lambda: package.sweep(ARM, MOVED, kind="x"), "kind = x"),
     (lambda: package.sweep(ARM, MOVED, max_steps=0), "max_steps = 0"),
     (lambda: package.plot(), "plot"),

@@ -32,14 +32,14 @@ from robodyn.scene.description import from_text
 from robodyn.scene.scene_values import SceneValues
 from robodyn.sweeps import sweep_chunks, sweep_workers
 from robodyn.sweeps.sweep_chunks import Rows, run_chunk
-from robodyn.sweeps.sweep_plan import Plan, best_engine, check
-from robodyn.sweeps.sweep_request import SweepRequest, plan_of
+from robodyn.sweeps.sweep_plan import Plan, check
+from robodyn.sweeps.sweep_request import SweepRequest, lacks_machine_code, plan_of
 from robodyn.sweeps.sweep_workers import results
 from robodyn.sweeps.variation import Axis, Variation, spaced
 
-ENGINES = ["python"]
+METHODS = ["DOP853"]  # one by one; and in lanes
 if machine.available():
-    ENGINES.append("compiled")
+    METHODS.append("taylor")
 
 
 def text(name: str) -> str:
@@ -61,9 +61,9 @@ def whole(plan: Plan, **options) -> Rows:
 
 
 @cache
-def alone(engine: str) -> Rows:
+def alone(method: str) -> Rows:
     """`TestWorkers.SMALL` by one process."""
-    return whole(replace(TestWorkers.SMALL, engine=engine), workers=1)
+    return whole(replace(TestWorkers.SMALL, method=method), workers=1)
 
 
 def column(plan: Plan, rows: Rows, name: str) -> np.ndarray:
@@ -80,10 +80,10 @@ SWING = plan(
 )
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("method", METHODS)
 class TestMotions:
-    def test_rows_are_single_simulations(self, engine) -> None:
-        swing = replace(SWING, engine=engine)
+    def test_rows_are_single_simulations(self, method) -> None:
+        swing = replace(SWING, method=method)
         rows = whole(swing)
         assert rows.outcomes == ["finished"] * 36
         scene = SceneValues(swing.scene, "x")
@@ -98,13 +98,13 @@ class TestMotions:
             end = [1.0, *motion.q[-1], *motion.qd[-1]]
             assert row[5:10] == pytest.approx(end, abs=2e-7)
 
-    def test_loops_and_what_cannot_be_assembled(self, engine) -> None:
+    def test_loops_and_what_cannot_be_assembled(self, method) -> None:
         four_bar = plan(
             "four-bar",
             Axis("links.crank.l", (0.35, 1.2)),
             Axis("q1", spaced(0.0, 3.0, 5)),
             qd=(2.0,),
-            engine=engine,
+            method=method,
         )
         rows = whole(four_bar)
         scene = SceneValues(four_bar.scene, "x")
@@ -122,9 +122,9 @@ class TestMotions:
             motion = simulate(bar, q, qd, 1.0, rtol=1e-11, atol=1e-11)
             assert row[3:9] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
 
-    def test_energies_are_those_of_single_simulations(self, engine) -> None:
+    def test_energies_are_those_of_single_simulations(self, method) -> None:
         """That of what stands still at another height counts too."""
-        lever = plan("whitworth", Axis("q1", (0.5, 1.5)), results=("extremes",), engine=engine)
+        lever = plan("whitworth", Axis("q1", (0.5, 1.5)), results=("extremes",), method=method)
         rows, mech = whole(lever), build(from_text(lever.scene, "x"))
         assert abs(mech.energy_offset) > 1.0
         for row, *ends in zip(
@@ -137,11 +137,11 @@ class TestMotions:
             energy = energy + potential_energy(mech, motion.q)
             assert ends == pytest.approx([energy.min(), energy.max()], abs=1e-4)
 
-    def test_rotors_have_energy(self, engine) -> None:
+    def test_rotors_have_energy(self, method) -> None:
         """1/2 (I + m r^2 + ratio^2 J) w^2 of a free wheel, and no more or less."""
         scene = "links: [{name: wheel, m: 2, l: 1, r: 0.1, I: 0.3, "
         scene += "motor: {ratio: 20, inertia: 1e-3}}]"
-        options = {"results": ("extremes",), "engine": engine, "t_end": 1.0}
+        options = {"results": ("extremes",), "method": method, "t_end": 1.0}
         wheel = Plan(
             scene, "x", Variation((Axis("qd1", (1.0, 3.0)),), None, 0),
             q=(0.0,), qd=(0.0,), tau=(0.0,), qdd=(0.0,), **options,
@@ -151,25 +151,27 @@ class TestMotions:
         for name in ("energy_min", "energy_max"):
             assert column(wheel, rows, name) == pytest.approx(expected, rel=1e-9)
 
-    def test_springs_go_together(self, engine, monkeypatch) -> None:
-        monkeypatch.setattr("robodyn.sweeps.sweep_chunks.single", None)
+    def test_springs_go_together(self, method, monkeypatch) -> None:
+        if method == "taylor":
+            monkeypatch.setattr("robodyn.sweeps.sweep_chunks.single", None)
         axes = Axis("springs[0].stiffness", (100.0, 350.0)), Axis("q1", (1.0, 2.0))
-        crank = plan("spring-slider-crank", *axes, t_end=0.5, engine=engine)
+        crank = plan("spring-slider-crank", *axes, t_end=0.5, method=method)
         rows = whole(crank)
         for row in rows.values:
             scene = SceneValues(crank.scene, "x").replaced({"springs[0].stiffness": row[0]})
             motion = simulate(build(scene), assemble(build(scene), [row[1]]), [0, 0], 0.5)
             assert row[3:7] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
 
-    def test_friction_and_gears_go_together(self, engine, monkeypatch) -> None:
-        monkeypatch.setattr("robodyn.sweeps.sweep_chunks.single", None)
+    def test_friction_and_gears_go_together(self, method, monkeypatch) -> None:
+        if method == "taylor":
+            monkeypatch.setattr("robodyn.sweeps.sweep_chunks.single", None)
         axes = Axis("links.crank.damping", (0.0, 0.1)), Axis("q1", (1.0,))
-        crank = plan("spring-slider-crank", *axes, t_end=0.3, engine=engine)
+        crank = plan("spring-slider-crank", *axes, t_end=0.3, method=method)
         rubbing = crank.scene.replace(
             "name: crank,", "name: crank, friction: {torque: 1, speed: 0.1},"
         )
         assert rubbing != crank.scene
-        geared = plan("geared-five-bar", Axis("q1", (0.3, 0.5)), t_end=0.3, engine=engine)
+        geared = plan("geared-five-bar", Axis("q1", (0.3, 0.5)), t_end=0.3, method=method)
         for each in (replace(crank, scene=rubbing), geared):
             rows = whole(each)
             assert rows.outcomes == ["finished"] * 2
@@ -181,34 +183,34 @@ class TestMotions:
             found = [column(each, rows, f"q{k + 1}_end")[0] for k in range(mechanism.n)]
             assert found == pytest.approx(motion.q[-1], abs=1e-7)
 
-    def test_a_spring_that_has_no_direction_is_told(self, engine) -> None:
+    def test_a_spring_that_has_no_direction_is_told(self, method) -> None:
         links = ", ".join(f"{{name: {x}, m: 1, l: 1, r: 0.5, I: 0.1}}" for x in "ab")
         ends = "[{link: a, at: [1, 0]}, {link: b, at: [0, 0]}]"
         spring = f"{{between: {ends}, stiffness: 10, length: 1}}"
-        arm = plan("2r", Axis("q1", (0.1, 0.2)), t_end=0.1, engine=engine)
+        arm = plan("2r", Axis("q1", (0.1, 0.2)), t_end=0.1, method=method)
         rows = whole(replace(arm, scene=f"links: [{links}]\nsprings: [{spring}]\n"))
         assert rows.outcomes == ["singular"] * 2
 
-    def test_change_points_are_passed(self, engine) -> None:
-        bars = plan("parallelogram", Axis("q1", (1.0, 2.0)), qd=(3.0,), t_end=2.0, engine=engine)
+    def test_change_points_are_passed(self, method) -> None:
+        bars = plan("parallelogram", Axis("q1", (1.0, 2.0)), qd=(3.0,), t_end=2.0, method=method)
         rows = whole(bars)
         assert rows.outcomes == ["finished"] * 2
         assert column(bars, rows, "drift").max() < 1e-6
 
-    def test_a_sample_and_its_engines_agree(self, engine) -> None:
+    def test_a_sample_and_its_methods_agree(self, method) -> None:
         drawn = plan(
             "2r", Axis("q1", low=-1.0, high=1.0), Axis("gravity", (3.7, 9.81)), sample=30, seed=4
         )
         expected = whole(drawn).values
-        found = whole(replace(drawn, engine=engine)).values
+        found = whole(replace(drawn, method=method)).values
         assert found == pytest.approx(expected, rel=1e-7, abs=1e-8, nan_ok=True)
         assert (np.unique(found[:, 1]) == [3.7, 9.81]).all()
 
-    def test_only_the_results_that_are_wanted(self, engine) -> None:
-        few = replace(SWING, engine=engine, results=("final", "flip"))
+    def test_only_the_results_that_are_wanted(self, method) -> None:
+        few = replace(SWING, method=method, results=("final", "flip"))
         assert few.columns()[5:] == ["t_end", "q1_end", "q2_end", "qd1_end", "qd2_end", "flip",
                                      "outcome"]  # fmt: skip
-        everything = whole(replace(SWING, engine=engine))
+        everything = whole(replace(SWING, method=method))
         assert whole(few).values[:, :10] == pytest.approx(everything.values[:, :10], abs=1e-12)
 
 
@@ -254,18 +256,18 @@ class TestWorkers:
         chunk=20,
     )
 
-    @pytest.mark.parametrize("engine", ENGINES)
-    def test_any_number_gives_the_same(self, engine) -> None:
-        small = replace(self.SMALL, engine=engine)
+    @pytest.mark.parametrize("method", METHODS)
+    def test_any_number_gives_the_same(self, method) -> None:
+        small = replace(self.SMALL, method=method)
         assert small.chunks == 4
-        expected = alone(engine)
-        for workers in (2, 3) if FRESH or engine == "compiled" else (2,):
+        expected = alone(method)
+        for workers in (2, 3) if FRESH or method == "taylor" else (2,):
             found = whole(small, workers=workers)
             assert found.values.tobytes() == expected.values.tobytes()
             assert found.outcomes == expected.outcomes
 
     def test_a_later_beginning_gives_the_rest(self) -> None:
-        expected = alone(self.SMALL.engine).values
+        expected = alone(self.SMALL.method).values
         assert whole(self.SMALL, begin=2).values.tobytes() == expected[40:].tobytes()
         assert [*results(self.SMALL, begin=4)] == []
 
@@ -305,18 +307,21 @@ class TestWorkers:
             rows = whole(sprung, workers=workers)
             assert column(sprung, rows, "tau1").tolist() == [3.0] * 40
 
-    def test_the_engine_is_chosen(self) -> None:
-        arm, sprung = (build(from_text(text(x), x)) for x in ("2r", "spring-slider-crank"))
-        assert best_engine("auto", 10, arm) == "python"
-        assert best_engine("python", 10**6, arm) == "python"
-        assert best_engine("auto", 10**6, arm) == ENGINES[-1]
-        assert best_engine("auto", 10**6, sprung) == ENGINES[-1]
+    def test_lanes_are_taken_where_there_is_machine_code(self, monkeypatch) -> None:
+        def chosen(name: str, varied: str, **options: Any) -> Plan:
+            request = SweepRequest([varied], **options)
+            return plan_of(SceneValues(text(name), name), (), request)
 
-    def test_a_missing_extra_is_told(self, monkeypatch) -> None:
+        for name in ("2r", "spring-slider-crank"):
+            assert chosen(name, "q1=0.1,0.2").method == METHODS[-1]
+        assert chosen("2r", "q1=0.1,0.2", event=["x=q1"], result="events").method == "DOP853"
         monkeypatch.setattr(machine, "available", lambda: False)
-        assert best_engine("auto", 10**6, check(SWING)) == "python"
-        with pytest.raises(InputError, match=r"\.\[fast\]"):
-            best_engine("compiled", 10, check(SWING))
+        alone = chosen("2r", "q1=0.1,0.2")
+        assert alone.method == "DOP853"
+        assert lacks_machine_code(alone)
+        assert not lacks_machine_code(chosen("2r", "q1=0.1,0.2", event=["x=q1"], result="events"))
+        with pytest.raises(RobodynError, match="fast"):  # a worker without the extra
+            run_chunk(replace(alone, method="taylor"), 0)
 
 
 def test_what_no_point_could_have_is_refused() -> None:
@@ -339,7 +344,7 @@ def test_a_chunk_is_part_of_the_whole() -> None:
     assert whole(parts, workers=1).values == pytest.approx(expected, abs=1e-12, nan_ok=True)
 
 
-@pytest.mark.skipif("compiled" not in ENGINES, reason="needs llvmlite")
+@pytest.mark.skipif("compiled" not in METHODS, reason="needs llvmlite")
 @pytest.mark.parametrize(
     ("name", "axes"),
     [
@@ -353,7 +358,7 @@ def test_a_chunk_is_part_of_the_whole() -> None:
 )
 def test_no_digit_depends_on_the_chunk_or_the_lane(name, axes) -> None:
     """A number that is 0 or 1 at a point, or the same at all of a chunk, is no other code."""
-    drawn = replace(plan(name, *axes, sample=37, seed=3), engine="compiled", t_end=0.5)
+    drawn = replace(plan(name, *axes, sample=37, seed=3), method="taylor", t_end=0.5)
     expected = whole(replace(drawn, chunk=37), workers=1)
     for chunk in (1, 5, 16):
         found = whole(replace(drawn, chunk=chunk), workers=1)
@@ -389,7 +394,7 @@ class TestCluster:
 
     @pytest.mark.filterwarnings("ignore")
     def test_gives_what_one_process_gives(self, address) -> None:
-        expected = alone(TestWorkers.SMALL.engine)
+        expected = alone(TestWorkers.SMALL.method)
         found = whole(TestWorkers.SMALL, scheduler=address)
         assert found.values.tobytes() == expected.values.tobytes()
         assert found.outcomes == expected.outcomes
@@ -461,7 +466,7 @@ class TestCluster:
 
     @pytest.mark.filterwarnings("ignore")
     def test_workers_that_come_back_go_on(self, cluster) -> None:
-        expected = alone(TestWorkers.SMALL.engine)
+        expected = alone(TestWorkers.SMALL.method)
         told: list[str] = []
 
         def tell(text: str) -> None:

@@ -48,7 +48,7 @@ _OPTIONS = {
         "What varies": "--vary --sample --seed",
         "Start and torques": "--kind --q --qd --qdd --tau",
         "Control": _CONTROL,
-        "Integration": "--time --rtol --atol --max-steps --engine",
+        "Integration": "--time --rtol --atol --max-steps",
         "Results": "--result --of --points --event --flip --correlations --extremes",
         "Work": "--workers --scheduler --patience",
         "Output": "--degrees --quiet --out",

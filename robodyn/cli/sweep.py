@@ -3,31 +3,130 @@
 from __future__ import annotations
 
 import io
+import re
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from robodyn.cli.files import named, output_file
+from robodyn.cli.files import named as not_empty
+from robodyn.cli.files import output_file
 from robodyn.cli.large_angles import tell_large_angles
 from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, option, refuse, switch
 from robodyn.cli.output import RowOptions, note, told
 from robodyn.cli.progress import progress
-from robodyn.cli.simulate_options import ControlOptions
+from robodyn.cli.simulate_options import (
+    EVENT,
+    ControlOptions,
+    check_no_control,
+    controlled,
+    given_of,
+    named,
+    reference_from,
+)
 from robodyn.cli.states import remarks
-from robodyn.cli.sweep_options import SweepOptions, plan_of
+from robodyn.control.laws import controller
 from robodyn.errors import InputError, named_options
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
+from robodyn.simulation.even_times import DEFAULT_POINTS
+from robodyn.simulation.run_torques import check_span
+from robodyn.sweeps import sweep_request
 from robodyn.sweeps.resumable_file import ResumableFile
+from robodyn.sweeps.row_results import TAKEN
 from robodyn.sweeps.sweep_chunks import Rows
-from robodyn.sweeps.sweep_plan import Plan, check
+from robodyn.sweeps.sweep_plan import EVENTS, RESULTS, Plan, check
+from robodyn.sweeps.sweep_request import Acting, Kind, SweepRequest, lacks_machine_code
 from robodyn.sweeps.sweep_workers import PATIENCE, results, without_remarks
+from robodyn.sweeps.variation import Axis
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import Writer
+
+_Q = "Angles, rad, or 30deg, of the joints that determine all others. Default: zero."
+_QDD = "Accelerations of these joints, rad/s^2, for torques. Default: zero."
+_TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
+_OF = "The points of such columns, as `points` has them; repeatable."
+_ROWS = f"Even rows of a motion that columns are taken of. Default: {DEFAULT_POINTS}."
+_NO_ENGINE = "is no option any more: motions go by machine code where the extra `fast` is"
+_STEPS = "A motion gives up after so many."
+
+
+@dataclass(frozen=True)
+class SweepOptions(SweepRequest):
+    """What is computed, and at which points."""
+
+    vary: list[str] = option(
+        "What varies: NAME=first:last:count, first:last:step (with a unit or a decimal point), "
+        "a,b,c, or with --sample low:high, uniform(low,high), normal(mean,deviation). Once for "
+        "each NAME.",
+        "NAME=VALUES",
+        default=MISSING,
+    )
+    sample: int | None = option("Draw N points at random; no grid.", "N")
+    seed: int = option("Of the random sample.", "S", default=SweepRequest.seed)
+    kind: Kind = option("Motions, or torques at states.", default=SweepRequest.kind)
+    q: Text = option(_Q, "VECTOR")
+    qd: Text = option("Rates of these joints, rad/s or 30deg. Default: zero.", "VECTOR")
+    qdd: Text = option(_QDD, "VECTOR")
+    tau: Text = option("Constant torques of the actuated joints, N m. Default: zero.", "VECTOR")
+    time: Number = option(_TIME, "S")
+    result: Text = option(
+        f"Of motions {', '.join(RESULTS)}, and {EVENTS} with --event. Of torques at a state "
+        "columns of torque, reactions, points; of many rows what is taken of one: "
+        f"{', '.join(TAKEN)}, max(tau1).",
+        "NAMES",
+    )
+    of: list[str] | None = option(_OF, "[NAME=]POINT")
+    points: int | None = option(_ROWS, "N")
+    event: list[str] | None = option(EVENT, "NAME=EXPR")
+    flip: Text = option("The link whose flip is told. Default: the last.", "LINK")
+    rtol: float = option("Relative tolerance of a step.", default=SweepRequest.rtol)
+    atol: float = option("Absolute one, rad, rad/s.", default=SweepRequest.atol)
+    max_steps: int = option(_STEPS, "N", default=SweepRequest.max_steps)
+    engine: Text = option("", hidden=True)
+
+
+def plan_of(model: Model, given: SweepOptions, control: ControlOptions) -> Plan:
+    """What the options say; InputError naming the option that is wrong."""
+    refuse(_NO_ENGINE, engine=given.engine)
+    scene, acts = model.values(), partial(_acting, given, control)
+    return sweep_request.plan_of(scene, model.given, given, acts)
+
+
+def _acting(
+    given: SweepRequest, options: ControlOptions, mechanism: Mechanism, axes: tuple[Axis, ...]
+) -> Acting:
+    """The reference of torques, or the controller of motions, and the end time."""
+    if options.control is None:
+        check_no_control(options, "track")
+        if options.track is None:
+            return Acting(given.duration)
+        if given.kind == "motion":
+            raise InputError("--track", limit="needs --control, or --kind torque")
+        for flag in given_of(given, "time", "q", "qd", "qdd"):
+            raise InputError(f"{flag} and --track", limit="exclude each other")
+        joints = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
+        for axis in (axis for axis in axes if axis.name in joints):
+            raise InputError("--vary", value=axis.name, limit="is told by --track")
+        track = reference_from(mechanism, options.track, options.unwrap)
+        return Acting(given.duration, track, follows=True)
+    if given.kind == "torque":
+        raise InputError("--control", limit="is for --kind motion")
+    if given.tau is not None:
+        raise InputError("--tau and --control", limit="exclude each other")
+    for axis in (axis for axis in axes if re.fullmatch("tau[0-9]+", axis.name)):
+        raise InputError("--vary", value=axis.name, limit="is what --control gives")
+    arguments, end = controlled(mechanism, options, given.time)
+    if options.control != "state-feedback" and arguments["control_model"] is None:
+        arguments["control_model"] = mechanism  # which does not vary
+    with named():
+        check_span(controller(mechanism, **arguments), end)
+    return Acting(end, control=tuple(arguments.items()), follows=options.track is not None)
+
 
 Compute = Callable[[int, Callable[[Rows], object]], object]  # from a chunk on, into what writes
 _SCHEDULER = "A Dask scheduler whose workers compute the chunks (the extra `cluster`)."
@@ -35,6 +134,7 @@ _LOST = f"How long to wait for a silent scheduler, or one without workers. Defau
 _CORRELATIONS = "In place of the rows, Spearman's rank correlation of each result with what varies."
 MOST = 100_000  # points of a sample of which it is told
 SHOWN = 3  # numbers that are named
+MANY = 1000  # motions, from which on machine code is worth an installation
 _OUT = "Write here, by way of FILE.partial, from which a sweep cut off goes on."
 
 
@@ -43,7 +143,7 @@ class WorkOptions:
     """Who computes."""
 
     workers: int | None = option("Threads or processes. Default: processors.", "N")
-    scheduler: Text = option(_SCHEDULER, "ADDRESS", callback=named)
+    scheduler: Text = option(_SCHEDULER, "ADDRESS", callback=not_empty)
     patience: Number = option(_LOST, "S")
 
     def check(self) -> None:
@@ -108,6 +208,8 @@ def sweep(
     with remarks():
         check(plan)
     tell_large_angles(plan.mechanism, model.values)
+    if plan.variation.size >= MANY and lacks_machine_code(plan) and not quiet:
+        note("Note: the extra `fast` (pip install '.[fast]') makes this hundreds of times faster")
     units, values = dict(scene_units(plan.mechanism)), model.values()
     units |= {x.name: values.unit(x.name) for x in plan.variation.axes if x.name in values}
     lines = _Lines(plan.columns(), units)
@@ -218,5 +320,5 @@ def _summary(plan: Plan, outcomes: Counter[str], seconds: float) -> None:
     points = outcomes.total()
     counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
     each = f", {seconds / points * 1e3:.3g} ms each" if points else ""
-    engine = f" ({plan.engine})" if plan.kind == "motion" else ""
+    engine = f" ({plan.method})" if plan.kind == "motion" else ""
     note(f"{points} points in {seconds:.3g} s{each}{engine}: {counts or 'nothing was left to do'}")

@@ -14,7 +14,6 @@ from robodyn.notebook.inline import named_as_arguments
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_tree import Scalar
 from robodyn.scene.yaml_tree import Sequence as ListOf
-from robodyn.simulation.settings import Engine
 from robodyn.sweeps.sweep_plan import check
 from robodyn.sweeps.sweep_request import Kind, SweepRequest, plan_of
 from robodyn.sweeps.sweep_workers import results, without_remarks
@@ -36,7 +35,7 @@ def sweep(
     `vary` has for each joint's start, torque, or number of the scene its values: a list, or what
     --vary takes, "0:360deg:37" or, with `sample`, "0.5:1.5", "normal(1.3, 0.02)".  `options` are
     those of the command: kind, q, qd, qdd, tau, time, result, of, points, event, flip, seed, rtol,
-    atol, max_steps, engine.  `workers` are threads or processes; None: one a processor.  A point
+    atol, max_steps.  `workers` are threads or processes; None: one a processor.  A point
     without a result has nan.  Raises InputError for what does not fit.
     """
     known = SweepRequest.__dataclass_fields__
@@ -45,9 +44,9 @@ def sweep(
     for name in options:
         if name not in known:
             raise InputError(name, limit=f"is no option of sweep; there are {', '.join(known)}")
-    for name, words in (("kind", get_args(Kind)), ("engine", get_args(Engine))):
-        if options.get(name, words[0]) not in words:
-            raise InputError(name, value=options[name], limit=f"must be one of {', '.join(words)}")
+    if (kind := options.get("kind", "motion")) not in get_args(Kind):
+        limit = f"must be one of {', '.join(get_args(Kind))}"
+        raise InputError("kind", value=kind, limit=limit)
     axes = [f"{name}={_values(values)}" for name, values in vary.items()]
     given = {name: _values(x) if name in VECTORS else x for name, x in options.items()}
     for name in ("of", "event"):

@@ -26,7 +26,6 @@ NUMBERS = {
     "max_evaluations": "max_evals",
 }
 Method = Literal["DOP853", "RK45", "Radau", "taylor"]
-Engine = Literal["auto", "python", "compiled"]  # of sweeps
 Stabilize = Literal["projection", "baumgarte", "none"]
 METHODS: tuple[str, ...] = get_args(Method)
 REMOVED = {"RK23": "RK45", "BDF": "Radau", "LSODA": "Radau"}  # what to take in place of each

@@ -1,7 +1,7 @@
-"""Many motions of one structure at once, one in each lane: in machine code, or in numpy.
+"""Many motions of one structure at once in machine code, one in each lane.
 
-Both follow the text of `engines/machine_motion.py` and `lane_observer.py`, for every scene that
-machine code serves: numbers of the scene and torques may differ from lane to lane.
+The code is that of `engines/machine_motion.py` and `lane_observer.py`, for every scene that machine
+code serves: numbers of the scene and torques may differ from lane to lane.
 """
 
 from __future__ import annotations
@@ -18,23 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.engines import machine_motion
-from robodyn.engines.machine import Processor
 from robodyn.engines.machine_motion import RUNNING, Loaded
 from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.sweeps.array_machine import LANES, ArrayMachine
 from robodyn.sweeps.lane_observer import LaneObserver, kept
-from robodyn.sweeps.step_extremes import crossings, extremes
 from robodyn.tables.arrays import Array
-from robodyn.taylor import Status, order_where_series_cost, order_where_steps_cost
+from robodyn.taylor import Status, order_where_series_cost
 from robodyn.taylor.compiled import serves
 
 KEPT = 64  # codes in a process
 PIECE = 128  # lanes of one call of machine code, and
 BUDGET = 512  # steps of each: some 10 ms, which Ctrl-C does not end
-STEPS = 4  # of numpy's, after which lanes that have ended leave the arrays
-CROWDED = 0.9  # part of the lanes that stay, from which on they do not
 
 
 class Aims(NamedTuple):
@@ -104,7 +99,6 @@ def integrate(
     t_end: float,
     aims: Aims,
     driven: Sequence[bool],
-    compiled: bool = True,
 ) -> list[Ends | None]:
     """The motions of each member from t = 0 to t_end; None where its mechanism is not served.
 
@@ -113,12 +107,12 @@ def integrate(
     """
     found: list[Ends | None] = [None] * len(members)
     alike: dict[str, list[int]] = {}
-    scenes = [_scene(x.mechanism, tuple(driven), aims, compiled) for x in members]
+    scenes = [_scene(x.mechanism, tuple(driven), aims) for x in members]
     for i, scene in enumerate(scenes):
         if scene is not None:
-            alike.setdefault(f"{compiled} {scene.key}", []).append(i)
+            alike.setdefault(scene.key, []).append(i)
     for key, indices in alike.items():
-        shape = _shape(key, scenes[indices[0]], aims, compiled)
+        shape = _shape(key, scenes[indices[0]], aims)
         if shape is None:
             continue
         parts = [_columns(scenes[i], members[i], t_end, aims) for i in indices]
@@ -133,18 +127,23 @@ def integrate(
     return found
 
 
+def served(mechanism: Mechanism) -> bool:
+    """Whether its motions go in lanes, if there is machine code at all.
+
+    No lane steps onto times of loads.
+    """
+    return serves(mechanism) and not mechanism.timed
+
+
 @lru_cache(maxsize=8)
-def _scene(
-    mechanism: Mechanism, driven: tuple[bool, ...], aims: Aims, compiled: bool
-) -> Scene | None:
-    if not serves(mechanism) or mechanism.timed:  # no lane steps onto times of loads
+def _scene(mechanism: Mechanism, driven: tuple[bool, ...], aims: Aims) -> Scene | None:
+    if not served(mechanism):
         return None
-    order = order_where_series_cost(aims.rtol) if compiled else order_where_steps_cost(aims.rtol)
     try:
         return Scene(
             mechanism,
             Actuation(tuple(map(float, driven))),
-            order,
+            order_where_series_cost(aims.rtol),
             work=aims.work,
             rate_series=aims.extremes,
             link=aims.link,
@@ -154,21 +153,19 @@ def _scene(
         return None
 
 
-def _shape(key: str, scene: Scene | None, aims: Aims, compiled: bool) -> _Shape | None:
+def _shape(key: str, scene: Scene | None, aims: Aims) -> _Shape | None:
     with _making:  # all threads get the same
         if key not in _shapes:
             while len(_shapes) >= KEPT:
                 _shapes.pop(next(iter(_shapes)))
-            _shapes[key] = _made(scene, aims, compiled)
+            _shapes[key] = _made(scene, aims)
         return _shapes[key]
 
 
-def _made(scene: Scene | None, aims: Aims, compiled: bool) -> _Shape | None:
+def _made(scene: Scene | None, aims: Aims) -> _Shape | None:
     assert scene is not None
     observer = LaneObserver(scene, aims.extremes)
     try:
-        if not compiled:
-            return _Shape(scene, _ArrayLanes(scene, observer).run)
         loaded = machine_motion.compile(scene, observer, 0)
         return None if loaded is None else _Shape(scene, _MachineLanes(scene, loaded).run)
     except ZeroDivisionError:  # no state has a series
@@ -232,56 +229,3 @@ class _MachineLanes:
             while self.call(block.ctypes.data, held.ctypes.data, wide, first, stop, BUDGET):
                 pass
         columns[:] = held[:, :L]
-
-
-class _ArrayLanes(ArrayMachine):
-    """Lanes in numpy; those that have ended leave the arrays, so that the last ones cost little."""
-
-    def __init__(self, scene: Scene, observer: LaneObserver) -> None:
-        processor = Processor("", "", LANES)
-        text = machine_motion.text(scene, observer, processor)
-        super().__init__(text, len(scene.loop.columns))
-        self.scene = scene
-
-    def run(self, columns: Array) -> None:
-        """Take columns (items, L) to their ends, in place."""
-        count, L = columns.shape
-        lanes, M = np.arange(L), np.zeros((self.scene.items, L))
-        M[:count] = columns
-        with np.errstate(all="ignore"):  # what leaves the floats is told by its status
-            self.begin(M, 0)
-            while True:
-                running = M[self.scene.place["status"]] == RUNNING
-                if running.mean() < CROWDED:
-                    columns[:, lanes] = M[:count]
-                    if not running.any():
-                        return
-                    lanes, M = lanes[running], np.ascontiguousarray(M[:, running])
-                self.advance(M, 0, STEPS, 0)
-
-    def widen(self, M: Array, block: int, j: int) -> None:
-        """Of all joints at once, with the first."""
-        if j == 0:
-            place, n, count = self.scene.whole, self.scene.mechanism.n, self.scene.order + 1
-            (b,) = np.nonzero(M[place["x"]])
-            first = place["rate0_0"]
-            rates = M[first : first + n * count, b].reshape(n, count, -1).swapaxes(0, 1)
-            low, high, rate_low, rate_high = extremes(rates, M[place["x"], b])
-            q = M[:n, b]
-            for name, choose, found in (
-                ("low0", np.fmin, (q + low, rate_low)),
-                ("high0", np.fmax, (q + high, rate_high)),
-            ):
-                rows = M[place[name] : place[name] + 2 * n]
-                rows[:, b] = choose(rows[:, b], np.concatenate(found))
-
-    def cross(self, M: Array, block: int) -> None:
-        scene, place = self.scene, self.scene.whole
-        x, flip, first = M[place["x"]], M[place["flip"]], place["link0_0"]
-        (b,) = np.nonzero((x != 0.0) & np.isnan(flip))
-        if len(b):
-            angle = M[place["angle"], b]
-            for j in scene.mechanism.turns_by(scene.link):
-                angle = angle + M[j, b]
-            rates = M[first : first + scene.order + 1, b]
-            flip[b] = M[place["t"], b] + crossings(angle, rates, x[b], math.pi)

@@ -21,6 +21,7 @@ from robodyn import __version__
 from robodyn.control.tracking import ReferenceTable
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.state_columns import torque_columns
+from robodyn.engines import machine
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.assembly_plan import with_independent
@@ -263,14 +264,13 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
         angle = _from_hanging(group.mechanism, group.q, aims.link)
         y = np.hstack([group.q, group.qd])
         members.append(Motions(group.mechanism, y, group.tau, angle))
-    compiled = plan.engine == "compiled"
     told = np.full((P, 2 * len(plan.events) + len(plan.told)), math.nan)
     together: list[Ends | None] = [None] * len(members)
-    if not plan.one_by_one:
-        together = integrate(members, plan.t_end, aims, driven, compiled)
-    if compiled and None in together:  # no code could be made
-        again = integrate(members, plan.t_end, aims, driven, compiled=False)
-        together = [a or b for a, b in zip(together, again, strict=True)]
+    if plan.method == "taylor":
+        if not machine.available():
+            limit = "the sweep goes by machine code: a worker must have the extra `fast`, too"
+            raise RobodynError("llvmlite", limit=limit)
+        together = integrate(members, plan.t_end, aims, driven)
     for group, member, found in zip(groups, members, together, strict=True):
         alone = list(_OUTCOMES)
         if found is not None:

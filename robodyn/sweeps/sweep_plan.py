@@ -18,21 +18,17 @@ from robodyn import __version__
 from robodyn.control.tracking import ReferenceTable
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.state_columns import torque_columns
-from robodyn.engines import machine
 from robodyn.errors import InputError
 from robodyn.loops.assembly_plan import assembly_plan, with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.scene import Tables
 from robodyn.scene.scene_values import SceneValues, read_numbers
 from robodyn.sweeps.variation import Variation
-from robodyn.taylor.compiled import serves
 
-# points of a chunk: in numpy many share the cost of a call, compiled they are quick to share out
-CHUNKS = {"python": 2000, "compiled": 512}
-WORTH_MAKING = 200  # points whose time is that of making machine code
+CHUNKS = {"DOP853": 64, "taylor": 512}  # points of a chunk of motions
+STATES = 2000  # of torques: many share the cost of a call
 RESULTS = ("final", "extremes", "drift", "flip")
 EVENTS = "events"  # a result that goes with events alone
-ONE_BY_ONE = 64  # points of a chunk whose motions go so
 _ENDS = ("min", "max")
 
 
@@ -59,9 +55,9 @@ class Plan:
     rtol: float = 1e-9
     atol: float = 1e-9
     most: int = 100_000  # steps of a motion
-    engine: str = "python"  # or compiled
+    method: str = "DOP853"  # of motions, one by one; or taylor: in lanes of machine code
     version: str = __version__
-    chunk: int = CHUNKS["python"]
+    chunk: int = STATES
     events: tuple[tuple[str, str], ...] = ()  # names and expressions
     numbers: tuple[tuple[str, str], ...] = ()  # of the scene, in place of its own
     tables: Tables = field(default_factory=dict)  # that the scene names, so that nobody reads them
@@ -111,11 +107,6 @@ class Plan:
         names += [f"{name}_{what}" for name, _ in self.events for what in ("count", "first")]
         return [*names, *self.told, "outcome"]
 
-    @property
-    def one_by_one(self) -> bool:
-        """Whether its motions are simulated so, and not many together in lanes."""
-        return bool(self.events or self.told or self.control)
-
     def facts(self) -> dict[str, object]:
         """Everything that the rows depend on, as JSON has it."""
         facts = {x.name: getattr(self, x.name) for x in fields(self)}
@@ -154,22 +145,6 @@ def _plain(value: Any) -> object:
     if isinstance(value, ReferenceTable):
         return value.times, value.coefficients.tolist()
     return value
-
-
-def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
-    """The engine that `wanted` names; auto: machine code for many points, where it serves.
-
-    Raises InputError where machine code is wanted and there is none.
-    """
-    if wanted == "python" or (wanted == "auto" and points < WORTH_MAKING):
-        return "python"
-    there = machine.available()
-    if wanted == "compiled":
-        if not there:
-            limit = "needs the extra `fast` (pip install '.[fast]'): take auto or python"
-            raise InputError("engine", value=wanted, limit=limit)
-        return wanted
-    return "compiled" if there and serves(mechanism) else "python"
 
 
 def check(plan: Plan) -> Mechanism:

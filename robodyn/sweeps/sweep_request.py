@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from robodyn.control.tracking import ReferenceTable
+from robodyn.engines import machine
 from robodyn.errors import InputError, named_options, nearest_first
 from robodyn.events.functions import named_events
 from robodyn.loops.assembly_plan import with_independent
@@ -19,10 +20,11 @@ from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.even_times import DEFAULT_DURATION, DEFAULT_POINTS
-from robodyn.simulation.settings import Engine, Settings
+from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import UNTIL
+from robodyn.sweeps.lanes import served
 from robodyn.sweeps.row_results import check_results
-from robodyn.sweeps.sweep_plan import CHUNKS, EVENTS, ONE_BY_ONE, RESULTS, Plan, best_engine
+from robodyn.sweeps.sweep_plan import CHUNKS, EVENTS, RESULTS, STATES, Plan
 from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
 from robodyn.tables.csv_fields import shown
 
@@ -55,7 +57,6 @@ class SweepRequest:
     rtol: float = 1e-9
     atol: float = 1e-9
     max_steps: int = 100_000
-    engine: Engine = "auto"
 
     @property
     def duration(self) -> float:
@@ -116,13 +117,9 @@ def plan_of(
                 vectors[name] = tuple(led.get(k, 0.0) for k in joints)
     chosen, told = _results(mechanism, given, acting)
     events = _events(mechanism, given, EVENTS in chosen)
-    alone, engine = given.kind == "motion" and bool(events or told or acting.control), "python"
-    if alone and given.engine == "compiled":
-        limit = "events, columns and controllers take one motion at a time, in Python"
-        raise InputError("--engine", value=given.engine, limit=f"{limit}: take auto or python")
-    if given.kind == "motion" and not alone:
-        with named_options(("engine",)):
-            engine = best_engine(given.engine, variation.size, mechanism)
+    together = _together(mechanism, events, told, acting.control)
+    method = "taylor" if together and machine.available() else "DOP853"
+    chunk = CHUNKS[method] if given.kind == "motion" else STATES
     names = list(mechanism.link_names)
     if given.flip is not None and given.flip not in names:
         limit = f"names no link{nearest(given.flip, names)}"
@@ -146,10 +143,21 @@ def plan_of(
         rtol=given.rtol,
         atol=given.atol,
         most=given.max_steps,
-        engine=engine,
-        chunk=ONE_BY_ONE if alone or acting.track else CHUNKS[engine],
+        method=method,
+        chunk=CHUNKS["DOP853"] if acting.track else chunk,
         events=events,
     )
+
+
+def _together(mechanism: Mechanism, *alone: object) -> bool:
+    """Whether motions could go in lanes; events, columns, controllers take one at a time."""
+    return served(mechanism) and not any(alone)
+
+
+def lacks_machine_code(plan: Plan) -> bool:
+    """Whether the extra `fast` would make the motions of the plan far faster."""
+    together = _together(plan.mechanism, plan.events, plan.told, plan.control)
+    return plan.kind == "motion" and together and not machine.available()
 
 
 def _results(

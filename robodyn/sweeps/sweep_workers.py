@@ -1,7 +1,7 @@
 """The chunks of a sweep, in order: computed here, by threads, processes, or a Dask cluster.
 
-Machine code lets threads share the processor; numpy on small arrays, and reading scenes again, do
-not: these go to processes.  Only so many chunks are under way at a time that memory does not grow
+Machine code lets threads share the processor; motions one by one, and reading scenes again, do not:
+these go to processes.  Only so many chunks are under way at a time that memory does not grow
 with their number.
 """
 
@@ -112,7 +112,7 @@ def _executor(plan: Plan, count: int) -> Executor:
     for k in plan.scene_axes:
         values = plan.variation.axes[k].values
         scenes *= len(values) if values else plan.variation.size
-    compiled = plan.engine == "compiled" and plan.kind == "motion"
+    compiled = plan.method == "taylor" and plan.kind == "motion"
     safe = sys.flags.safe_path or not sys.flags.ignore_environment  # see `_starting_processes`
     if (compiled and scenes < MANY_SCENES) or not safe:
         return ThreadPoolExecutor(count)
