@@ -618,3 +618,9 @@ def test_no_names_and_what_are_none() -> None:
     for names in wrong:
         with pytest.raises(InputError, match=r"sensitivity = .*: must be a list of texts"):
             rd.simulate(mech, [0, 0], [0, 0], 0.1, sensitivity=names)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("names", ["", ",", "q1,", "q1,q1"])
+def test_names_that_are_none_are_shown(robodyn: Callable[..., Outcome], names: str) -> None:
+    given = robodyn("simulate", "2r", "--q", "0,0", "--time", 1, "--sensitivity", names)
+    given.fails(2, f"--sensitivity = {names or repr('')}: needs names, each once")

@@ -44,7 +44,7 @@ from robodyn.cli.states import (
     single_state,
 )
 from robodyn.cli.times import Points, output_times
-from robodyn.errors import AssemblyError, RobodynError, at_place
+from robodyn.errors import AssemblyError, InputError, RobodynError, at_place
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.pictures.column_units import scene_units, unit_of
@@ -53,7 +53,7 @@ from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.run_torques import applied_torques, over_run
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import UNTIL, run
-from robodyn.tables.csv_fields import quoted
+from robodyn.tables.csv_fields import quoted, shown
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import Writer
 
@@ -258,6 +258,10 @@ class _Slopes:
         from robodyn.simulation.differences import Numbers
 
         self.names = [name.strip() for name in text.split(",")]
+        if not all(self.names) or len(set(self.names)) < len(self.names):
+            raise InputError(
+                "--sensitivity", value=shown(text) or "''", limit="needs names, each once"
+            )
         self.withheld: tuple[str, ...] = ()
         self.kept: list[tuple[np.ndarray, np.ndarray, Mechanism]] = []
         with named(), at_place("--sensitivity", *self.names):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import lru_cache
@@ -80,15 +81,38 @@ def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Arr
 
 
 def check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) -> None:
-    """Raise RobodynError where the torques at t are not finite."""
+    """Raise RobodynError, naming the torque, where one at t is not finite."""
     try:
-        function = actuation.function(mechanism.n)
-        torques = actuation.constants or function(t, y.tolist())
+        torques = actuation.constants or actuation.function(mechanism.n)(t, y.tolist())
+        if all(map(math.isfinite, torques)):
+            return
     except (ArithmeticError, ValueError):
-        torques = (math.nan,)
-    if not all(map(math.isfinite, torques)):
-        limit = "the torque is not finite there"
-        raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+        pass
+    limit = f"{_not_finite(actuation, mechanism.n, t, y)} is not finite at t = {t:g} s"
+    raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+
+
+def _not_finite(actuation: Actuation, n: int, t: float, y: Array) -> str:
+    """The first torque without a finite value, with its formula."""
+    names = [*(f"{name}{k}" for name in ("q", "qd") for k in range(n)), *actuation.own("z")]
+    values = {"__builtins__": {}, "t": t, **actuation.scope, **dict(zip(names, y, strict=False))}
+    for line in actuation.lines:
+        name, _, text = line.partition(" = ")
+        try:
+            exec(line, values)
+            if not re.fullmatch(r"tau\d+", name) or math.isfinite(values[name]):
+                continue
+        except (ArithmeticError, ValueError):
+            pass
+        except SyntaxError:  # a part of a statement
+            break
+        name, text = (re.sub(r"\b(q|qd|tau)(\d+)\b", _from_one, x) for x in (name, text))
+        return f"{name} = " + re.sub(r"\b_(\w+)\(", r"\1(", text)
+    return "the torque"
+
+
+def _from_one(name: re.Match[str]) -> str:
+    return f"{name[1]}{int(name[2]) + 1}"
 
 
 def check_span(actuation: Actuation, t_end: float) -> None:

@@ -14,6 +14,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome, Report, StopRun
+from robodyn.simulation.run_torques import check_start
 from robodyn.simulation.settings import Settings
 from robodyn.tables.arrays import Array
 
@@ -74,7 +75,8 @@ class SmoothMotions:
             side = self.side(mechanism)
             report.evaluator = side.kind
             if not np.isfinite(side.rates(0.0, y)).all():
-                limit = "the torque or the acceleration is not finite there"
+                check_start(mechanism, self.actuation, 0.0, y)
+                limit = "the acceleration is not finite there"
                 raise RobodynError("cannot start", where=mechanism.source, limit=limit)
 
     def run(self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder) -> Outcome:
