@@ -40,7 +40,7 @@ from bench_sweep import flip_map, sweeps, sweeps_beside_ode
 from numpy.typing import NDArray
 
 import robodyn
-from robodyn.engines import formula_rows, machine
+from robodyn.engines import batches, machine
 from robodyn.engines.formulas import inverse_formula
 from robodyn.engines.straightline import compile_floats
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
@@ -194,9 +194,9 @@ def batch(
     for name, limits, worth in (("machine code", extra, 0.0), ("numpy", without, math.inf)):
         if not worth and not machine.available():
             continue
-        usual, formula_rows.WORTH = formula_rows.WORTH, worth
+        usual, batches.WORTH = batches.WORTH, worth
         times = in_turn(function, bench.torques_by_numpy, bench.repeats)
-        formula_rows.WORTH = usual
+        batches.WORTH = usual
         found = compared(f"{what}, {name}", times, bench.states, "numpy (27)", **limits)
         rows.append(found)
     return rows

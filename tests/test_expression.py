@@ -9,8 +9,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robodyn.engines import expression
+from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Expression, Graph, cost
-from robodyn.engines.source_text import array_source, float_source
+from robodyn.engines.source_text import float_source
 
 NAMES = ("x", "y", "z")
 examples = settings(deadline=None, max_examples=150 if FRESH else 60)
@@ -88,17 +89,10 @@ def evaluate_floats(outputs, inputs):
 
 
 def evaluate_arrays(outputs, inputs):
-    """What the emitted array code gives, into strided columns, for inputs (3, T)."""
-    names = [f"out{i}" for i in range(len(outputs))]
-    lines, buffers = array_source(outputs, names)
+    """What numpy calls on blocks give, into strided columns, for inputs (3, T)."""
     columns = np.full((inputs.shape[1], len(outputs)), np.nan)
-    calls = ("add", "subtract", "multiply", "divide", "negative", "sin", "cos")
-    scope = {call: getattr(np, call) for call in calls}
-    scope |= dict(zip(NAMES, inputs, strict=True))
-    scope |= dict(zip(names, columns.T, strict=True))
-    scope |= {f"w{i}": np.full(inputs.shape[1], np.nan) for i in range(buffers)}
     before = inputs.copy()
-    exec("\n".join(lines), scope)
+    ArrayFormula(NAMES, outputs).fill([inputs.T], [columns])
     assert np.array_equal(inputs, before), "an input was written to"
     return columns.T
 
@@ -289,9 +283,9 @@ class TestArraySource:
         total = x
         for k in range(1, 30):
             total = total + expression.sin(float(k + 1) * y) * x
-        lines, buffers = array_source([total], ["out"])
-        assert buffers <= 3
-        assert len(lines) >= 4 * 29
+        formula = ArrayFormula(["x", "y"], [total])
+        assert formula._buffers <= 3
+        assert len(formula._calls) >= 4 * 29
 
     def test_no_states(self):
         graph = Graph()
