@@ -20,6 +20,7 @@ from robodyn import other_forces, pin_forces, reactions
 from robodyn.dynamics import closed_form, dense_dynamics
 from robodyn.dynamics import dynamics as dyn
 from robodyn.engines import batches, formulas, straightline
+from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.engines.machine import PLAIN

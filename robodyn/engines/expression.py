@@ -146,11 +146,11 @@ def _scaled(a: Value, b: Expression) -> Value:
 
 
 def _factored(a: Value | str, depth: int = 8) -> bool:
-    """Whether numbers stand in front of it, or of each term of a sum of few."""
+    """Whether a constant stands in front of it, or of each term of a sum of few."""
     if not isinstance(a, Expression) or not depth:
         return False
     if a.op == "*":
-        return isinstance(a.args[0], float)
+        return _constant(a.args[0])
     return a.op in ("+", "-") and all(_factored(x, depth - 1) for x in a.args)
 
 
