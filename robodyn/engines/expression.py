@@ -150,7 +150,7 @@ def _factored(a: Value | str, depth: int = 8) -> bool:
     if not isinstance(a, Expression) or not depth:
         return False
     if a.op == "*":
-        return _constant(a.args[0])
+        return _has_factor(a)
     return a.op in ("+", "-") and all(_factored(x, depth - 1) for x in a.args)
 
 
