@@ -291,3 +291,19 @@ class TestArraySource:
         graph = Graph()
         output = graph.variable("x") + graph.variable("y")
         assert evaluate_arrays([output], np.zeros((3, 0))).shape == (1, 0)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 3.0])
+def test_factors_of_sums_and_products_of_parameters(factor):
+    """They go into sums whose terms have factors, of numbers or of parameters alike."""
+    graph = Graph()
+    x, y = graph.variable("x"), graph.variable("y")
+    a, b = graph.parameter("a", 1.7), graph.parameter("b", -0.3)
+    values = {"x": 0.9, "y": -1.1}
+    cases = [(a * b, 1.7 * -0.3), (a * x - b * y, 1.7 * 0.9 - -0.3 * -1.1), (a + b, 1.4)]
+    found = np.empty((1, len(cases)))
+    outputs = [factor * case for case, _ in cases]
+    ArrayFormula(list(values), outputs).fill([np.array([list(values.values())])], [found])
+    assert found[0] == pytest.approx([factor * number for _, number in cases], rel=1e-15)
+    numbers = 1.7 * x - 0.3 * y
+    assert expression.cost([factor * (a * x - b * y)]) == expression.cost([factor * numbers])

@@ -2,7 +2,7 @@
 
 A formula evaluated on `Expression`s instead of floats leaves a graph behind: constants folded,
 zero terms gone, equal subexpressions shared.  `engines/source_text.py` writes it out again as
-straight-line Python or numpy code, `engines/segment.py` as machine code.
+straight-line Python, `engines/segment.py` as machine code; `engines/array_blocks.py` walks it.
 
 A number that code takes as an argument is a parameter.  What is computed of parameters alone is
 as good as a constant: it gathers in front of products, and code evaluates it once a call.
@@ -18,7 +18,7 @@ from typing import Any, Union
 
 Value = Union["Expression", float]
 
-# Cost of an operation in additions, for choosing between two ways to write a formula.
+# Cost of an operation in additions, for judging from how many states on machine code pays.
 COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5}
 FUNCTIONS: tuple[str, ...] = ("sin", "cos", "tan", "sqrt", "exp", "log", "tanh", "sinh", "cosh")
 FUNCTIONS += ("atan", "asin", "acos", "floor")
