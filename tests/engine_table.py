@@ -19,7 +19,8 @@ from mpmath import mp, mpf
 from robodyn import other_forces, pin_forces, reactions
 from robodyn.dynamics import closed_form, dense_dynamics
 from robodyn.dynamics import dynamics as dyn
-from robodyn.engines import array_blocks, formula_rows, formulas, straightline
+from robodyn.engines import batches, formulas, straightline
+from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.engines.machine import PLAIN
@@ -135,7 +136,7 @@ def by_batches(one, count=dyn.BATCH + 1, alone=True):
 
 def by_batches_of_code(one, family=""):
     """Batches by machine code alone, as if it were worth it for any number of states."""
-    made, compiled, worth = [], Rows.compile, formula_rows.WORTH
+    made, compiled, worth = [], Rows.compile, batches.WORTH
     written = [dyn._generated(kind, one.mech) for kind in ("forward", "inverse")]
     written = [rows for rows in written if rows is not None]
 
@@ -145,11 +146,11 @@ def by_batches_of_code(one, family=""):
 
     for rows in written:
         rows._machine.clear()
-    Rows.compile, formula_rows.WORTH = compile, 0.0
+    Rows.compile, batches.WORTH = compile, 0.0
     try:
         found = by_batches(one, alone=one.mech.has_state_forces)
     finally:
-        Rows.compile, formula_rows.WORTH = compiled, worth
+        Rows.compile, batches.WORTH = compiled, worth
         for rows in written:
             rows._machine.clear()
     assert None not in made
@@ -241,9 +242,9 @@ def run_text(formula, arrays):
 
 def run_blocks(formula, arrays):
     """By numpy calls on blocks; of three equal states the last."""
-    function, buffers = straightline.compile_arrays(formula, "blocks")
     outputs = [np.empty((3, len(part))) for part in (formula.outputs, formula.pivots)]
-    array_blocks.evaluate(function, buffers, [np.tile(x, (3, 1)) for x in arrays], outputs)
+    array = ArrayFormula(formula.inputs, formula.outputs + formula.pivots)
+    array.fill([np.tile(x, (3, 1)) for x in arrays], outputs)
     return outputs[0][-1]
 
 

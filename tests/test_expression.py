@@ -9,8 +9,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robodyn.engines import expression
+from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Expression, Graph, cost
-from robodyn.engines.source_text import array_source, float_source
+from robodyn.engines.source_text import float_source
 
 NAMES = ("x", "y", "z")
 examples = settings(deadline=None, max_examples=150 if FRESH else 60)
@@ -88,17 +89,10 @@ def evaluate_floats(outputs, inputs):
 
 
 def evaluate_arrays(outputs, inputs):
-    """What the emitted array code gives, into strided columns, for inputs (3, T)."""
-    names = [f"out{i}" for i in range(len(outputs))]
-    lines, buffers = array_source(outputs, names)
+    """What numpy calls on blocks give, into strided columns, for inputs (3, T)."""
     columns = np.full((inputs.shape[1], len(outputs)), np.nan)
-    calls = ("add", "subtract", "multiply", "divide", "negative", "sin", "cos")
-    scope = {call: getattr(np, call) for call in calls}
-    scope |= dict(zip(NAMES, inputs, strict=True))
-    scope |= dict(zip(names, columns.T, strict=True))
-    scope |= {f"w{i}": np.full(inputs.shape[1], np.nan) for i in range(buffers)}
     before = inputs.copy()
-    exec("\n".join(lines), scope)
+    ArrayFormula(NAMES, outputs).fill([inputs.T], [columns])
     assert np.array_equal(inputs, before), "an input was written to"
     return columns.T
 
@@ -289,11 +283,27 @@ class TestArraySource:
         total = x
         for k in range(1, 30):
             total = total + expression.sin(float(k + 1) * y) * x
-        lines, buffers = array_source([total], ["out"])
-        assert buffers <= 3
-        assert len(lines) >= 4 * 29
+        formula = ArrayFormula(["x", "y"], [total])
+        assert formula._buffers <= 3
+        assert len(formula._calls) >= 4 * 29
 
     def test_no_states(self):
         graph = Graph()
         output = graph.variable("x") + graph.variable("y")
         assert evaluate_arrays([output], np.zeros((3, 0))).shape == (1, 0)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 3.0])
+def test_factors_of_sums_and_products_of_parameters(factor):
+    """They go into sums whose terms have factors, of numbers or of parameters alike."""
+    graph = Graph()
+    x, y = graph.variable("x"), graph.variable("y")
+    a, b = graph.parameter("a", 1.7), graph.parameter("b", -0.3)
+    values = {"x": 0.9, "y": -1.1}
+    cases = [(a * b, 1.7 * -0.3), (a * x - b * y, 1.7 * 0.9 - -0.3 * -1.1), (a + b, 1.4)]
+    found = np.empty((1, len(cases)))
+    outputs = [factor * case for case, _ in cases]
+    ArrayFormula(list(values), outputs).fill([np.array([list(values.values())])], [found])
+    assert found[0] == pytest.approx([factor * number for _, number in cases], rel=1e-15)
+    numbers = 1.7 * x - 0.3 * y
+    assert expression.cost([factor * (a * x - b * y)]) == expression.cost([factor * numbers])

@@ -21,8 +21,8 @@ from machine_sines import hard_angles, run, sine_and_cosine
 from random_mechanisms import LOOPS, mechanism, seeded_scene
 from robodyn.dynamics import dense_dynamics, dynamics
 from robodyn.engines import (
+    batches,
     expression,
-    formula_rows,
     formulas,
     machine,
     machine_motion,
@@ -42,7 +42,7 @@ FAMILIES = pytest.mark.parametrize("family", ["", machine.PLAIN], ids=["this", "
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch):
     """Machine code is worth it for any number of states, and nothing is kept in this process."""
-    monkeypatch.setattr(formula_rows, "WORTH", 0.0)
+    monkeypatch.setattr(batches, "WORTH", 0.0)
     caches = (machine.available, machine.this_processor, dynamics._generated)
     for cache in caches:
         cache.cache_clear()
@@ -198,7 +198,7 @@ class TestBatches:
         outputs = [np.empty((50, 3))]
         found = rows.machine(1)(list(states), outputs)
         assert {7, 20} <= set(found.tolist())
-        _, by_numpy = rows.by_numpy(list(states), 1)
+        _, by_numpy = rows.by_arrays(list(states), 1)
         assert np.array_equal(found, by_numpy)
 
     def test_what_is_not_finite_is_refused_by_its_place(self):
@@ -209,7 +209,7 @@ class TestBatches:
             api.inverse_dynamics(mech, q, qd, qdd)
 
     def test_few_states_do_not_load_llvmlite(self, monkeypatch):
-        monkeypatch.setattr(formula_rows, "WORTH", 2e7)
+        monkeypatch.setattr(batches, "WORTH", 2e7)
         monkeypatch.setattr(machine, "make", lambda *_, **__: pytest.fail("made machine code"))
         api.inverse_dynamics(api.load(ROOT / "robots/2r.yaml"), *np.zeros((3, 5000, 2)))
 
@@ -348,8 +348,8 @@ sys.path[:0] = ["tests"]
 import numpy as np
 import robodyn
 from robodyn import dynamics
-from robodyn.engines import formula_rows, machine
-formula_rows.WORTH = 0.0
+from robodyn.engines import batches, machine
+batches.WORTH = 0.0
 if ctypes.CDLL(None).prctl(65, 1, 0, 0, 0):  # PR_SET_MDWE, since Linux 6.3
     sys.exit(77)
 mech = robodyn.load("robots/2r.yaml")
@@ -387,8 +387,8 @@ import os, sys
 sys.path[:0] = ["tests"]
 import numpy as np
 import robodyn
-from robodyn.engines import formula_rows, machine
-formula_rows.WORTH = 0.0
+from robodyn.engines import batches, machine
+batches.WORTH = 0.0
 states = np.random.default_rng(4).normal(size=(3, 400, 2))
 arm, bar = (robodyn.load(f"robots/{name}.yaml") for name in ("2r", "pendulum"))
 tau = robodyn.inverse_dynamics(arm, *states)

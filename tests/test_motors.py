@@ -340,7 +340,7 @@ def expected_columns(row: dict[str, float], qd: tuple[float, float]) -> None:
 
 
 def test_torque_tells_of_motors(robodyn: Run, arm: Path, tmp_path: Path) -> None:
-    """One state without numpy, and rows."""
+    """Of one state, and of rows."""
     done = robodyn("torque", arm, "--q", "0.3,0.4", "--qd", "1,2", "--qdd", "3,4").succeeds()
     assert done.out.splitlines()[0] == COLUMNS
     expected_columns(done.row, (1.0, 2.0))

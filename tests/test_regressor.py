@@ -103,7 +103,7 @@ def test_machine_code_has_the_same_columns(name: str) -> None:
     assert function is not None
     found = [np.empty((60, width)) for width in rows.widths]
     assert not function(states, found).size
-    for one, other in zip(found, rows.by_numpy(states, 2)[0], strict=True):
+    for one, other in zip(found, rows.by_arrays(states, 2)[0], strict=True):
         assert np.abs(one - other).max() <= 1e-13 * max(1.0, np.abs(other).max())
 
 

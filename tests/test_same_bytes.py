@@ -16,7 +16,7 @@ from conftest import ROOT, Outcome
 
 import robodyn as rd
 from robodyn import cli
-from robodyn.engines import formula_rows
+from robodyn.engines import batches
 from robodyn.simulation.settings import METHODS
 from robodyn.tables.arrays import Array
 
@@ -92,7 +92,7 @@ def test_a_pipe_may_cut_a_stream_anywhere(
 
 def test_a_call_does_not_depend_on_larger_ones_before(monkeypatch: pytest.MonkeyPatch) -> None:
     """Large calls go through machine code, whose last digits are others."""
-    monkeypatch.setattr(formula_rows, "WORTH", 3e5)
+    monkeypatch.setattr(batches, "WORTH", 3e5)
     rng = np.random.default_rng(3)
     arm = rd.load(ROOT / "robots/3r.yaml")
     few, many = rng.normal(size=(3, 300, 3)), rng.normal(size=(3, 5000, 3))

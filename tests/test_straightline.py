@@ -18,6 +18,9 @@ from random_mechanisms import (
 from robodyn.dynamics import closed_form as cf
 from robodyn.dynamics import dynamics as dyn
 from robodyn.engines import array_blocks, expression, formulas, source_text, straightline
+from robodyn.engines.array_blocks import ArrayFormula
+from robodyn.engines.expression import Graph
+from robodyn.engines.formulas import Recorded
 
 WRITINGS = pytest.mark.parametrize("by_direction", [False, True], ids=["by angle", "by direction"])
 
@@ -26,8 +29,13 @@ BLOCK = array_blocks.BLOCK
 
 @pytest.fixture
 def written(monkeypatch, by_direction):
-    """Formulas are written this way, whether it is the cheaper one or not."""
-    monkeypatch.setattr(formulas, "cheapest", lambda write, ways=(): write(by_direction))
+    """Formulas are written this way, whatever the mechanism."""
+    monkeypatch.setattr(formulas, "by_directions", lambda mechanism: by_direction)
+
+
+def chain(n):
+    """The shape of a chain of n links."""
+    return Shape((None, *range(n - 1)))
 
 
 def on_floats(formula, *states):
@@ -38,13 +46,10 @@ def on_floats(formula, *states):
 
 
 def on_arrays(formula, *states):
-    """The same of a formula's array code, for states (T, n)."""
-    function, buffers = straightline.compile_arrays(formula, "f")
-    columns = [column for state in states for column in np.transpose(state)]
-    count = len(states[0])
-    found = np.full((len(formula.outputs) + len(formula.pivots), count), np.nan)
-    function(*columns, *found, *np.full((buffers, count), np.nan))
-    return found[: len(formula.outputs)].T, found[len(formula.outputs) :].T
+    """The same of a formula on arrays, for states (T, n)."""
+    found = [np.full((len(states[0]), len(x)), np.nan) for x in (formula.outputs, formula.pivots)]
+    ArrayFormula(formula.inputs, formula.outputs + formula.pivots).fill(states, found)
+    return found
 
 
 def source(formula):
@@ -91,23 +96,23 @@ class TestAgainstNumpy:
     @pytest.mark.usefixtures("written")
     def test_as_many_links_as_code_is_generated_for(self):
         """Deep formulas are parsed, and differ from numpy's by rounding only."""
-        scene = seeded_scene(0, Shape((None, *range(formulas.MAX_GENERATED - 1))))
+        scene = seeded_scene(0, chain(formulas.MAX_GENERATED))
         check_inverse(scene)
         check_forward(scene)
 
-    def test_the_cheaper_way_is_kept(self, monkeypatch):
-        cheapest = formulas.cheapest
-        seen = []
+    def test_the_tree_and_its_loops_decide_how_formulas_are_written(self):
+        """Chains of 2 and 3 links by angles, longer ones and loops by directions."""
 
-        def both(write):
-            seen.append([expression.cost((f := write(way)).outputs + f.pivots) for way in (0, 1)])
-            return cheapest(write)
+        def costs(mech):
+            ways = [formulas.inverse_of(Recorded(mech, ("qd", "qdd"), way)) for way in (0, 1)]
+            chosen = formulas.inverse_formula(mech)
+            return [expression.cost(f.outputs + f.pivots) for f in (chosen, *ways)]
 
-        monkeypatch.setattr(formulas, "cheapest", both)
-        for n in (3, 9):
-            formula = formulas.inverse_formula(seeded_tree(1, n).mechanism)
-            assert expression.cost(formula.outputs) == min(seen[-1])
-        assert all(by_angle != by_direction for by_angle, by_direction in seen)
+        for n in range(2, 13):
+            chosen, by_angle, by_direction = costs(seeded_scene(1, chain(n)).mechanism)
+            assert chosen == min(by_angle, by_direction)
+        chosen, _, by_direction = costs(seeded_scene(0, LOOPS["four-bar"]).mechanism)
+        assert chosen == by_direction
 
 
 class TestForm:
@@ -246,18 +251,17 @@ links:
 
 
 class TestBlocks:
+    def doubled(self):
+        """The formula 2 x of one column."""
+        return ArrayFormula(["x"], [2.0 * Graph().variable("x")])
+
     @pytest.mark.parametrize("count", [0, 1, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
     def test_every_row_is_computed_once(self, count):
-        x = np.arange(2.0 * count).reshape(count, 2)
+        graph, x = Graph(), np.arange(2.0 * count).reshape(count, 2)
         y = np.full((count, 1), np.nan)
-
-        def add(a, b, out, work):
-            np.add(a, b, work)
-            assert np.isnan(out).all()
-            out[...] = work
-
-        array_blocks.evaluate(add, 1, [x], [y])
-        assert np.array_equal(y[:, 0], x.sum(axis=1))
+        total = graph.variable("a") + graph.variable("b")
+        ArrayFormula(["a", "b"], [3.0 * total]).fill([x], [y])
+        assert np.array_equal(y[:, 0], 3.0 * x.sum(axis=1))
 
     def test_many_states_are_shared_among_threads(self, monkeypatch):
         monkeypatch.setattr("os.cpu_count", lambda: 4)
@@ -265,11 +269,12 @@ class TestBlocks:
         x, y = np.arange(float(count))[:, None], np.full((count, 1), np.nan)
         threads = set()
 
-        def double(a, out):
+        def double(a, b, out):
             threads.add(threading.current_thread())
-            np.multiply(a, 2.0, out)
+            np.multiply(a, b, out)
 
-        array_blocks.evaluate(double, 0, [x], [y])
+        monkeypatch.setitem(array_blocks._CALLS, "*", double)
+        self.doubled().fill([x], [y])
         assert np.array_equal(y, 2.0 * x)
         assert len(threads) == min(4, array_blocks.MAX_THREADS)
 
@@ -277,15 +282,16 @@ class TestBlocks:
         monkeypatch.setattr("os.cpu_count", lambda: 2)
         x = np.arange(8.0 * array_blocks.BLOCK)[:, None]
 
-        def fail_late(a, out):
-            if a[-1] == x[-1]:
+        def fail_late(a, b, out):
+            if b[-1] == x[-1]:
                 raise MemoryError("late")
-            out[...] = a
+            out[...] = a * b
 
+        monkeypatch.setitem(array_blocks._CALLS, "*", fail_late)
         with pytest.raises(MemoryError, match="late"):
-            array_blocks.evaluate(fail_late, 0, [x], [np.empty_like(x)])
+            self.doubled().fill([x], [np.empty_like(x)])
 
     def test_singular_states_raise_no_numpy_warning(self):
-        x, y = np.zeros((3, 1)), np.empty((3, 1))
-        array_blocks.evaluate(lambda a, out: np.divide(1.0, a, out), 0, [x], [y])
+        y = np.empty((3, 1))
+        ArrayFormula(["x"], [1.0 / Graph().variable("x")]).fill([np.zeros((3, 1))], [y])
         assert np.isinf(y).all()

@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-import cmath
-import math
-from collections.abc import Sequence
-from contextlib import suppress
-
 from robodyn.cli.options import Force, Model, Number, Qdd, load_with, option, switch
-from robodyn.cli.states import Quantity, TableOptions, evaluate, option_source, overflow
-from robodyn.engines.formulas import MAX_GENERATED
+from robodyn.cli.states import TableOptions, evaluate
 from robodyn.errors import InputError, ResidualError
-from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.motors import motor_columns, motor_values
-from robodyn.mechanics.parts import met_ends
 
 
 def torque(
@@ -76,35 +67,12 @@ def torque(
         tell_flywheel(mechanism, given, quantities, fluctuation)
         return
 
-    columns = [f"tau{k + 1}" for k in mechanism.actuated]
-    loops = mechanism.rows or mechanism.passive or mechanism.switches
-    motors = motor_columns(mechanism)
-    powers = [f"power{k + 1}" for k in mechanism.actuated if power]
-    rows = given.differentiate or given.unwrap
-    plain = given.states is None and not (loops or rows or residual)
-    if plain and mechanism.n <= MAX_GENERATED:
-        tau, rates = _single_state(mechanism, quantities)
-        row = [*tau, *motor_values(mechanism, tau, rates)]
-        row += [x * v for x, v in zip(tau, rates, strict=True) if power]
-        given.write_one(mechanism, columns + motors + powers, row)
-        return
-
-    _evaluated(mechanism, given, quantities, powers, residual)
-
-
-def _evaluated(
-    mechanism: Mechanism,
-    given: TableOptions,
-    quantities: list[Quantity],
-    powers: Sequence[str],
-    residual: bool,
-) -> None:
-    """Write the columns of the state of the options, or of each row of its table."""
     import numpy as np
 
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces
     from robodyn.dynamics.state_columns import power_values, torque_columns, torque_values
 
+    powers = [f"power{k + 1}" for k in mechanism.actuated if power]
     free: list[int] = []
     if residual:
         from robodyn.dynamics.free_joints import free_joints
@@ -130,34 +98,3 @@ def _evaluated(
 
     columns = [*torque_columns(mechanism), *(f"residual{k + 1}" for k in free), *powers]
     evaluate(mechanism, given, quantities, columns, compute)
-
-
-def _single_state(
-    mechanism: Mechanism, quantities: list[Quantity]
-) -> tuple[Sequence[float], Sequence[float]]:
-    """One state of an open chain in plain floats: starts in half the time without numpy.
-
-    The torques, and qd.
-    """
-    from robodyn.engines.formulas import inverse_formula
-    from robodyn.engines.straightline import compile_floats
-
-    values = [option_source(mechanism, quantity).values for quantity in quantities]
-    formula = inverse_formula(mechanism)
-    if formula is not None:
-        with suppress(ZeroDivisionError):
-            try:
-                at = [0.0] if mechanism.timed else []
-                function = compile_floats(formula, "torque")
-                found = function(*values[0], *values[1], *values[2], *at)
-                lost = any(met_ends(mechanism, values[0], cmath.exp).values())
-                lost = lost or bool(mechanism.signals and not all(map(math.isfinite, found)))
-                if not lost:
-                    return found, values[1]
-            except ValueError:  # the sine of infinity: sums of angles that are too large
-                if not mechanism.signals:
-                    raise overflow() from None
-    # the ends of a spring coincide, or a load has no value: this says so
-    from robodyn.dynamics.dynamics import inverse_dynamics
-
-    return inverse_dynamics(mechanism, *values).tolist(), values[1]

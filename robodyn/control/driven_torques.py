@@ -92,7 +92,7 @@ def _compiled(mechanism: Mechanism, rests: bool, otherwise: Floats) -> Floats:
     if mechanism.n > formulas.MAX_GENERATED or not determined:
         return otherwise
 
-    formula = formulas.cheapest(partial(_formula, mechanism, rests))
+    formula = formulas.written(mechanism, partial(_formula, mechanism, rests))
     if formula is None:
         return otherwise
     code = straightline.compile_floats(formula, "torques")

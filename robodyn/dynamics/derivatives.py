@@ -8,7 +8,7 @@ the mechanism does; across them it is a matter of how that equation is written.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,11 +20,11 @@ from robodyn.dynamics.dynamics import PIVOT_CUT
 from robodyn.dynamics.placed import absolute_rates, check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
 from robodyn.engines import formulas, straightline
+from robodyn.engines.batches import FormulaBatches
 from robodyn.engines.derivative_formulas import (
     forward_derivatives_formula,
     residual_derivatives_formula,
 )
-from robodyn.engines.formula_rows import FormulaRows
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.tables.arrays import Array
@@ -179,16 +179,15 @@ def _inverse(
 
 
 @lru_cache(maxsize=64)
-def _generated(mechanism: Mechanism) -> FormulaRows | None:
+def _generated(mechanism: Mechanism) -> FormulaBatches | None:
     """The formula over batches; None where there is none."""
     n = mechanism.n
     if n > formulas.MAX_GENERATED or not elimination_is_safe(mechanism):
         return None
-    record = partial(forward_derivatives_formula, mechanism)
-    formula = record()
+    formula = forward_derivatives_formula(mechanism, parameters=True)
     if formula is None:
         return None
-    return FormulaRows(formula, record, (n, n * n, n * n, n * n), PIVOT_CUT)
+    return FormulaBatches(formula, (n, n * n, n * n, n * n), PIVOT_CUT)
 
 
 @lru_cache(maxsize=64)

@@ -39,13 +39,12 @@ from robodyn.dynamics.placed import (
     together,
 )
 from robodyn.engines import formulas
-from robodyn.engines.formulas import Formula
 from robodyn.errors import InputError, SingularError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
-    from robodyn.engines.formula_rows import FormulaRows
+    from robodyn.engines.batches import FormulaBatches
 
 PIVOT_CUT = 1e-3  # generated code is trusted while the closures' relative pivots exceed this
 BATCH = 200  # from so many states on generated array code wins, its generation included
@@ -165,7 +164,7 @@ def _smooth(
 
     dense = partial(_dense, _inverse if kind == "inverse" else _forward)
     q = states["q"]
-    rows: FormulaRows | None = None
+    rows: FormulaBatches | None = None
     many = formulas.streams.get() or q.size >= BATCH * mechanism.n
     if many and mechanism.n <= formulas.MAX_GENERATED:
         rows = _generated(kind, mechanism)
@@ -207,7 +206,7 @@ def _dense(
 
 
 @lru_cache(maxsize=64)
-def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
+def _generated(kind: str, mechanism: Mechanism) -> FormulaBatches | None:
     """The formula over batches; None where there is none.
 
     M must be eliminated at every configuration, so that no state need be asked.  As x^T M x =
@@ -221,13 +220,12 @@ def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
         if not scale.all() or not np.linalg.eigvalsh(A / (scale[:, None] * scale))[0] > MASS_CUT:
             return None
     write = formulas.inverse_formula if kind == "inverse" else formulas.forward_formula
-    record: Callable[..., Formula | None] = partial(write, mechanism)
-    formula = record()
+    formula = write(mechanism, parameters=True)
     if formula is None:
         return None
-    from robodyn.engines.formula_rows import FormulaRows
+    from robodyn.engines.batches import FormulaBatches
 
-    return FormulaRows(formula, record, (mechanism.n, len(mechanism.rows)), PIVOT_CUT)
+    return FormulaBatches(formula, (mechanism.n, len(mechanism.rows)), PIVOT_CUT)
 
 
 # -- few states, or near singular ones -------------------------------------------------------------

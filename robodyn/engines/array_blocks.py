@@ -1,4 +1,4 @@
-"""Many states through generated array code: blocks that stay in cache, shared among threads.
+"""Recorded formulas on arrays of many states: blocks that stay in cache, shared among threads.
 
 numpy lets other threads run while it works on a block, and so does machine code; threads share the
 blocks of one call.  Block size and thread limit are where `make bench` found the least time a
@@ -10,10 +10,12 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
-from robodyn.engines.straightline import ArrayFunction
+from robodyn.engines.expression import FUNCTIONS, Expression, Value, needed
 from robodyn.tables.arrays import Array
 
 BLOCK = 8192
@@ -50,18 +52,94 @@ def shared(total: int, share: int, piece: int, run: Callable[[int, int, int], ob
         raise failures[0]
 
 
-def evaluate(
-    function: ArrayFunction, buffers: int, inputs: Sequence[Array], outputs: Sequence[Array]
-) -> None:
-    """Run `function` over the rows of `inputs` (T, n) and fill the columns of `outputs` (T, k)."""
-    total = len(inputs[0])
-    rooms: dict[int, Array] = {}
+def _choose(x: Any, y: Any, a: Any, b: Any, out: Array) -> None:
+    np.copyto(out, np.where(np.less(x, y), a, b))
 
-    def run(thread: int, first: int, stop: int) -> None:
-        if thread not in rooms:
-            rooms[thread] = np.empty((buffers, min(BLOCK, total)))
-        columns = [column for array in (*inputs, *outputs) for column in array[first:stop].T]
-        with np.errstate(all="ignore"):  # a singular state is the caller's to find
-            function(*columns, *rooms[thread][:, : stop - first])
 
-    shared(total, 4 * BLOCK, BLOCK, run)
+_CALLS: dict[str, Callable[..., object]] = {name: getattr(np, name) for name in FUNCTIONS}
+_CALLS |= {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "neg": np.negative}
+_CALLS |= {"pow": np.power, "rough": np.power, "abs": np.absolute, "atan2": np.arctan2}
+_CALLS["choose"] = _choose
+
+
+class ArrayFormula:
+    """A recorded formula on arrays of states: one numpy call for each node and block of states.
+
+    `inputs` are the names of the columns of states, `outputs` the columns of results.  Parameters
+    have the values that the graph knows of them.
+    """
+
+    def __init__(self, inputs: Sequence[str], outputs: Sequence[Value]) -> None:
+        # A call finds its arguments and its result in a table: columns of states, columns of
+        # results, work buffers, and numbers, which are counted from the end.
+        self._calls: list[tuple[Callable[..., object], Callable[[Any], Any]]] = []
+        self._numbers: list[float] = []
+        self._buffers = 0
+        places = {name: i for i, name in enumerate(inputs)}
+        results = range(len(inputs), len(inputs) + len(outputs))
+        ends = [_meant(x) for x in outputs]
+        nodes = [x for x in needed(outputs) if _meant(x) is x and x.op != "var"]
+        arguments = {x.index: [_meant(a) for a in x.args] for x in nodes}
+        last = {a.index: x.index for x in nodes for a in arguments[x.index] if _is_node(a)}
+        target = {x.index: to for x, to in zip(ends, results, strict=True) if _is_node(x)}
+        at: dict[int, int] = {}
+        free: list[int] = []
+
+        def place(a: Any) -> int:
+            if not isinstance(a, Expression):
+                self._numbers.append(float(a))
+                return -len(self._numbers)
+            return places[str(a.args[0])] if a.op == "var" else at[a.index]
+
+        for node in nodes:
+            args, index = arguments[node.index], node.index
+            read = [place(a) for a in args]
+            # the last node that reads a buffer may write to it
+            free += {at[a.index] for a in args if _is_node(a) and last[a.index] == index}
+            if index not in last:
+                at[index] = target[index]
+            else:
+                if not free:
+                    free.append(results.stop + self._buffers)
+                    self._buffers += 1
+                at[index] = free.pop()
+            self._calls.append((_CALLS[node.op], itemgetter(*read, at[index])))
+            if target.get(index, at[index]) != at[index]:
+                self._calls.append((np.positive, itemgetter(at[index], target[index])))
+        for end, to in zip(ends, results, strict=True):
+            if not _is_node(end):
+                self._calls.append((np.positive, itemgetter(place(end), to)))
+            elif target[end.index] != to:  # the same node is two outputs
+                self._calls.append((np.positive, itemgetter(target[end.index], to)))
+
+    def fill(self, states: Sequence[Array], results: Sequence[Array]) -> None:
+        """Fill the columns of `results` (T, k) by the rows of `states` (T, n).
+
+        A singular state raises no warning: what is not finite is the caller's to find.
+        """
+        total = len(states[0])
+        numbers = self._numbers[::-1]
+        rooms: dict[int, Array] = {}
+
+        def run(thread: int, first: int, stop: int) -> None:
+            if thread not in rooms:
+                rooms[thread] = np.empty((self._buffers, min(BLOCK, total)))
+            columns = [column for array in (*states, *results) for column in array[first:stop].T]
+            table = [*columns, *rooms[thread][:, : stop - first], *numbers]
+            with np.errstate(all="ignore"):
+                for call, pick in self._calls:
+                    call(*pick(table))
+
+        shared(total, 4 * BLOCK, BLOCK, run)
+
+
+def _meant(a: Any) -> Any:
+    """The node that a kept one stands for; the number of a constant one."""
+    while isinstance(a, Expression) and a.op == "keep":
+        a = a.args[0]
+    return a.number if isinstance(a, Expression) and a.constant else a
+
+
+def _is_node(a: object) -> bool:
+    """Whether it is a node that is computed."""
+    return isinstance(a, Expression) and a.op != "var"

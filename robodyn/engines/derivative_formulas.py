@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from robodyn.engines.expression import Value
 from robodyn.engines.factors import Factors
-from robodyn.engines.formulas import Formula, Recorded, cheapest, closure_pivots
+from robodyn.engines.formulas import Formula, Recorded, closure_pivots, written
 from robodyn.engines.frames import relative
 from robodyn.engines.series import Series
 from robodyn.engines.tangents import slopes_by, substituted
@@ -40,7 +40,7 @@ def forward_derivatives_formula(mechanism: Mechanism, parameters: bool = False) 
 
     None as by `forward_formula`.
     """
-    return cheapest(lambda way: _forward(Recorded(mechanism, KINDS[1:], way, parameters)))
+    return written(mechanism, lambda way: _forward(Recorded(mechanism, KINDS[1:], way, parameters)))
 
 
 def _forward(state: Recorded) -> Formula:

@@ -2,7 +2,7 @@
 
 A formula evaluated on `Expression`s instead of floats leaves a graph behind: constants folded,
 zero terms gone, equal subexpressions shared.  `engines/source_text.py` writes it out again as
-straight-line Python or numpy code, `engines/segment.py` as machine code.
+straight-line Python, `engines/segment.py` as machine code; `engines/array_blocks.py` walks it.
 
 A number that code takes as an argument is a parameter.  What is computed of parameters alone is
 as good as a constant: it gathers in front of products, and code evaluates it once a call.
@@ -18,7 +18,7 @@ from typing import Any, Union
 
 Value = Union["Expression", float]
 
-# Cost of an operation in additions, for choosing between two ways to write a formula.
+# Cost of an operation in additions, for judging from how many states on machine code pays.
 COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5}
 FUNCTIONS: tuple[str, ...] = ("sin", "cos", "tan", "sqrt", "exp", "log", "tanh", "sinh", "cosh")
 FUNCTIONS += ("atan", "asin", "acos", "floor")
@@ -146,11 +146,11 @@ def _scaled(a: Value, b: Expression) -> Value:
 
 
 def _factored(a: Value | str, depth: int = 8) -> bool:
-    """Whether numbers stand in front of it, or of each term of a sum of few."""
+    """Whether a constant stands in front of it, or of each term of a sum of few."""
     if not isinstance(a, Expression) or not depth:
         return False
     if a.op == "*":
-        return isinstance(a.args[0], float)
+        return _has_factor(a)
     return a.op in ("+", "-") and all(_factored(x, depth - 1) for x in a.args)
 
 

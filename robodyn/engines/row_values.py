@@ -1,6 +1,6 @@
 """What the rows of a scene's program are at states q and qd: by numpy, or of one state by floats.
 
-The rows are recorded once; each name that is asked for is written out as code of its own.
+The rows are recorded once; each name that is asked for is a formula of its own.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.engines import array_blocks, straightline
+from robodyn.engines import straightline
 from robodyn.engines.arithmetic import Planar, planar_times
+from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, Recorded, balance, energies
 from robodyn.engines.series import Series
@@ -52,8 +53,8 @@ class _Code:
         return straightline.compile_floats(self.formula._replace(pivots=()), "rows")
 
     @cached_property
-    def arrays(self) -> tuple[straightline.ArrayFunction, int]:
-        return straightline.compile_arrays(self.formula, "rows")
+    def arrays(self) -> ArrayFormula:
+        return ArrayFormula(self.formula.inputs, self.formula.outputs + self.formula.pivots)
 
 
 class RowValues:
@@ -98,7 +99,7 @@ class RowValues:
             except (ArithmeticError, ValueError):
                 pass  # arrays say where
         values, squares = (np.empty((len(states[0]), k)) for k in widths)
-        array_blocks.evaluate(*code.arrays, states, (values, squares))
+        code.arrays.fill(states, (values, squares))
         lost = np.argwhere(squares == 0.0)
         if lost.size:
             raise no_direction(self.mechanism, list(self._squares())[lost[0, -1]])

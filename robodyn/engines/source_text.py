@@ -1,4 +1,4 @@
-"""A recorded graph written out as straight-line Python: statements on floats, calls on blocks."""
+"""A recorded graph written out as straight-line Python: statements on floats."""
 
 from __future__ import annotations
 
@@ -9,16 +9,11 @@ from dataclasses import dataclass, field
 from itertools import count
 from types import MappingProxyType
 
-from robodyn.engines.expression import FUNCTIONS, INPUTS, Expression, Value, needed
+from robodyn.engines.expression import INPUTS, Expression, Value, needed
 
 _BINARY = {"+": 1, "-": 1, "*": 2, "/": 2}  # their precedence
-_CALLS = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}
-_CALLS |= {"pow": "power", "rough": "power", "abs": "absolute", "atan2": "arctan2"}
-_CALLS |= {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}
 _NAMES = {"rough": "pow"}  # of Python's functions of floats
 DEEPEST = 50  # operations within one another; Python compiles no more than 200 brackets
-# what numpy code calls
-ARRAY_CALLS = {*_CALLS.values(), *(_CALLS.get(x, x) for x in FUNCTIONS), "where", "less", "copyto"}
 
 
 def float_source(
@@ -119,68 +114,6 @@ def _readable(left: str, op: str, right: str) -> str:
     if op == "*" and right.startswith("1.0/"):
         return left + right[3:]
     return f"{left}{op}{right}"
-
-
-def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[str], int]:
-    """In-place numpy calls on blocks, and the number of work buffers `w0, w1, ...` they use.
-
-    Output number i is left in the array called `names[i]`, which may be strided.
-    """
-    named = list(zip(outputs, names, strict=True))
-    target = {out.index: name for out, name in named if isinstance(out, Expression)}
-    lines: list[str] = []
-    nodes = needed(outputs)
-    place, buffers = _places(nodes, target)
-    for node in nodes:
-        if node.op in INPUTS:
-            continue
-        args = [place[a.index] if isinstance(a, Expression) else repr(a) for a in node.args]
-        to = place[node.index]
-        if node.op == "choose":
-            lines.append("copyto({4}, where(less({0}, {1}), {2}, {3}))".format(*args, to))
-        else:
-            lines.append(f"{_CALLS.get(node.op, node.op)}({', '.join(args)}, {to})")
-        if target.get(node.index, to) != to:
-            lines.append(f"{target[node.index]}[...] = {to}")
-    for out, name in named:
-        if not isinstance(out, Expression):
-            lines.append(f"{name}[...] = {out!r}")
-        elif out.op in INPUTS:
-            lines.append(f"{name}[...] = {place[out.index]}")
-        elif target[out.index] != name:  # the same node is two outputs
-            lines.append(f"{name}[...] = {target[out.index]}")
-    return lines, buffers
-
-
-def _places(nodes: Sequence[Expression], target: Mapping[int, str]) -> tuple[dict[int, str], int]:
-    """Where each node is computed, and how many buffers that takes.
-
-    A buffer is free again with the last node that reads it; outputs read by none are in place.
-    """
-    last: dict[int, int] = {}
-    for node in nodes:
-        for a in node.args:
-            if isinstance(a, Expression):
-                last[a.index] = node.index
-    place: dict[int, str] = {}
-    free: list[str] = []
-    buffers = 0
-    for node in nodes:
-        if node.op in INPUTS:
-            place[node.index] = str(node.args[0])
-            continue
-        for a in {x.index: x for x in node.args if isinstance(x, Expression)}.values():
-            dead = last[a.index] == node.index and a.op not in INPUTS
-            if dead and place[a.index].startswith("w"):
-                free.append(place[a.index])
-        if node.index not in last:
-            place[node.index] = target[node.index]
-        elif free:
-            place[node.index] = free.pop()
-        else:
-            place[node.index] = f"w{buffers}"
-            buffers += 1
-    return place, buffers
 
 
 def _uses(outputs: Sequence[Value]) -> Counter[int]:

@@ -1,18 +1,17 @@
 """The closed form of one mechanism as straight-line code, generated and compiled once.
 
 An integrator evaluates one state ten thousand times, where numpy's call overhead is twenty times
-the arithmetic.  So the formulas of `engines/formulas.py` are written out as Python on floats, or as
-in-place numpy calls on blocks of many states (`array_blocks.py` runs those).
+the arithmetic.  So the formulas of `engines/formulas.py` are written out as Python on floats; on
+blocks of many states `array_blocks.py` walks their nodes.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from robodyn.engines import expression, formulas, source_text
-from robodyn.engines.expression import Expression, Value
 from robodyn.engines.formulas import Formula
 from robodyn.mechanics.mechanism import Mechanism
 
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from robodyn.mechanics.actuation import Actuation
 
 FloatFunction = Callable[..., tuple[float, ...]]
-ArrayFunction = Callable[..., None]
 RateFunction = Callable[[float, Any], Any]
 
 
@@ -114,45 +112,10 @@ def compile_closing(
     return define("\n  ".join([head + loop, *once, found]), "close")
 
 
-def compile_arrays(formula: Formula, name: str) -> tuple[ArrayFunction, int]:
-    """A function of input blocks, then output blocks, then work buffers; and how many buffers."""
-    values = by_tangents(formula.outputs + formula.pivots)
-    outputs = [f"y{i}" for i in range(len(values))]
-    lines, buffers = source_text.array_source(values, outputs)
-    work = [f"w{i}" for i in range(buffers)]
-    arguments = ", ".join([*formula.inputs, *outputs, *work])
-    body = "\n    ".join(lines)
-    return define(f"def {name}({arguments}):\n    {body}\n", name, arrays=True), buffers
-
-
-def by_tangents(outputs: Sequence[Value]) -> list[Value]:
-    """The same by t = tan(a/2) in place of sin a = t d and cos a = d - 1, where d = 2/(1 + t^2).
-
-    numpy has vector code for tangents alone; without it one costs as much as two others.
-    """
-
-    def rule(node: Expression, args: tuple[Any, ...]) -> Any:
-        if node.op == "keep":
-            return args[0]
-        if node.op not in ("sin", "cos"):
-            return node.graph.node(node.op, args)
-        t = expression.call("tan", 0.5 * args[0])
-        d = 2.0 / (1.0 + t * t)
-        return t * d if node.op == "sin" else d - 1.0
-
-    return expression.rewritten(outputs, rule)
-
-
-def define(
-    source: str, name: str, arrays: bool = False, scope: Mapping[str, object] | None = None
-) -> Callable[..., Any]:
+def define(source: str, name: str, scope: Mapping[str, object] | None = None) -> Callable[..., Any]:
     """The function called `name` of a source that may name those of `scope`."""
     known = (*expression.FUNCTIONS, "pow", "atan2", "nan", "inf")
     names: dict[str, object] = {name: getattr(math, name) for name in known} | dict(scope or {})
-    if arrays:
-        import numpy as np
-
-        names |= {call: getattr(np, call) for call in source_text.ARRAY_CALLS}
     exec(compile(source, f"<robodyn straight-line {name}>", "exec"), names)
     function = names[name]
     assert callable(function)

@@ -20,9 +20,8 @@ from typing import Any
 import numpy as np
 
 from robodyn.dynamics.dense_dynamics import RANK_CUT
-from robodyn.engines import array_blocks, straightline
+from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Value
-from robodyn.engines.formulas import Formula
 from robodyn.engines.tangents import slopes_by, tangents
 from robodyn.loops.assembly import assemble, by_dyads, scene_branches
 from robodyn.loops.assembly_plan import Plan, Step, assembly_plan
@@ -313,13 +312,11 @@ def solved_lanes(A: Array, b: Array) -> Array:
 
 def compiled(inputs: tuple[str, ...], parts: Parts) -> Callable[[Array], list[Array]]:
     """A function of inputs (N, inputs) that returns arrays (N, *shape) of values, part by part."""
-    outputs = tuple(x for _, values in parts for x in values)
-    code = straightline.compile_arrays(Formula(inputs, outputs, ()), "lanes") if outputs else None
+    formula = ArrayFormula(inputs, [x for _, values in parts for x in values])
 
     def run(x: Array) -> list[Array]:
         found = [np.empty((len(x), len(values))) for _, values in parts]
-        if code is not None:
-            array_blocks.evaluate(*code, [x], found)
+        formula.fill([x], found)
         return [y.reshape(len(x), *shape) for y, (shape, _) in zip(found, parts, strict=True)]
 
     return run

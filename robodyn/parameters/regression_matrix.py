@@ -19,9 +19,9 @@ from robodyn.dynamics.dynamics import PIVOT_CUT
 from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.dynamics.placed import check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
+from robodyn.engines.batches import FormulaBatches
 from robodyn.engines.expression import Graph, Value
-from robodyn.engines.formula_rows import FormulaRows
-from robodyn.engines.formulas import Formula, Recorded, balance, cheapest, inverse_of
+from robodyn.engines.formulas import Formula, Recorded, balance, inverse_of, written
 from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import SingularError
 from robodyn.mechanics.mechanism import Mechanism
@@ -126,7 +126,7 @@ def _shared_out(mechanism: Mechanism, every: list[Array]) -> tuple[Array, Array]
 
 
 @lru_cache(maxsize=64)
-def _rows(mechanism: Mechanism, solved: bool) -> FormulaRows | None:
+def _rows(mechanism: Mechanism, solved: bool) -> FormulaBatches | None:
     """Y and what is known of the actuated torques, where they are `solved` for, else of loads.
 
     None where there is no such formula.
@@ -151,9 +151,9 @@ def _rows(mechanism: Mechanism, solved: bool) -> FormulaRows | None:
         known = substituted(tau, dict.fromkeys(names, 0.0))
         return Formula(state.inputs + state.timed, (*slopes_by(tau, names), *known), pivots)
 
-    formula = cheapest(write)
+    formula = written(mechanism, write)
     if formula is None:
         return None
     count = len(mechanism.actuated) if solved else mechanism.n
     widths = (count * len(names), count)
-    return FormulaRows(formula, lambda **_: formula, widths, PIVOT_CUT)
+    return FormulaBatches(formula, widths, PIVOT_CUT)

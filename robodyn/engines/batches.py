@@ -7,13 +7,15 @@ and the same call must give the same bytes whatever the process did before.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.engines import array_blocks, expression, straightline
+from robodyn.engines import expression
+from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.formulas import Formula, streams
 from robodyn.tables.arrays import Array
 
@@ -27,25 +29,17 @@ Found = tuple[list[Array], NDArray[np.int64]]
 WORTH = 1e8
 
 
-class FormulaRows:
-    """One kind of formula of one mechanism, for batches.
+class FormulaBatches:
+    """A recorded formula of one mechanism, for batches.
 
-    `record(parameters=True)` records it again.  The outputs are split into `widths`, such as joint
-    values and multipliers; states are doubtful where a pivot does not exceed `least`, or the first
-    outputs are not finite.
+    The outputs are split into `widths`, such as joint values and multipliers; states are doubtful
+    where a pivot does not exceed `least`, or the first outputs are not finite.  Machine code takes
+    the graph's parameters as arguments.
     """
 
-    def __init__(
-        self,
-        formula: Formula,
-        record: Callable[..., Formula | None],
-        widths: Sequence[int],
-        least: float,
-    ) -> None:
-        self.formula = formula
-        self.record, self.widths, self.least = record, widths, least
-        self.cost = expression.cost(self.formula.outputs + self.formula.pivots)
-        self._array: tuple[straightline.ArrayFunction, int] | None = None
+    def __init__(self, formula: Formula, widths: Sequence[int], least: float) -> None:
+        self.formula, self.widths, self.least = formula, widths, least
+        self.cost = expression.cost(formula.outputs + formula.pivots)
         self._machine: dict[int, Evaluate | None] = {}
 
     def run(self, states: Sequence[Array], wanted: int, check: Callable[[], object]) -> Found:
@@ -63,33 +57,27 @@ class FormulaRows:
                     check()
                 return outputs, doubtful
         check()
-        return self.by_numpy(states, wanted)
+        return self.by_arrays(states, wanted)
 
     def machine(self, wanted: int) -> Evaluate | None:
         """Machine code for the first `wanted` arrays of outputs; None where there is none."""
         if wanted not in self._machine:
-            formula = self.record(parameters=True)
-            assert formula is not None
-            wide = len(formula.inputs) // 3  # q, qd, and accelerations or torques; and the time
-            inputs = [list(formula.inputs[i : i + wide]) for i in range(0, 3 * wide, wide)]
-            inputs += [[name] for name in formula.inputs[3 * wide :]]
+            names = self.formula.inputs
+            wide = len(names) // 3  # q, qd, and accelerations or torques; and the time
+            inputs = [list(names[i : i + wide]) for i in range(0, 3 * wide, wide)]
+            inputs += [[name] for name in names[3 * wide :]]
             ends = np.cumsum((0, *self.widths[:wanted]))
-            pairs = pairwise(ends)
-            outputs = [formula.outputs[a:b] for a, b in pairs]
+            outputs = [self.formula.outputs[a:b] for a, b in pairwise(ends)]
             from robodyn.engines.machine_rows import Rows
 
-            rows = Rows(inputs, outputs, formula.pivots, self.least)
-            self._machine[wanted] = rows.compile()
+            self._machine[wanted] = Rows(inputs, outputs, self.formula.pivots, self.least).compile()
         return self._machine[wanted]
 
-    def by_numpy(self, states: Sequence[Array], wanted: int) -> Found:
-        """The same by blocks of numpy calls."""
-        if self._array is None:
-            self._array = straightline.compile_arrays(self.formula, "formula")
-        function, buffers = self._array
+    def by_arrays(self, states: Sequence[Array], wanted: int) -> Found:
+        """The same by numpy calls on blocks of states."""
         total, pivots = len(states[0]), len(self.formula.pivots)
         outputs = [np.empty((total, width)) for width in (*self.widths, pivots)]
-        array_blocks.evaluate(function, buffers, states, outputs)
+        self._arrays.fill(states, outputs)
         first, quality = outputs[0], outputs[-1]
         with np.errstate(all="ignore"):
             sure = np.isfinite(first.sum()) and (quality > self.least).all()
@@ -97,6 +85,10 @@ class FormulaRows:
             return outputs[:wanted], np.zeros(0, np.int64)
         sound = (quality > self.least).all(axis=-1) & np.isfinite(first).all(axis=-1)
         return outputs[:wanted], np.flatnonzero(~sound)
+
+    @cached_property
+    def _arrays(self) -> ArrayFormula:
+        return ArrayFormula(self.formula.inputs, self.formula.outputs + self.formula.pivots)
 
 
 def _side_by_side(total: int, widths: Sequence[int]) -> list[Array]:
