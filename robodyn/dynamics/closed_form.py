@@ -35,6 +35,7 @@ from robodyn.dynamics.placed import (
     as_states,
     check_directions,
     columns,
+    matvec,
     placed,
 )
 from robodyn.mechanics import parts
@@ -92,7 +93,8 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     with a free length coincide.
     """
     arrays, at = mechanism.arrays, placed(mechanism, q)
-    G: Array = (-columns(mechanism, arrays.weights, at.X, at.E).real - arrays.moments) @ arrays.J
+    loads = -columns(mechanism, arrays.weights, at.X, at.E).real - arrays.moments
+    G: Array = matvec(arrays.J.T, loads)
     if mechanism.springs or mechanism.joint_springs:
         from robodyn.engines.row_values import rows_of
 
@@ -159,9 +161,10 @@ def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
 def _kinetic(mechanism: Mechanism, at: Placed, qd: ArrayLike) -> Array:
     arrays = mechanism.arrays
     v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
-    KE: Array = 0.5 * ((v @ arrays.A.T) * v.conj()).real.sum(axis=-1)
+    KE: Array = 0.5 * (matvec(arrays.A, v) * v.conj()).real.sum(axis=-1)
     if mechanism.rotors:
-        KE = KE + 0.5 * (as_states(mechanism, "qd", qd) @ arrays.spins.T) ** 2 @ arrays.rotors
+        spins = matvec(arrays.spins, as_states(mechanism, "qd", qd))
+        KE = KE + 0.5 * (spins**2 * arrays.rotors).sum(axis=-1)
     return KE
 
 
@@ -180,9 +183,9 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
         return _energies_by_stops(mechanism, q, qd)
     arrays, at = mechanism.arrays, placed(mechanism, q)
     KE = _kinetic(mechanism, at, qd)
-    PE: Array = mechanism.energy_offset - (at.X @ arrays.weights).real
+    PE: Array = mechanism.energy_offset - (at.X * arrays.weights).real.sum(axis=-1)
     if any(mechanism.moments):
-        PE = PE - at.x @ arrays.moments
+        PE = PE - (at.x * arrays.moments).sum(axis=-1)
     if mechanism.springs or mechanism.joint_springs:
         from robodyn.engines.row_values import rows_of
 
@@ -241,12 +244,12 @@ def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
 def bias_at(mechanism: Mechanism, at: Placed, rates: Array, bent: Placed) -> Array:
     """The same, where X'' is `bent` without accelerations."""
     P, ground = mechanism.arrays.P, mechanism.arrays.ground
-    bias: Complex = bent.X @ P.T
+    bias: Complex = matvec(P, bent.X)
     if mechanism.lines:
         moved = at.rates(mechanism, rates)
         bias = lines(mechanism, at.E).conj() * bias
-        bias = bias + 2.0 * lines(mechanism, moved.E, 0.0).conj() * (moved.X @ P.T)
-        bias = bias + lines(mechanism, bent.E, 0.0).conj() * (ground + at.X @ P.T)
+        bias = bias + 2.0 * lines(mechanism, moved.E, 0.0).conj() * matvec(P, moved.X)
+        bias = bias + lines(mechanism, bent.E, 0.0).conj() * (ground + matvec(P, at.X))
     return np.asarray(bias.real)
 
 
@@ -263,12 +266,12 @@ def lines(mechanism: Mechanism, E: Complex, otherwise: float = 1.0) -> Complex:
 
 def gap_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
     """The gap (..., r), m."""
-    across: Complex = at.X @ arrays.P.T
+    across: Complex = matvec(arrays.P, at.X)
     if mechanism.lines:
         across = lines(mechanism, at.E).conj() * (across + arrays.ground)
     gap: Array = across.real + arrays.offset
     if mechanism.has_angles:
-        gap = gap + at.x @ arrays.angles.T
+        gap = gap + matvec(arrays.angles, at.x)
     if mechanism.held:
         gap[..., list(mechanism.held)] = 0.0
     return gap
@@ -281,7 +284,7 @@ def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
         P = lines(mechanism, at.E).conj()[..., None] * P
     Psi: Array = columns(mechanism, P, at.X[..., None, :], at.E[..., None, :]).real + arrays.angles
     for r, line in mechanism.lines:
-        across = arrays.ground[r] + at.X @ arrays.P[r]
+        across = arrays.ground[r] + (at.X * arrays.P[r]).sum(axis=-1)
         Psi[..., r, line] += (at.E[..., line].conj() * across).imag
     return Psi
 
@@ -294,11 +297,12 @@ class Points(Record):
 
     def place(self, at: Placed) -> Complex:
         """(..., p), m."""
-        return at.X @ self.c.T + self.constant
+        return self.moved(at) + self.constant
 
     def moved(self, rates: Placed) -> Complex:
         """Velocities m/s, or accelerations m/s^2, by those of X, (..., p)."""
-        return rates.X @ self.c.T
+        moved: Complex = (rates.X[..., None, :] @ self.c.T)[..., 0, :]  # each state by itself
+        return moved
 
 
 def points_of(mechanism: Mechanism, points: Sequence[PlanarPoint]) -> Points:

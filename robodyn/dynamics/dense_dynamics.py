@@ -82,16 +82,16 @@ def required_load(
     if rates.shape != accelerations.shape:
         rates, accelerations = np.broadcast_arrays(rates, accelerations)
     bent = at.accelerations(mechanism, rates, accelerations)
-    load: Array = _loads(mechanism, at, bent) @ mechanism.arrays.J
+    load = matvec(mechanism.arrays.J.T, _loads(mechanism, at, bent))
     if mechanism.rotors:
-        load = load + as_states(mechanism, "qdd", qdd) @ rotor_inertia(mechanism)
+        load = load + matvec(rotor_inertia(mechanism), as_states(mechanism, "qdd", qdd))
     return load + joint_loads(mechanism, q, qd, t)
 
 
 def _loads(mechanism: Mechanism, at: Placed, bent: Placed) -> Array:
     """What acts on x in `required_load`, Re(T^H A X'') and what weights do, where X'' is `bent`."""
     arrays = mechanism.arrays
-    felt = (bent.X @ arrays.A.T).conj() - arrays.weights
+    felt = matvec(arrays.A, bent.X).conj() - arrays.weights
     loads: Array = columns(mechanism, felt, at.X, at.E).real - arrays.moments
     return loads
 
@@ -178,7 +178,7 @@ def forward(
     units = mechanism.arrays.units
     M = _whole_inertia(mechanism, at)  # all of this in x, displacements by a length
     bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
-    force = (tau - joint_loads(mechanism, q, qd, t)) @ relative_matrix(mechanism)
+    force = matvec(relative_matrix(mechanism).T, tau - joint_loads(mechanism, q, qd, t))
     force = force - _loads(mechanism, at, bent)
     Psi = absolute_jacobian(mechanism, at)
     bend = bias_at(mechanism, at, rates, bent)

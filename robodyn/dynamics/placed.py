@@ -133,8 +133,11 @@ def within_floats(
     raise RobodynError(f"{name}[{', '.join(map(str, place))}]", value=value, limit=limit)
 
 
-def matvec(matrix: NDArray[Any], vector: NDArray[Any]) -> Array:
-    """Matrices (..., r, n) times vectors (..., n)."""
+def matvec(matrix: NDArray[Any], vector: NDArray[Any]) -> NDArray[Any]:
+    """Matrices (..., r, n) times vectors (..., n), each by itself.
+
+    So the digits of a state do not depend on how many there are, as those of rows @ matrix do.
+    """
     return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
@@ -180,7 +183,7 @@ def frame_rates(mechanism: Mechanism, rates: Array) -> Array:
 
 def placed(mechanism: Mechanism, q: ArrayLike) -> Placed:
     """Where the mechanism is at q (..., n)."""
-    return placed_at(mechanism, as_states(mechanism, "q", q) @ mechanism.arrays.J.T)
+    return placed_at(mechanism, matvec(mechanism.arrays.J, as_states(mechanism, "q", q)))
 
 
 def placed_at(mechanism: Mechanism, x: NDArray[Any]) -> Placed:
@@ -210,8 +213,7 @@ def columns(mechanism: Mechanism, V: NDArray[Any], X: Complex, E: Complex) -> Co
 
 def absolute_rates(mechanism: Mechanism, qd: ArrayLike, name: str = "qd") -> Array:
     """xd = J qd, angular velocities of links and rates of displacements, (..., n)."""
-    rates: Array = as_states(mechanism, name, qd) @ mechanism.arrays.J.T
-    return rates
+    return matvec(mechanism.arrays.J, as_states(mechanism, name, qd))
 
 
 def joint_ways(

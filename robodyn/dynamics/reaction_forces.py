@@ -35,7 +35,7 @@ from robodyn.dynamics.dynamics import (
     pin_forces,
     pins_at,
 )
-from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, placed
+from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, matvec, placed
 from robodyn.engines.row_values import rows_of
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
@@ -93,16 +93,16 @@ class Felt:
         self.load = (-bodies.points.moved(bent) + mechanism.gamma) * bodies.mass
         self.turning = frame_rates(mechanism, xdd)
         # the moment of each rotor's spin on what carries it, N m
-        self.spun = list(np.moveaxis(-((qdd @ bodies.spins.T) * bodies.rotors), -1, 0))
+        self.spun = list(np.moveaxis(-(matvec(bodies.spins, qdd) * bodies.rotors), -1, 0))
 
     def reactions(self) -> Complex:
         """The force on each link at its own joint, (..., n)."""
-        forces: Complex = -(self.load @ self.bodies.below)
+        forces: Complex = -matvec(self.bodies.below.T, self.load)
         for _, force, link in self._acting():
             if link is not None:
                 forces = forces - np.multiply.outer(force, self.bodies.carried[link])
         if self.mechanism.description.closures:
-            forces = forces - self.pins @ _sides(self.mechanism)
+            forces = forces - matvec(_sides(self.mechanism).T, self.pins)
         return forces
 
     def slide_moments(self) -> list[Array]:
@@ -120,7 +120,7 @@ class Felt:
         found = []
         for k in self.mechanism.slides:
             origin = self._place(tree.point(Point(k, 0j)))
-            total = moments @ carried[:, k]
+            total = (moments * carried[:, k]).sum(axis=-1)
             for there, force, below in forces:
                 turning = np.multiply((there - origin).conjugate(), force).imag
                 total = total + turning * below[k]

@@ -89,7 +89,9 @@ def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Arr
     Psi = scaled_jacobian(mechanism, q)
     rates = as_states(mechanism, "qd", qd)
     units = mechanism.arrays.units
-    return rates - units * matvec(np.linalg.pinv(Psi, rcond=REDUNDANT), matvec(Psi, rates / units))
+    return np.asarray(
+        rates - units * matvec(np.linalg.pinv(Psi, rcond=REDUNDANT), matvec(Psi, rates / units))
+    )
 
 
 def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:

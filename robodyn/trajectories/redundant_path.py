@@ -144,7 +144,7 @@ class RedundantPath(WholePath):
             return matvec(rows, matvec(up, right) / s)
 
         def free(x: Array) -> Array:
-            return x - matvec(rows, matvec(Vt, x))
+            return np.asarray(x - matvec(rows, matvec(Vt, x)))
 
         pull = pull1 = np.zeros_like(q[:, self._passive])
         if self._posture is not None:
