@@ -13,6 +13,9 @@ from conftest import FOUR_BAR, ROOT, TWO_LINK, Outcome
 from terminals import on_terminal
 
 import oracles
+from robodyn.dynamics import closed_form
+from robodyn.dynamics.identities import condition_numbers
+from robodyn.mechanics.model_parts import Inertias
 
 Run = Callable[..., Outcome]
 ROBOTS = sorted(path.stem for path in (ROOT / "robots").glob("*.yaml"))
@@ -38,7 +41,38 @@ def test_a_long_chain_passes_at_few_states(robodyn: Run, scene: Callable[[str], 
     assert given.code == 0, given.err
     found = given.json
     assert found["passed"] is True
-    assert 1 < found["states"] <= 10  # M has 160,000 entries a state
+    assert 1 <= found["states"] <= 10  # M has 160,000 entries a state
+
+
+def test_a_fault_in_a_long_chain_is_found(
+    robodyn: Run, scene: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where matrices are summed along the tree and definite by their factors: one wrong entry."""
+    link = "  - {{name: link{}, m: 1, l: 0.5, r: [0.2, 0.1], I: 0.05}}\n"
+    path = scene("gravity: 9.81\nlinks:\n" + "".join(link.format(k) for k in range(120)))
+    right = Inertias.dense
+
+    def wrong(given: Inertias) -> np.ndarray:
+        A: np.ndarray = right(given)
+        A[7, 90] *= 1.01
+        A[90, 7] *= 1.01
+        return A
+
+    monkeypatch.setattr(Inertias, "dense", wrong)
+    given = robodyn("check", path)
+    assert given.code == 1
+    for name in ("KE = 1/2 qd^T M qd", "C qd = Mdot qd - dKE/dq"):
+        assert (given.json["identities"][name] > 1e-9) == (name[0] == "K")
+
+
+def test_condition_numbers_of_large_matrices() -> None:
+    rng = np.random.default_rng(0)
+    Q = np.linalg.qr(rng.normal(size=(closed_form.LONG, closed_form.LONG)))[0]
+    wide = Q * np.geomspace(1e-7, 3.0, len(Q)) @ Q.T
+    singular = Q * np.r_[0.0, np.ones(len(Q) - 1)] @ Q.T
+    found = condition_numbers(np.array([wide, np.eye(len(Q))]))
+    np.testing.assert_allclose(found, [3e7, 1.0], rtol=1e-3)
+    assert condition_numbers(singular[None])[0] > 1e14
 
 
 @pytest.mark.parametrize(

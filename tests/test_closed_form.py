@@ -232,3 +232,15 @@ class TestInputErrors:
             cf.kinetic_energy(self.mech, [0.0] * 3, [0.0, 0.0])
         with pytest.raises(InputError, match=r"qdd\[2\] = nan"):
             cf.point_motion(self.mech, self.mech.tips, [0.0] * 3, None, [0.0, 0.0, np.nan])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_sums_along_the_tree_are_products_of_whole_matrices(seed, monkeypatch):
+    """J^T W J as it is computed of long chains, on trees with joints that turn and slide."""
+    scene = seeded_tree(seed, 2 + seed % 5)
+    mech, qd = scene.mechanism, scene.qd
+    expected = cf.mass_matrix(mech, scene.q), cf.coriolis_matrix(mech, scene.q, qd)
+    monkeypatch.setattr(cf, "LONG", 1)
+    size = sizes(mech.description)
+    assert_close(cf.mass_matrix(mech, scene.q), expected[0], size.inertia)
+    assert_close(cf.coriolis_matrix(mech, scene.q, qd), expected[1], size.coriolis(qd))

@@ -66,6 +66,10 @@ class TestConstants:
         m, I = (np.array([link[key] for link in tree]) for key in ("m", "I"))
         size = sizes(mech.description)
         assert_close(mech.arrays.A, rho.conj().T @ (m[:, None] * rho) + np.diag(I), size.inertia)
+        entries = np.zeros((mech.n, mech.n), complex)  # the same, one by one
+        for j, k, value in mech.A:
+            entries[j, k], entries[k, j] = value, value.conjugate()
+        assert_close(mech.arrays.A, entries, size.inertia)
         assert_close(mech.arrays.B * abs(mech.gamma), m @ rho * abs(mech.gamma), size.gravity)
 
     @examples

@@ -12,7 +12,14 @@ from robodyn.cli.output import Grid, note, write_structure
 from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.dynamics import closed_form
-from robodyn.dynamics.identities import BOUND, Identity, Sample, identities, sample_states
+from robodyn.dynamics.identities import (
+    BOUND,
+    Identity,
+    Sample,
+    condition_numbers,
+    identities,
+    sample_states,
+)
 from robodyn.errors import InputError
 from robodyn.loops import assembly
 from robodyn.mechanics.loop_rows import loop_class
@@ -41,7 +48,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
     free = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
     unknown = False
     try:
-        count = max(2, min(STATES, ENTRIES // mechanism.n**2))
+        count = max(1, min(STATES, ENTRIES // mechanism.n**2))
         with remarks(), progress("closing") as watch:
             sample = sample_states(mechanism, count, watch)
     except InputError as error:
@@ -84,9 +91,7 @@ def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
     q = sample.q
     if not len(q):
         return {"mobility": None, "cond_M": None, "cond_Psi": None}
-    sizes = np.abs(np.linalg.eigvalsh(closed_form.mass_matrix(mechanism, q)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cond_M = sizes.max(axis=-1) / sizes.min(axis=-1)
+    cond_M = condition_numbers(closed_form.mass_matrix(mechanism, q))
     mobility, cond_Psi = mechanism.n, None
     if mechanism.rows:
         s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q), compute_uv=False)

@@ -45,6 +45,8 @@ from robodyn.mechanics.planar_model import Arrays
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.records import Record
 
+LONG = 100  # links, from which on products of whole matrices cost more than sums along the tree
+
 
 def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = None) -> Array:
     """Re(T^H A T), M in x less rotors, (..., n, n); with `rates` Re(T^H A T'), C in x."""
@@ -61,8 +63,7 @@ def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.
     Raises InputError where q is not finite or not n wide.
     """
-    J = mechanism.arrays.J
-    M: Array = J.T @ absolute_inertia(mechanism, placed(mechanism, q)) @ J
+    M = _of_joints(mechanism, absolute_inertia(mechanism, placed(mechanism, q)))
     return M + rotor_inertia(mechanism) if mechanism.rotors else M
 
 
@@ -79,10 +80,23 @@ def coriolis_matrix(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.
     Raises InputError where q or qd is not finite or not n wide.
     """
-    J, at = mechanism.arrays.J, placed(mechanism, q)
+    at = placed(mechanism, q)
     moved = at.rates(mechanism, absolute_rates(mechanism, qd))
-    C: Array = J.T @ absolute_inertia(mechanism, at, moved) @ J
-    return C
+    return _of_joints(mechanism, absolute_inertia(mechanism, at, moved))
+
+
+def _of_joints(mechanism: Mechanism, W: Array) -> Array:
+    """J^T W J of matrices W (..., n, n) in x; of long chains by sums along the tree."""
+    J = mechanism.arrays.J
+    if mechanism.n < LONG:
+        return np.asarray(J.T @ W @ J)
+    for _ in range(2):
+        W = np.array(np.swapaxes(W, -1, -2))
+        for k in reversed(mechanism.order):
+            above = mechanism.above[k]
+            if above is not None:
+                W[..., above, :] += W[..., k, :]
+    return W
 
 
 def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:

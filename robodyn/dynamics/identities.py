@@ -129,16 +129,48 @@ def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     q, qd, scene = sample.q, sample.qd, build(mechanism.description)
     rows = RowValues(replace(scene, A=()))  # which none reads, and which is large
     M = closed_form.mass_matrix(mechanism, q)
-    scale = np.sqrt(np.maximum(np.abs(np.diagonal(M, axis1=-2, axis2=-1)), 1e-300))
-    least = np.linalg.eigvalsh(M / (scale[..., :, None] * scale[..., None, :]))[..., 0]
     found = [
         Identity("M = M^T", _relative(M - np.swapaxes(M, -1, -2), M)),
-        Identity("M positive (least eigenvalue >= 0)", float(max(0.0, -least.min(initial=0.0)))),
+        Identity("M positive (least eigenvalue >= 0)", _below_zero(M)),
     ]
     found += _energy_identities(mechanism, rows, q, qd, M)
     if mechanism.rows:
         found += _closure_identities(mechanism, rows, q, qd)
     return found + _motion_identities(mechanism, rows, q, qd, M)
+
+
+def _below_zero(M: Array) -> float:
+    """By how much the least eigenvalue of matrices (T, n, n), scaled to a diagonal of 1, is not."""
+    scale = np.sqrt(np.maximum(np.abs(np.diagonal(M, axis1=-2, axis2=-1)), 1e-300))
+    scaled = M / (scale[..., :, None] * scale[..., None, :])
+    try:  # which only positive ones have, and sooner than eigenvalues
+        np.linalg.cholesky(scaled)
+    except np.linalg.LinAlgError:
+        return float(max(0.0, -np.linalg.eigvalsh(scaled)[..., 0].min(initial=0.0)))
+    return 0.0
+
+
+def condition_numbers(M: Array) -> Array:
+    """Of symmetric matrices (T, n, n) that are not negative, (T,); infinite where one is singular.
+
+    Of large ones by Lanczos's method on M and on its inverse, which is exact to some 3 digits.
+    """
+    if M.shape[-1] >= closed_form.LONG:
+        with suppress(np.linalg.LinAlgError):
+            return np.array([_span_by_iterations(each) for each in M])
+    sizes = np.abs(np.linalg.eigvalsh(M))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(sizes.max(axis=-1) / sizes.min(axis=-1))
+
+
+def _span_by_iterations(M: Array) -> float:
+    from scipy.linalg import cho_solve
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    factor, begin = np.linalg.cholesky(M), np.ones(len(M))
+    inverse = LinearOperator(M.shape, lambda b: cho_solve((factor, True), b), dtype=float)
+    ends = [eigsh(A, 1, v0=begin, tol=1e-4, return_eigenvectors=False) for A in (M, inverse)]
+    return float(ends[0][0] * ends[1][0])
 
 
 def _energy_identities(

@@ -39,7 +39,7 @@ from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, matvec,
 from robodyn.engines.row_values import rows_of
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
-from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.link_tree import Tree, places_of
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Moment, Point
 from robodyn.tables.arrays import Array, Complex
@@ -306,8 +306,8 @@ def _felt(changes: NDArray[np.inexact], least: float) -> tuple[int, ...]:
 def bodies_of(mechanism: Mechanism) -> Bodies:
     """The bodies of a mechanism, at points summed from the ground."""
     links, n = mechanism.description.links, mechanism.n
-    own = [(k, link.m, mechanism.centres[k]) for k, link in enumerate(links) if link.m]
-    own += [(k, link.payload, mechanism.tips[k]) for k, link in enumerate(links) if link.payload]
+    own = [(k, link.m, Point(k, link.r)) for k, link in enumerate(links) if link.m]
+    own += [(k, x.payload, Point(k, x.l)) for k, x in enumerate(links) if x.payload]
     carried = np.eye(n)
     for k in mechanism.order:
         above = mechanism.parent[k]
@@ -316,7 +316,7 @@ def bodies_of(mechanism: Mechanism) -> Bodies:
     spins = [mechanism.spins(rotor) for rotor in mechanism.rotors]
     return Bodies(
         mass=dense([mass for _, mass, _ in own], float),
-        points=points_of(mechanism, [point for _, _, point in own]),
+        points=Points(*places_of(Tree(links), [point for _, _, point in own])),
         below=carried[[k for k, _, _ in own]],
         carried=carried,
         inertia=dense([link.I for link in links], float),

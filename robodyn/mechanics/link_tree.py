@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from typing import Any
 
 from robodyn.mechanics.planar_model import PlanarPoint
 from robodyn.scene.scene import Closure, Link, Point
@@ -185,6 +186,40 @@ class Tree:
         for link in passed:
             shared[link] = k, set(list(loop)[:1])
         return k
+
+
+def places_of(tree: Tree, points: Sequence[Point] | None = None) -> tuple[Any, Any]:
+    """Points of the tree as arrays: constants (p,) and coefficients of X (p, n).
+
+    By default the joints of the links.  Numbers are complex, or objects where links have formulas.
+    """
+    import numpy as np
+
+    links, n = tree.links, len(tree.links)
+    numbers = [z for x in links for z in (x.l, x.r, x.hangs_from.at)]
+    kind = complex if all(isinstance(z, int | float | complex) for z in numbers) else object
+    constant, c = np.zeros(n, kind), np.zeros((n, n), kind)
+
+    def put(k: int, point: Point) -> None:
+        if point.link is None:
+            constant[k] = point.at
+            return
+        constant[k], c[k] = joints[0][point.link], joints[1][point.link]
+        for frame, value in tree.terms(point):
+            if frame is None:
+                constant[k] = constant[k] + value
+            else:
+                c[k, frame] = c[k, frame] + value
+
+    joints = constant, c
+    for k in tree.order:
+        put(k, links[k].hangs_from)
+    if points is None:
+        return joints
+    constant, c = np.zeros(len(points), kind), np.zeros((len(points), n), kind)
+    for k, point in enumerate(points):
+        put(k, point)
+    return constant, c
 
 
 class Bodies(Record):

@@ -31,10 +31,17 @@ from pathlib import Path
 from typing import Any
 
 from robodyn.errors import InputError
-from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest
+from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest, places_of
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
-from robodyn.mechanics.planar_model import Force, OnDemand, PointSpring, Rotor, VaryingMoment
+from robodyn.mechanics.planar_model import (
+    Force,
+    Inertias,
+    OnDemand,
+    PointSpring,
+    Rotor,
+    VaryingMoment,
+)
 from robodyn.mechanics.planar_model import Mechanism as Mechanism
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import joint_index as joint_index
@@ -131,7 +138,7 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
         link_names=tuple(link.name for link in links),
         parent=tree.parent,
         order=tree.order,
-        A=OnDemand(_couplings_of_links, tree, carried, first, inertia),
+        A=Inertias(_couplings_of_links, _dense_couplings, tree, carried, first, inertia),
         B=tuple(B),
         gamma=description.gravity,
         energy_offset=offset,
@@ -210,6 +217,27 @@ def _couplings_of_links(
         for j, p in above:
             add(j, tree.frames[k], p.conjugate() * own)
     yield from ((j, k, value) for (j, k), value in found.items())
+
+
+def _dense_couplings(
+    tree: Tree, mass: Sequence[float], B: Sequence[complex], inertia: Sequence[float]
+) -> Any:
+    """All entries of A as an array (n, n)."""
+    import numpy as np
+
+    n, above = len(inertia), places_of(tree)[1]
+    half, own = np.zeros((n, n), complex), np.zeros(n)  # half[k, j] of A_jk, as A_kj is conjugate
+    for k in tree.order:
+        first, d = tree.turned(k, B[k]), tree.frames[k]
+        if tree.links[k].slides:
+            half[k] += above[k].conj() * (tree.phases[k] * mass[k])
+            own[k] += mass[k]
+            if d is not None:
+                half[k, d] += first.conjugate() * tree.phases[k]
+        if d is not None:
+            half[d] += above[k].conj() * first
+            own[d] += inertia[k]
+    return half.T + half.conj() + np.diag(own)
 
 
 def _rotors(tree: Tree) -> Iterator[Rotor]:

@@ -35,6 +35,26 @@ class OnDemand(Sequence[T]):
         return {"_recipe": self._recipe}
 
 
+class Inertias(OnDemand[tuple[int, int, complex]]):
+    """Entries (j, k, A_jk) of A that are not zero, or by `dense` all of A (n, n) at once."""
+
+    def __init__(
+        self,
+        make: Callable[..., Iterable[tuple[int, int, complex]]],
+        whole: Callable[..., Any],
+        *arguments: object,
+    ) -> None:
+        super().__init__(make, *arguments)
+        self._whole = whole
+
+    def dense(self) -> Any:
+        """A as an array: of long chains far sooner than from its entries."""
+        return self._whole(*self._recipe[1])
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"_recipe": self._recipe, "_whole": self._whole}
+
+
 class PlanarPoint(Record):
     """A point `constant + sum_k coefficient_k X_k` of the mechanism, m."""
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
 from robodyn.mechanics.model_parts import Force as Force
+from robodyn.mechanics.model_parts import Inertias as Inertias
 from robodyn.mechanics.model_parts import OnDemand as OnDemand
 from robodyn.mechanics.model_parts import PlanarPoint as PlanarPoint
 from robodyn.mechanics.model_parts import PointSpring as PointSpring
@@ -245,10 +246,13 @@ def _arrays(mechanism: Mechanism) -> Arrays:
     import numpy as np
 
     n, r = mechanism.n, len(mechanism.rows)
-    A = np.zeros((n, n), complex)
-    for j, k, value in mechanism.A:
-        A[j, k] = value
-        A[k, j] = value.conjugate()
+    if isinstance(mechanism.A, Inertias):
+        A = mechanism.A.dense()
+    else:
+        A = np.zeros((n, n), complex)
+        for j, k, value in mechanism.A:
+            A[j, k] = value
+            A[k, j] = value.conjugate()
     J = np.eye(n)
     for k in mechanism.order:
         above = mechanism.above[k]
