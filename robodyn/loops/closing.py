@@ -26,7 +26,7 @@ from robodyn.errors import SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
 
-# of q (..., n): which states are closed to rounding (...), and the Newton steps (..., n)
+# of q (k, n): which states are closed to rounding (k,), and the Newton steps (k, n)
 Evaluator = Callable[[Any], tuple[Any, Any]]
 
 NEAR_SINGULAR = 1e-2  # s/L below which a gap is computed exactly
@@ -123,31 +123,37 @@ def half_turn(angle: Array) -> Array:
 
 
 def newton(q: Any, evaluate: Evaluator) -> Any:
-    """Newton steps from q (..., n), each state until it is closed or rounding moves it."""
-    before = np.full(q.shape[:-1], np.inf)
-    moving = np.ones(q.shape[:-1], bool)
+    """Newton steps from q (..., n), each state until it is closed or rounding moves it.
+
+    Those that go on are evaluated alone.
+    """
+    shape, q = q.shape, q.reshape(-1, q.shape[-1]).copy()
+    moving, before = np.arange(len(q)), np.full(len(q), np.inf)
     for _ in range(PASSES):
-        closed, step = evaluate(q)
+        closed, step = evaluate(q[moving])
         length = np.abs(step).max(axis=-1, initial=0.0)
-        moving = moving & ~closed & ~((length > SHRINKS * before) & (before < SETTLED))
-        if not moving.any():
+        goes = ~closed & ~((length > SHRINKS * before) & (before < SETTLED))
+        moving, step, before = moving[goes], step[goes], length[goes]
+        if not len(moving):
             break
-        part = np.minimum(1.0, LONGEST / np.maximum(length, LONGEST))
-        q = np.where(moving[..., None], q - part[..., None] * step, q)
-        before = length
-    return q
+        part = np.minimum(1.0, LONGEST / np.maximum(before, LONGEST))
+        q[moving] -= part[:, None] * step
+    return q.reshape(shape)
 
 
-def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = ()) -> Array:
+def close_positions(
+    mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = (), exact: bool = True
+) -> Array:
     """The nearest closed configuration by Newton's method, the `fixed` joints held, (..., n).
 
-    Where it does not converge the gap stays; the caller checks it.
+    Where it does not converge the gap stays; the caller checks it.  `exact` closes next to a
+    singular configuration as far as the gap's rounding lets it, which takes ten times as long.
     """
     given = np.array(q, dtype=float)
     if not mechanism.rows or not given.size:
         return given
     free = [k for k in range(mechanism.n) if k not in set(fixed)]
-    near = NEAR_SINGULAR * loop_size(mechanism)
+    near = NEAR_SINGULAR * loop_size(mechanism) if exact else 0.0
     return _closed(mechanism, given, free, near)
 
 
@@ -159,6 +165,8 @@ def _closed(mechanism: Mechanism, given: Array, free: list[int], exact: float) -
         gap = closure_gap(mechanism, q)
         closed = np.abs(gap).max(axis=-1) <= CLOSED * size
         step = np.zeros_like(q)
+        if not exact and closed.all():
+            return closed, step
         Psi = scaled_jacobian(mechanism, q)[..., free]
         Psi = np.where(np.isfinite(Psi), Psi, 0.0)  # a state that is not finite stays as it is
         U, s, Vt = svd(Psi)

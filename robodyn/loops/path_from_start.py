@@ -47,7 +47,7 @@ def from_start(
             watch(s / steps)
         there = here[going]
         there[:, actuated] = first[going] + way[going] * (s / steps)
-        there = close_positions(mechanism, there, actuated)
+        there = close_positions(mechanism, there, actuated, exact=s == steps)
         # beyond a limit nothing closes, or only after a leap to another branch: the path ends
         moved = np.abs(there[:, passive] - here[going][:, passive]) / units[passive]
         kept = (moved.max(axis=-1, initial=0.0) <= LEAP) & (_gap(mechanism, there) <= CLOSED)

@@ -397,9 +397,8 @@ def _steps(
         left = np.abs(at.force - at.stiffness @ step).max(initial=0.0)
         if settled and left > AT_REST * size:
             return least  # what no stiffness balances
-        there = close_positions(
-            acting, q + at.N @ (step * min(1.0, LONGEST / max(length, LONGEST)))
-        )
+        there = q + at.N @ (step * min(1.0, LONGEST / max(length, LONGEST)))
+        there = close_positions(acting, there, exact=settled)
         nearer = None
         if _open(mechanism, there):
             if downhill:

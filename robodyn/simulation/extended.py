@@ -237,10 +237,12 @@ class _Closing:
             raise _TooNear
         return np.asarray((Vt.T / s) @ U.T)
 
-    def _step(self, q: Long) -> tuple[bool, Long]:
-        gap = exact_gap(self.mechanism, q)
-        step: Long = self.x.units * (self._inverse(q) @ gap)
-        return bool(np.abs(step).max() < 10.0 * np.finfo(LONG).eps), step
+    def _step(self, states: Long) -> tuple[Any, Long]:
+        """Whether the one state (1, n) is closed, and its step."""
+        (q,) = states
+        step: Long = self.x.units * (self._inverse(q) @ exact_gap(self.mechanism, q))
+        closed = np.abs(step).max() < 10.0 * np.finfo(LONG).eps
+        return np.array([closed]), step[None]
 
 
 class _TooNear(Exception):
