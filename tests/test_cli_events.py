@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from conftest import Outcome
 
+from robodyn.sweeps import sweep_plan
+
 
 def done(outcome: Outcome) -> Outcome:
     assert outcome.code == 0, outcome.err
@@ -138,7 +140,7 @@ def test_a_sweep_tells_events(robodyn: Run, workers: int) -> None:
 def test_a_sweep_with_events_goes_on(
     robodyn: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robodyn.sweeps.sweep_request.ONE_BY_ONE", 10)  # points of a chunk
+    monkeypatch.setitem(sweep_plan.CHUNKS, "DOP853", 10)  # points of a chunk
     out, vary = tmp_path / "out.csv", ("--vary", "q1=0:350deg:14")
     options = ("sweep", "robots/four-bar.yaml", *vary, "--qd", 5, "--time", 0.2)
     options += ("--event", "line=sin(q2)", "--result", "events", "--quiet")

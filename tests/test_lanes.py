@@ -18,6 +18,7 @@ from robodyn.loops.projection import suspect_quality
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 from robodyn.scene.scene_values import SceneValues
+from robodyn.sweeps import lane_observer
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
 from robodyn.sweeps.sweep_plan import Plan
@@ -271,6 +272,29 @@ class TestResults:
             energy = kinetic_energy(mechanism, state[:n], state[n:])
             energy = energy + potential_energy(mechanism, state[:n]) - mechanism.energy_offset
             assert found.energy[k] == pytest.approx([energy, energy], abs=1e-9)
+
+    @pytest.mark.parametrize("name", ["2r", "four-bar"])
+    def test_steps_that_are_noted_are_taken_at_any_time(self, name, monkeypatch) -> None:
+        """Room for one step of a vector, or for all: the same to the last bit."""
+        mechanism = scene(name)
+        y = swings(40, 3) if name == "2r" else turning(mechanism, 40, 3)
+        found = []
+        for room in (0, lane_observer.LARGEST):
+            monkeypatch.setattr(lane_observer, "LARGEST", room)
+            taken, take = [0], lane_observer.Notes.take
+
+            def counted(notes, taken=taken, take=take) -> None:
+                taken[0] += 1
+                take(notes)
+
+            with monkeypatch.context() as patch:
+                patch.setattr(lane_observer.Notes, "take", counted)
+                found.append(run(mechanism, y, 5.0, link=mechanism.n - 1))
+            assert (taken[0] > 50) == (room == 0)
+        assert name != "2r" or np.isfinite(found[0].flip).sum() > 5
+        for name in ("low", "high", "flip", "y"):
+            ours, theirs = (getattr(ends, name) for ends in found)
+            assert np.array_equal(ours, theirs, equal_nan=True)
 
     def test_drift_takes_work_into_account(self) -> None:
         links = [

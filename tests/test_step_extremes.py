@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from robodyn.sweeps.step_extremes import crossings, extremes, values
+from robodyn.sweeps.step_extremes import crossings, extremes
 
 
 def series(seed: int, B: int = 200) -> tuple[np.ndarray, np.ndarray]:
@@ -36,13 +36,6 @@ def test_extremes(seed: int) -> None:
             turn = np.polynomial.Polynomial(rate).integ().coef
             expected = [*exact(turn, h[b]), *exact(rate, h[b])]
             assert [x[i, b] for x in found] == pytest.approx(expected, abs=1e-13)
-
-
-def test_values() -> None:
-    rates, h = series(7)
-    p = np.polynomial.Polynomial(rates[:, 1, 5])
-    expected = [p.integ()(h[5]), p(h[5]), p.deriv()(h[5])]
-    assert [x[1, 5] for x in values(rates, h)] == pytest.approx(expected, rel=1e-14)
 
 
 def test_crossings() -> None:

@@ -17,6 +17,7 @@ from scipy.integrate import trapezoid
 
 import oracles
 from robodyn import load, simulate
+from robodyn.sweeps import sweep_plan
 from robodyn.sweeps.sweep_chunks import run_chunk
 from robodyn.sweeps.sweep_plan import Plan
 from robodyn.sweeps.sweep_workers import results
@@ -275,7 +276,7 @@ def _empty(keep: Callable[..., object], *args: object):
 def test_a_sweep_that_was_cut_off_goes_on(
     robodyn: Run, reference: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robodyn.sweeps.sweep_request.ONE_BY_ONE", 5)  # points of a chunk
+    monkeypatch.setitem(sweep_plan.CHUNKS, "DOP853", 5)  # points of a chunk
     out = reference.with_name("rows.csv")
     line = ("sweep", ARM, *PD, "--track", reference, *NORMAL, "--sample", 7, "--points", 3)
     line += ("--result", "max(tau1)", "--rtol", 1e-3, "--atol", 1e-3, "--workers", 1, "--quiet")

@@ -1,25 +1,38 @@
 """What a motion of a sweep leaves behind, kept in machine code along the way.
 
-Extremes and crossings within a step are those of its series, as `step_extremes.py` has them;
-energies are weighed at the steps' ends.
+Energies are weighed at the steps' ends, angles and rates at the steps' quarters as well.  Where an
+extreme or a flip may lie between these, the step's series is noted: no root is found here.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
-from robodyn.engines.assembler import ADDRESS, WHOLE, Kernel, Module, Word
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import anything, energies
-from robodyn.engines.machine_motion import RUNNING, Observer
+from robodyn.engines.machine_motion import RUNNING, Observer, aligned
 from robodyn.engines.machine_steps import Items, Scene
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.sweeps.step_extremes import NEAR, NEWTON, QUARTERS
+from robodyn.sweeps.step_extremes import QUARTERS, crossings, turning_values
+from robodyn.tables.arrays import Array
 from robodyn.taylor import Status
 
+Indices = NDArray[np.intp]
 KEPT = ("start", "off", "KE", "PE_low", "PE_high", "E_low", "E_high", "angle", "flip", "begun")
 Values = tuple[Word, Word, Word, Word]  # integral, value, slope and bend of a series
+# Steps that are noted, for numpy to find their roots.  The whole numbers at the beginning: how many
+# there are, up to how many another step may begin, and the first lane of the vector under way.
+ROOM, LANE, FIRST = 1, 2, 8
+LARGEST = 2**17  # numbers noted before roots are found: 1 MB, which caches hold
+# From item FIRST on stand the notes: these items, then the coefficients of the rate.  `what` is of
+# a joint bits, first those of quarters where its angle has an extreme, then of its rate; `start` is
+# the angle as the step begins; `joint` is n for the link that may flip.
+HEAD = ("what", "t", "x", "start", "lane", "joint")
 
 
 def kept(mechanism: Mechanism) -> dict[str, float]:
@@ -58,9 +71,12 @@ class LaneObserver(Observer):
         self._weigh(module)
         self._begin(module)
         if self.extremes:
-            self._widen(module)
+            self._extremes(module)
         if scene.link >= 0:
-            self._cross(module)
+            self._flips(module)
+
+    def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
+        leave(k.compare("slt", k.load(k.at(own, ROOM), WHOLE), k.load(own, WHOLE)))
 
     def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
         items = _Kept(self.scene, k, block)
@@ -69,9 +85,9 @@ class LaneObserver(Observer):
         n = self.scene.mechanism.n
         if self.extremes:
             with k.loop(k.whole(n)) as j:
-                k.call("widen", block, j)
+                k.call("extremes", block, own, j)
         if self.scene.link >= 0:
-            k.call("cross", block)
+            k.call("flips", block, own)
         k.call("energies", block)
         KE, PE = get("longest"), get("miss")
         E = k.add(KE, PE)
@@ -86,13 +102,13 @@ class LaneObserver(Observer):
                 items.widen(f"low{m}", f"high{m}", get(f"to_{name}"), take)
 
     def finish(self, scene: Scene, module: Module) -> None:
-        """run(block, columns, stride, first, stop, budget): steps of lanes first to stop.
+        """run(block, notes, columns, stride, first, stop, budget): steps of lanes first to stop.
 
         The columns are those items that Python fills, stride doubles apart; it returns how many
         lanes could take more steps.  A lane that has taken none is begun.
         """
-        k = Kernel(module, "run", (ADDRESS, ADDRESS, WHOLE, WHOLE, WHOLE, WHOLE))
-        block, columns, stride, first, stop, budget = k.arguments
+        k = Kernel(module, "run", (ADDRESS, ADDRESS, ADDRESS, WHOLE, WHOLE, WHOLE, WHOLE))
+        block, notes, columns, stride, first, stop, budget = k.arguments
         waiting, count = k.slot(k.whole(0)), k.whole(len(scene.place))
         with k.loop(stop, first, k.lanes) as lane:
             with k.loop(count) as i:
@@ -102,7 +118,8 @@ class LaneObserver(Observer):
             with k.when(k.any(fresh)):
                 k.call("begin", block)
                 scene.put(k, block, "begun", k.number(1.0))
-            k.result_of(WHOLE, "advance", block, budget, block)
+            k.store(lane, k.at(notes, LANE))
+            k.result_of(WHOLE, "advance", block, budget, notes)
             running = k.compare("oeq", scene.get(k, block, "status"), k.number(RUNNING))
             k.set(waiting, k.add(k.get(waiting, WHOLE), k.count(running)))
             with k.loop(count) as i:
@@ -169,144 +186,132 @@ class LaneObserver(Observer):
 
     # -- within a step -----------------------------------------------------------------------------
 
-    def _values(self, k: Kernel, series: Word, x: Word) -> Values:
-        """Of the series whose items begin there."""
-        count = self.scene.order + 1
+    def _values(self, k: Kernel, series: Word, x: Word, sizes: bool = False) -> Values:
+        """Of the series whose items begin there; `sizes`: of the sizes of its coefficients."""
         turn, value, slope, bend = (k.number(0.0) for _ in range(4))
-        for m in reversed(range(count)):
+        for m in reversed(range(self.scene.order + 1)):
             c = k.load(k.at(series, m, k.numbers))
+            c = k.intrinsic("fabs", c) if sizes else c
             bend = k.add(k.multiply(bend, x), slope)
             slope = k.add(k.multiply(slope, x), value)
             value = k.add(k.multiply(value, x), c)
             turn = k.add(k.multiply(turn, x), k.multiply(c, k.number(1.0 / (m + 1))))
         return k.multiply(turn, x), value, slope, k.multiply(bend, k.number(2.0))
 
-    def _root(
-        self,
-        k: Kernel,
-        function: Callable[[Word], tuple[Word, Word]],
-        begin: Word,
-        end: Word,
-        sign: Word,
-        mask: Word,
-    ) -> Word:
-        """Where a function is zero between two places, by Newton in a bracket."""
-        low, high, waiting = k.slot(begin), k.slot(end), k.slot(mask)
-        middle = k.multiply(k.add(begin, end), k.number(0.5))
-        place, passes = k.slot(middle), k.slot(k.whole(0))
-        near = k.multiply(k.intrinsic("fabs", k.subtract(end, begin)), k.number(NEAR))
-        with k.forever() as found:
-            x, now = k.get(place), k.get(waiting, k.mask)
-            f, g = function(x)
-            same = k.less(k.number(0.0), k.multiply(f, sign))
-            k.set(low, k.select(same, x, k.get(low)))
-            k.set(high, k.select(same, k.get(high), x))
-            newton = k.subtract(x, k.divide(f, g))
-            below, above = k.subtract(newton, k.get(low)), k.subtract(newton, k.get(high))
-            inside = k.compare("ole", k.multiply(below, above), k.number(0.0))
-            half = k.multiply(k.add(k.get(low), k.get(high)), k.number(0.5))
-            following = k.select(now, k.select(inside, newton, half), x)
-            k.set(place, following)
-            far = k.less(near, k.intrinsic("fabs", k.subtract(following, x)))
-            k.set(waiting, k.both(now, far))
-            count = k.add(k.get(passes, WHOLE), k.whole(1))
-            k.set(passes, count)
-            k.leave(k.invert(k.any(k.get(waiting, k.mask))), found)
-            k.leave(k.compare("sge", count, k.whole(NEWTON)), found)
-        return k.get(place)
+    def _parts(self, k: Kernel, series: Word, x: Word) -> list[Values]:
+        """At the quarters of a step x, first at its beginning, there without the bend."""
+        nothing = k.number(0.0)
+        rate, slope = (k.load(k.at(series, m, k.numbers)) for m in range(2))
+        begin = nothing, rate, slope, nothing
+        ends = (k.multiply(x, k.number(part / QUARTERS)) for part in range(1, QUARTERS + 1))
+        return [begin, *(self._values(k, series, end) for end in ends)]
 
-    def _changes(self, k: Kernel, before: Word, now: Word) -> Word:
-        return k.less(k.multiply(before, now), k.number(0.0))
+    def _beyond(self, k: Kernel, bound: Word, x: Word) -> Word:
+        """How far an extreme within a quarter may be beyond the ends of that.
 
-    def _widen(self, module: Module) -> None:
-        """Extremes of joint j's angle and rate within the step x; a step of no length adds none."""
+        One of them is nearer than an eighth of the step; `bound` is one of the second derivative.
+        """
+        return k.multiply(k.multiply(bound, k.number(1.0 / (8 * QUARTERS**2))), k.multiply(x, x))
+
+    def _extremes(self, module: Module) -> None:
+        """extremes(block, notes, j): of joint j's angle and rate within the step x.
+
+        Its quarters' values are taken; a step is noted where more than these may be within one.  A
+        step of no length adds none.
+        """
         scene, n = self.scene, self.scene.mechanism.n
-        k = Kernel(module, "widen", (ADDRESS, WHOLE), "void")
-        block, j = k.arguments
+        k = Kernel(module, "extremes", (ADDRESS, ADDRESS, WHOLE), "void")
+        block, notes, j = k.arguments
         x = scene.get(k, block, "x")
         width = k.whole(scene.order + 1)
         series = k.at(scene.at(k, block, "rate0_0"), k.multiply(j, width), k.numbers)
         q = k.load(k.at(scene.at(k, block, "q0"), j, k.numbers))
         always = k.compare("une", x, k.number(0.0))
-
-        def widen(first: int, value: Word, mask: Word) -> None:
-            for name, how in ((f"low{first}", "olt"), (f"high{first}", "ogt")):
-                _widened(k, k.at(scene.at(k, block, name), j, k.numbers), value, mask, how)
-
-        begin = k.number(0.0)
-        before = k.load(series)
-        before_slope = k.load(k.at(series, 1, k.numbers))
-        for part in range(1, QUARTERS + 1):
-            end = k.multiply(x, k.number(part / QUARTERS))
-            turn, rate, slope, _ = self._values(k, series, end)
-            widen(0, k.add(q, turn), always)
-            widen(n, rate, always)
-            turns = k.both(always, self._changes(k, before, rate))
-            with k.when(k.any(turns)):
-                place = self._root(
-                    k, lambda x: self._values(k, series, x)[1:3], begin, end, before, turns
-                )
-                widen(0, k.add(q, self._values(k, series, place)[0]), turns)
-            bends = k.both(always, self._changes(k, before_slope, slope))
-            with k.when(k.any(bends)):
-                place = self._root(
-                    k, lambda x: self._values(k, series, x)[2:4], begin, end, before_slope, bends
-                )
-                widen(n, self._values(k, series, place)[1], bends)
-            begin, before, before_slope = end, rate, slope
+        parts = self._parts(k, series, x)
+        bounds = self._values(k, series, k.intrinsic("fabs", x), sizes=True)[2:]
+        what = k.number(0.0)
+        for kind, bound in enumerate(bounds):
+            values = [part[1] if kind else k.add(q, part[0]) for part in parts]
+            low, high = (
+                k.at(scene.at(k, block, f"{name}{kind * n}"), j, k.numbers)
+                for name in ("low", "high")
+            )
+            for value in values[1:]:
+                _widened(k, low, value, always, "olt")
+                _widened(k, high, value, always, "ogt")
+            beyond = self._beyond(k, bound, x)
+            least, most = k.add(k.load(low), beyond), k.subtract(k.load(high), beyond)
+            for part in range(QUARTERS):
+                before, now = parts[part][kind + 1], parts[part + 1][kind + 1]
+                turns = k.both(always, k.less(k.multiply(before, now), k.number(0.0)))
+                may = k.all_lanes(False)
+                for value in values[part : part + 2]:
+                    outside = k.either(k.less(value, least), k.less(most, value))
+                    may = k.either(may, outside)
+                bit = k.number(2.0 ** (QUARTERS * kind + part))
+                what = k.add(what, k.select(k.both(turns, may), bit, k.number(0.0)))
+        self._note(k, block, notes, what, q, j, series)
         k.done()
 
-    def _cross(self, module: Module) -> None:
-        """When |angle| of the link first exceeds pi, within the step x, where it has not yet."""
+    def _flips(self, module: Module) -> None:
+        """flips(block, notes): whether |angle| of the link first exceeds pi within the step x.
+
+        A step is noted where it does or may do so.  Where it does for sure, its end stands for the
+        time, and later ones do not matter.
+        """
         scene = self.scene
-        k, block = scene.kernel(module, "cross")
+        k = Kernel(module, "flips", (ADDRESS, ADDRESS), "void")
+        block, notes = k.arguments
         items = _Kept(scene, k, block)
         get, put = items.get, items.put
         x, flip, pi, zero = get("x"), get("flip"), k.number(math.pi), k.number(0.0)
         series = scene.at(k, block, "link0_0")
         angle = k.add(get("angle"), self._alpha(k, block))
-        moves = k.compare("une", x, zero)
-        wanted = k.both(moves, k.compare("uno", flip, flip))
-        most, power = k.intrinsic("fabs", angle), k.intrinsic("fabs", x)
-        size = power
-        for m in range(scene.order + 1):  # most steps cannot reach so far
-            c = k.intrinsic("fabs", k.load(k.at(series, m, k.numbers)))
-            most = k.add(most, k.multiply(c, power))
-            power = k.multiply(power, size)
+        size = k.intrinsic("fabs", x)
+        wanted = k.both(k.compare("une", x, zero), k.compare("uno", flip, flip))
+        reach = self._values(k, series, size, sizes=True)[0]  # most steps cannot go so far
+        most = k.add(k.intrinsic("fabs", angle), reach)
         wanted = k.both(wanted, k.invert(k.compare("ole", most, pi)))
         with k.when(k.any(wanted)):
-            at_once = k.less(pi, k.intrinsic("fabs", angle))
-            found = k.slot(k.select(at_once, zero, k.number(math.nan)))
-            begin, before, turned = zero, k.load(series), zero
-            for part in range(1, QUARTERS + 1):
-                end = k.multiply(x, k.number(part / QUARTERS))
-                turn, rate, *_ = self._values(k, series, end)
-                reach, there = k.slot(end), k.slot(k.add(angle, turn))
-                open = k.both(wanted, k.compare("uno", k.get(found), k.get(found)))
-                turns = k.both(open, self._changes(k, before, rate))
-                with k.when(k.any(turns)):  # it may go beyond and come back within the part
-                    place = self._root(
-                        k, lambda x: self._values(k, series, x)[1:3], begin, end, before, turns
-                    )
-                    furthest = k.add(angle, self._values(k, series, place)[0])
-                    over = k.both(turns, k.less(pi, k.intrinsic("fabs", furthest)))
-                    k.set(reach, k.select(over, place, k.get(reach)))
-                    k.set(there, k.select(over, furthest, k.get(there)))
-                hits = k.both(open, k.less(pi, k.intrinsic("fabs", k.get(there))))
-                with k.when(k.any(hits)):
-                    goal = k.subtract(k.intrinsic("copysign", pi, k.get(there)), angle)
-                    sign = k.subtract(turned, goal)
-
-                    def ahead(x: Word, goal: Word = goal) -> tuple[Word, Word]:
-                        turn, rate, *_ = self._values(k, series, x)
-                        return k.subtract(turn, goal), rate
-
-                    place = self._root(k, ahead, begin, k.get(reach), sign, hits)
-                    k.set(found, k.select(hits, place, k.get(found)))
-                begin, before, turned = end, rate, turn
-            when = k.add(get("t"), k.get(found))
-            put("flip", k.select(wanted, when, flip))
+            parts = self._parts(k, series, x)
+            values = [k.intrinsic("fabs", k.add(angle, part[0])) for part in parts]
+            surely = k.less(pi, values[0])
+            for value in values[1:]:
+                surely = k.either(surely, k.less(pi, value))
+            bound = self._values(k, series, size, sizes=True)[2]
+            may, least = surely, k.subtract(pi, self._beyond(k, bound, x))
+            for part in range(QUARTERS):  # it may go beyond and come back within one
+                turns = k.less(k.multiply(parts[part][1], parts[part + 1][1]), zero)
+                near = k.either(*(k.less(least, value) for value in values[part : part + 2]))
+                may = k.either(may, k.both(turns, near))
+            what = k.select(k.both(wanted, may), k.number(1.0), zero)
+            self._note(k, block, notes, what, angle, k.whole(scene.mechanism.n), series)
+            put("flip", k.select(k.both(wanted, surely), k.add(get("t"), x), flip))
         k.done()
+
+    def _note(
+        self, k: Kernel, block: Word, notes: Word, what: Word, start: Word, of: Word, series: Word
+    ) -> None:
+        """Note the step of each lane where `what` is not 0; see `HEAD`."""
+        none, orders = k.scalar(0.0), self.scene.order + 1
+        with k.when(k.any(k.compare("une", what, k.number(0.0)))):
+            given = [k.slot(what), *(self.scene.at(k, block, name) for name in ("t", "x"))]
+            given.append(k.slot(start))
+            first = k.load(k.at(notes, LANE), WHOLE)
+            with k.loop(k.whole(k.lanes)) as i:
+                values = [k.load(k.at(vector, i), SCALAR) for vector in given]
+                with k.when(k.compare("une", values[0], none)):
+                    count = k.load(notes, WHOLE)
+                    size = k.whole(len(HEAD) + orders)
+                    place = k.at(notes, k.add(k.multiply(count, size), k.whole(FIRST)))
+                    whole = (k.convert("sitofp", x, SCALAR) for x in (k.add(first, i), of))
+                    for item, value in enumerate((*values, *whole)):
+                        k.store(value, k.at(place, item))
+                    place, column = k.at(place, len(HEAD)), k.at(series, i)
+                    with k.loop(k.whole(orders)) as m:
+                        coefficient = k.load(k.at(column, m, k.numbers), SCALAR)
+                        k.store(coefficient, k.at(place, m))
+                    k.store(k.add(count, k.whole(1)), notes)
 
 
 def _widened(k: Kernel, place: Word, value: Word, mask: Word, how: str) -> None:
@@ -314,3 +319,67 @@ def _widened(k: Kernel, place: Word, value: Word, mask: Word, how: str) -> None:
     now = k.load(place)
     beyond = k.both(mask, k.compare(how, value, now))
     k.store(k.select(beyond, value, now), place)
+
+
+class Notes:
+    """Steps of L lanes that are noted, and what is found in them: what lies between the quarters.
+
+    It is kept apart, so that what is noted of a lane does not depend on when notes are taken.
+    """
+
+    def __init__(self, scene: Scene, lanes: int, L: int) -> None:
+        self.n, self.most = scene.mechanism.n, (scene.mechanism.n + 1) * lanes
+        n, items = self.n, len(HEAD) + scene.order + 1
+        room = max(LARGEST // items, self.most)
+        self.whole = aligned(FIRST + room * items)
+        self.noted = self.whole[FIRST:].reshape(room, items)
+        self.counts = self.whole[:FIRST].view(np.int64)
+        self.counts[ROOM] = room - self.most
+        self.low, self.high = np.full((2 * n, L), math.inf), np.full((2 * n, L), -math.inf)
+        self.flip = np.full(L, math.nan)  # its size
+
+    @property
+    def full(self) -> bool:
+        """Whether no lane can take a step before they are taken."""
+        return bool(self.counts[0] > self.counts[ROOM])
+
+    def take(self) -> None:
+        """Find what is in them, for all at once, and make room."""
+        noted = self.noted[: self.counts[0]]
+        self.counts[0] = 0
+        what, *_, joint = noted[:, : len(HEAD)].T
+        bits, of_link = what.astype(np.uint8), joint == self.n
+        if of_link.any():
+            head, rates = self._columns(noted, np.flatnonzero(of_link))
+            flips = head["t"] + crossings(head["start"], rates, head["x"], math.pi)
+            np.fmin.at(self.flip, head["lane"].astype(int), np.abs(flips))
+            bits[of_link] = 0
+        for kind in range(2):
+            masks = (1 << np.arange(QUARTERS) << (QUARTERS * kind)).astype(np.uint8)
+            part, note = np.nonzero(bits & masks[:, None])
+            head, rates = self._columns(noted, note)
+            quarter = head["x"] / QUARTERS
+            values = turning_values(rates, quarter * part, quarter * (part + 1), kind == 1)
+            if kind == 0:
+                values += head["start"]
+            row = head["joint"].astype(int) + self.n * kind
+            place = row * self.low.shape[1] + head["lane"].astype(int)
+            np.fmin.at(self.low.reshape(-1), place, values)  # quick with one index
+            np.fmax.at(self.high.reshape(-1), place, values)
+
+    def _columns(self, noted: Array, note: Indices) -> tuple[dict[str, Array], Array]:
+        """The items of these notes, and their series (K, notes)."""
+        chosen = noted.take(note, axis=0).T
+        head = dict(zip(HEAD, chosen[: len(HEAD)].copy(), strict=True))
+        return head, np.ascontiguousarray(chosen[len(HEAD) :])
+
+    def merge(self, columns: Array, place: Mapping[str, int]) -> None:
+        """Take what was found into the items (items, L) of the lanes."""
+        for name, choose, values in (
+            ("low0", np.minimum, self.low),
+            ("high0", np.maximum, self.high),
+        ):
+            rows = columns[place[name] : place[name] + 2 * self.n]
+            choose(rows, values, out=rows)
+        flip = columns[place["flip"]]
+        flip[:] = np.fmin(np.abs(flip), self.flip) * columns[place["direction"]]

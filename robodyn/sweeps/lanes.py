@@ -11,7 +11,7 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from robodyn.engines.machine_motion import RUNNING, Loaded
 from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.sweeps.lane_observer import LaneObserver, kept
+from robodyn.sweeps.lane_observer import LaneObserver, Notes, kept
 from robodyn.tables.arrays import Array
 from robodyn.taylor import Status, order_where_series_cost
 from robodyn.taylor.compiled import serves
@@ -212,8 +212,8 @@ class _MachineLanes:
     """Lanes in machine code."""
 
     def __init__(self, scene: Scene, loaded: Loaded) -> None:
-        types = [ctypes.c_void_p] * 2 + [ctypes.c_int64] * 4
-        self.idle, self.loaded = scene.place["status"], loaded
+        types = [ctypes.c_void_p] * 3 + [ctypes.c_int64] * 4
+        self.scene, self.loaded = scene, loaded
         self.call = loaded.code.function("run", *types)
 
     def run(self, columns: Array) -> None:
@@ -222,10 +222,17 @@ class _MachineLanes:
         held = np.empty((count, -(-L // lanes) * lanes))
         held[:, :L] = columns
         held[:, L:] = columns[:, -1:]  # what pads the last lanes idles
-        held[self.idle, L:] = float(Status.REACHED)
+        held[self.scene.place["status"], L:] = float(Status.REACHED)
         block, wide = self.loaded.block(), held.shape[1]
-        for first in range(0, wide, PIECE):
-            stop = min(first + PIECE, wide)
-            while self.call(block.ctypes.data, held.ctypes.data, wide, first, stop, BUDGET):
-                pass
+        notes = Notes(self.scene, lanes, wide)
+        places = (x.ctypes.data for x in (block, notes.whole, held))
+        call = partial(self.call, *places, wide)
+        with np.errstate(all="ignore"):  # what leaves the floats is told by its status
+            for first in range(0, wide, PIECE):
+                stop = min(first + PIECE, wide)
+                while call(first, stop, BUDGET):
+                    if notes.full:
+                        notes.take()
+            notes.take()
+            notes.merge(held, self.scene.place)
         columns[:] = held[:, :L]

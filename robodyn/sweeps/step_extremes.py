@@ -8,6 +8,8 @@ at the parts' ends.  What turns twice within one part may be missed.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from robodyn.tables.arrays import Array
@@ -15,6 +17,7 @@ from robodyn.tables.arrays import Array
 QUARTERS = 4
 NEWTON = 40  # steps at most: a bracket shrinks by each, and the last few double the digits
 NEAR = 1e-9  # part of a bracket: a Newton step below it leaves an error of its square
+FLAT = 1e-5  # the same where the value is wanted: an extreme's has the square of the place's error
 
 
 def extremes(rates: Array, h: Array) -> tuple[Array, Array, Array, Array]:
@@ -22,7 +25,8 @@ def extremes(rates: Array, h: Array) -> tuple[Array, Array, Array, Array]:
 
     `rates` (K, n, B), K > 1, are the coefficients v_k.
     """
-    begin, before, changes = np.zeros(len(h)), (rates[0], rates[1]), []
+    begin, before = np.zeros(len(h)), (rates[0], rates[1])
+    changes: list[list[Any]] = [[], []]  # of turns, of rates
     found = [np.zeros_like(rates[0])] * 2 + [rates[0]] * 2
     scaled, orders = rates * powers(h, len(rates))[:, None], np.arange(float(len(rates)))
     for part in range(1, QUARTERS + 1):
@@ -33,18 +37,25 @@ def extremes(rates: Array, h: Array) -> tuple[Array, Array, Array, Array]:
             found[k : k + 2] = np.minimum(found[k], value), np.maximum(found[k + 1], value)
         for k, (first, last) in enumerate(zip(before, (rate, slope), strict=True)):
             i, b = np.nonzero(first * last < 0.0)
-            changes.append((np.full(len(b), k), i, b, begin[b], end[b], first[i, b]))
+            changes[k].append((i, b, begin[b], end[b]))
         begin, before = end, (rate, slope)
-    kind, i, b, begin, end, first = (np.concatenate(x) for x in zip(*changes, strict=True))
-    series = rates[:, i, b]
-    bends = np.concatenate([derivative(series), np.zeros((1, len(b)))])
-    x = roots(np.where(kind, bends, series), begin, end, first)
-    there = values(series[:, None], x)
-    for k in range(2):
-        place, value = (i[kind == k], b[kind == k]), there[k][0, kind == k]
-        np.minimum.at(found[2 * k], place, value)
-        np.maximum.at(found[2 * k + 1], place, value)
+    for k, parts in enumerate(changes):
+        i, b, begin, end = (np.concatenate(x) for x in zip(*parts, strict=True))
+        value = turning_values(rates[:, i, b], begin, end, of_rate=k == 1)
+        np.minimum.at(found[2 * k], (i, b), value)
+        np.maximum.at(found[2 * k + 1], (i, b), value)
     return found[0], found[1], found[2], found[3]
+
+
+def turning_values(rates: Array, begin: Array, end: Array, of_rate: bool) -> Array:
+    """The turn or the rate where it has an extreme between `begin` and `end`, each (B,).
+
+    `rates` (K, B); the derivative of what is meant has another sign at `end` than at `begin`.
+    """
+    if of_rate:
+        return horner(rates, roots(derivative(rates), begin, end, FLAT))
+    x = roots(rates, begin, end, FLAT)
+    return x * horner(integral(rates), x)
 
 
 def crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
@@ -52,41 +63,23 @@ def crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
 
     `angle` (B,) is that at the steps' begin, `rates` (K, B) the coefficients of its rate.
     """
-    # a bound of the turn tells most steps that they cannot reach so far
-    most = (np.abs(rates) * powers(np.abs(h), len(rates))).sum(axis=0) * np.abs(h)
-    found, left = np.full(len(h), np.nan), ~(np.abs(angle) + most <= limit)
-    found[left & (np.abs(angle) > limit)] = 0.0
-    begin, before = np.zeros(len(h)), rates[0]
-    for part in range(1, QUARTERS + 1):
-        (here,) = np.nonzero(left & np.isnan(found))
-        if not len(here):
-            break
-        end, series, from_here = h * (part / QUARTERS), rates[:, here], angle[here]
-        turn, rate, _ = (value[0] for value in values(series[:, None], end[here]))
-        reach, there = end[here], from_here + turn
-        (b,) = np.nonzero(before[here] * rate < 0.0)
-        if len(b):  # it may go beyond and come back within the part
-            x = roots(series[:, b], begin[here[b]], end[here[b]], before[here[b]])
-            furthest = from_here[b] + values(series[:, None, b], x)[0][0]
-            over = np.abs(furthest) > limit
-            reach[b[over]], there[b[over]] = x[over], furthest[over]
-        (b,) = np.nonzero(np.abs(there) > limit)
-        if len(b):
-            goal, place = np.sign(there[b]) * limit - from_here[b], begin[here[b]]
-            ahead = np.concatenate([-goal[None], integral(series[:, b])])
-            at_begin = values(series[:, None, b], place)[0][0] - goal
-            found[here[b]] = roots(ahead, place, reach[b], at_begin)
-        begin, before = end, before.copy()
-        before[here] = rate
+    x = h * (np.arange(QUARTERS + 1.0) / QUARTERS)[:, None]
+    turns = integral(rates)
+    there, rate = angle + x * horner(turns, x), horner(rates, x)
+    reach, there = x[1:].copy(), there[1:]
+    part, b = np.nonzero(rate[:-1] * rate[1:] < 0.0)  # it may go beyond and come back within
+    within = roots(rates[:, b], x[part, b], x[part + 1, b])
+    furthest = angle[b] + within * horner(turns[:, b], within)
+    over = np.abs(furthest) > limit
+    part, b = part[over], b[over]
+    reach[part, b], there[part, b] = within[over], furthest[over]
+    beyond, found = np.abs(there) > limit, np.full(len(h), np.nan)
+    (b,) = np.nonzero(beyond.any(axis=0))
+    part = beyond[:, b].argmax(axis=0)  # the first
+    goal = np.sign(there[part, b]) * limit - angle[b]
+    found[b] = roots(np.concatenate([-goal[None], turns[:, b]]), x[part, b], reach[part, b])
+    found[np.abs(angle) > limit] = 0.0
     return found
-
-
-def values(rates: Array, x: Array) -> tuple[Array, Array, Array]:
-    """The turn, the rate and its derivative at x (B,) of rates (K, n, B), each (n, B)."""
-    power, orders = powers(x, len(rates)), np.arange(1.0, len(rates) + 1.0)[:, None]
-    turn = sums((power * x / orders)[:, None], rates)
-    rate = sums(power[:, None], rates)
-    return turn, rate, sums((power[:-1] * orders[:-1])[:, None], rates[1:])
 
 
 def sums(a: Array, b: Array) -> Array:
@@ -117,31 +110,50 @@ def integral(series: Array) -> Array:
     return series / np.arange(1.0, K + 1.0).reshape(-1, *[1] * (series.ndim - 1))
 
 
-def roots(series: Array, begin: Array, end: Array, at_begin: Array) -> Array:
+def roots(series: Array, begin: Array, end: Array, near: float = NEAR) -> Array:
     """A root of each polynomial (K, B) between `begin` and `end`, where its sign changes, (B,).
 
-    `at_begin` (B,) are its values there.
+    Newton's method ends with a step below `near` of the bracket.
     """
-    low, high, x = begin, end, 0.5 * (begin + end)
-    found = np.zeros(len(x), bool)  # each by itself: what is found does not depend on the others
+    found = np.empty_like(begin)
     with np.errstate(all="ignore"):
+        low, high, least = begin, end, near * np.abs(end - begin)
+        first, last = horner(series, begin), horner(series, end)
+        sign, x = np.sign(first), begin - first * (end - begin) / (last - first)
+        x = np.where((x - begin) * (x - end) <= 0.0, x, 0.5 * (begin + end))
+        left = np.arange(len(begin))  # each by itself: no root depends on the others
         for _ in range(NEWTON):
-            value, steep = horner(series, x)
-            same = value * np.sign(at_begin) > 0.0
+            value, steep = with_slope(series, x)
+            same = value * sign > 0.0
             low, high = np.where(same, x, low), np.where(same, high, x)
             newton = x - value / steep
             inside = (newton - low) * (newton - high) <= 0.0
-            new = np.where(inside, newton, 0.5 * (low + high))
-            last, x = x, np.where(found, x, new)
-            found |= np.abs(x - last) <= NEAR * np.abs(end - begin)
-            if found.all():
+            x, before = np.where(inside, newton, 0.5 * (low + high)), x
+            found[left] = x
+            (far,) = np.nonzero(~(np.abs(x - before) <= least))
+            if not len(far):
                 break
-    return x
+            if len(far) < len(x):
+                series, left = series.take(far, axis=1), left[far]
+                x, low, high, sign, least = (each[far] for each in (x, low, high, sign, least))
+    return found
 
 
-def horner(series: Array, x: Array) -> tuple[Array, Array]:
-    """The values of polynomials (K, B) at x (B,), and their derivatives."""
-    total, slope = series[-1], np.zeros_like(x)
+def horner(series: Array, x: Array) -> Array:
+    """The values of polynomials (K, B) at x (..., B)."""
+    total: Array = np.zeros_like(x) + series[-1]
     for coefficient in series[-2::-1]:
-        total, slope = total * x + coefficient, slope * x + total
+        total *= x
+        total += coefficient
+    return total
+
+
+def with_slope(series: Array, x: Array) -> tuple[Array, Array]:
+    """The values of polynomials (K, B) at x (B,), and their derivatives."""
+    total, slope = series[-1].copy(), np.zeros_like(x)
+    for coefficient in series[-2::-1]:
+        slope *= x
+        slope += total
+        total *= x
+        total += coefficient
     return total, slope
