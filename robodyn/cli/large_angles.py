@@ -16,7 +16,8 @@ from robodyn.errors import InputError
 from robodyn.pictures.column_units import joint_units
 from robodyn.scene.quantities import entries
 from robodyn.scene.scene import JointSpring
-from robodyn.scene.unit_arithmetic import plain_text, read_value
+from robodyn.scene.syntax import plain_text
+from robodyn.scene.unit_arithmetic import read_value
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:

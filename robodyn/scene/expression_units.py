@@ -12,7 +12,8 @@ from collections.abc import Callable, Container
 from typing import NamedTuple
 
 from robodyn.scene.quantities import dimension_of
-from robodyn.scene.unit_arithmetic import ANGULAR, NUMBER, Value, plain_text, read_value
+from robodyn.scene.syntax import NUMBER, plain_text
+from robodyn.scene.unit_arithmetic import ANGULAR, Value, read_value
 from robodyn.scene.units import PLAIN, UNITS, Dimension, fits, shown_dimension, times
 
 _NAMES = "|".join(sorted(map(re.escape, UNITS), key=len, reverse=True))
