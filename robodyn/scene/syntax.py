@@ -15,7 +15,7 @@ import ast
 import math
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from typing import NamedTuple
 
 from robodyn.scene.units import ALIASES, UNITS
@@ -30,11 +30,40 @@ _TOKEN = re.compile(
 )
 _LETTERS = {"π": "pi", "²": "^2", "³": "^3", "·": "*", "−": "-", "×": "*", **ALIASES}
 _TRANSLATED = str.maketrans(_LETTERS)
-CONSTANTS = {"pi": math.pi, "e": math.e}
 _WORDS = {"if", "else", "and", "or", "not", "is", "lambda", "for"}  # of Python
 MARK = "__"  # begins the name of a unit in the tree
 MISSING = "an expression is missing at the end"
 _BETWEEN = re.compile(r"[<>]=?(?!>)|[*/%]+|[,)]")  # what stands behind an expression
+CONSTANTS = {"pi": math.pi, "e": math.e}
+_NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
+
+
+def _sign(x: float) -> float:
+    return math.copysign(1.0, x) if x else 0.0
+
+
+def _exp(x: float) -> float:
+    try:
+        return math.exp(x)
+    except OverflowError:  # so that 1/(1 + exp(x)) goes on to 0
+        return math.inf
+
+
+def _cosh(x: float) -> float:
+    return 0.5 * (_exp(x) + _exp(-x)) if abs(x) > 700.0 else math.cosh(x)
+
+
+def _sinh(x: float) -> float:
+    return 0.5 * (_exp(x) - _exp(-x)) if abs(x) > 700.0 else math.sinh(x)
+
+
+def _floor(x: float) -> float:
+    return float(math.floor(x))
+
+
+FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in _NAMES.split()}
+FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign, "floor": _floor, "exp": _exp}
+FUNCTIONS |= {"cosh": _cosh, "sinh": _sinh}
 
 
 class Token(NamedTuple):
@@ -79,7 +108,7 @@ def tokens_of(text: str) -> list[Token]:
 def parsed(
     text: str,
     variable: Callable[[str], bool],
-    functions: Sequence[str],
+    functions: Container[str],
     tokens: list[Token] | None = None,
 ) -> Tree:
     """The comma-separated expressions in a text; SyntaxError, with the place, where it has none.
@@ -114,7 +143,7 @@ def unit_of(node: ast.expr) -> str:
 
 
 def _python(
-    tokens: list[Token], variable: Callable[[str], bool], functions: Sequence[str]
+    tokens: list[Token], variable: Callable[[str], bool], functions: Container[str]
 ) -> tuple[str, list[int]]:
     """The tokens as Python with all products written, and the place of each letter."""
     pieces: list[str] = []

@@ -56,7 +56,7 @@ def read_value(text: str, joints: bool = False) -> Value:
         raise ValueError("is not a number")
     _check(tokens)
     try:
-        tree = parsed(text, _JOINT.fullmatch if joints else _none, FUNCTIONS, tokens)
+        tree = parsed(text, _is_joint if joints else _none, FUNCTIONS, tokens)
         if len(tree.nodes) != 1:
             raise SyntaxError("a comma")
         value = _Folding(tree.places, joints).of(tree.nodes[0])
@@ -75,6 +75,10 @@ def read_value(text: str, joints: bool = False) -> Value:
 
 def _none(name: str) -> bool:
     return False
+
+
+def _is_joint(name: str) -> bool:
+    return _JOINT.fullmatch(name) is not None
 
 
 def _check(tokens: list[Token]) -> None:
@@ -112,11 +116,11 @@ class _Folding:
                 if isinstance(op, ast.Div):
                     return product(a, b, -1)
                 if isinstance(op, ast.Pow):
-                    return _power(a, b)
+                    return power(a, b)
                 return _sum(a, b, 1.0 if isinstance(op, ast.Add) else -1.0)
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
-                value = self.of(operand)
-                return product(Value(-1.0), value, 1) if isinstance(sign, ast.USub) else value
+                signed = self.of(operand)
+                return product(Value(-1.0), signed, 1) if isinstance(sign, ast.USub) else signed
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
                 return _called(name, [self.of(x) for x in args])
             case ast.Call(func=ast.Name(id=name)):
@@ -125,12 +129,12 @@ class _Folding:
 
     def name(self, name: str, at: int) -> Value:
         if name.startswith(MARK):
-            return unit_value(name)
+            return unit_value(name[len(MARK) :])
         if name in CONSTANTS:
             return Value(CONSTANTS[name])
         if name in FUNCTIONS:
             raise ValueError(f"is not a number: {name} needs parentheses{self.at(at)}")
-        if self.joints and _JOINT.fullmatch(name):
+        if self.joints and _is_joint(name):
             return Value(0.0, joints={int(name[1:]): Value(1.0)})
         raise ValueError(f"is not a number: {_unknown(name)}{self.at(at)}")
 
@@ -143,8 +147,8 @@ _OPERATIONS = (ast.Add, ast.Sub, ast.Mult, ast.MatMult, ast.Div, ast.Pow)
 
 
 def unit_value(name: str) -> Value:
-    """A unit, by its name in a tree."""
-    size, ten, of = UNITS[name[len(MARK) :]]
+    """A unit of the table."""
+    size, ten, of = UNITS[name]
     return Value(size, of, ten)
 
 
@@ -157,7 +161,7 @@ def _float(value: object) -> float:
         return math.inf
 
 
-def _power(base: Value, exponent: Value) -> Value:
+def power(base: Value, exponent: Value) -> Value:
     if exponent.of or exponent.joints or base.joints:
         raise ValueError("has a power that is not a plain number")
     k = exponent.total
