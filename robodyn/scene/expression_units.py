@@ -33,14 +33,15 @@ def marked(text: str, variable: Callable[[str], bool]) -> Marked:
     Raises SyntaxError where it has none, OverflowError for numbers too large.
     """
     tree = parsed(text, variable, FUNCTIONS)
-    marking = _Marking()
+    marking = _Marking(tree.line)
     return Marked([marking.of(node) for node in tree.nodes], marking.quantities, tree.places)
 
 
 class _Marking:
     """Gives each unit to the number before it: in 2 x*3 mm/s to the 3, in x/3 mm to none."""
 
-    def __init__(self) -> None:
+    def __init__(self, line: str) -> None:
+        self.line = line
         self.quantities: dict[str, Value] = {}
         self.bare: set[str] = set()  # which of them are units without a number
 
@@ -63,9 +64,15 @@ class _Marking:
         joins = isinstance(node.op, ast.MatMult)
         if self._is_bare(right) and isinstance(node.op, ast.MatMult | ast.Mult | ast.Div):
             sign = -1 if isinstance(node.op, ast.Div) else 1
+            apart = ")" in self.line[left.end_col_offset : right.col_offset]
             number = joins or isinstance(left, ast.Constant)
-            if found := self._joined(left, self._value(right), sign, number):
-                return ast.copy_location(found, node)
+            found = None if apart else self._joined(left, self._value(right), sign, number)
+            if found is not None:
+                part = found
+                while part.end_col_offset != node.end_col_offset:  # its last factor is longer
+                    part.end_col_offset = node.end_col_offset
+                    part = getattr(part, "operand", None) or getattr(part, "right", part)
+                return found
         if joins:
             node.op = ast.Mult()
         return node
@@ -77,11 +84,12 @@ class _Marking:
                 return self._named(product(self.quantities[name], unit, sign), left)
             case ast.Constant(value=int() | float() as value) if number:
                 return self._named(product(Value(float(value)), unit, sign), left)
-            case ast.UnaryOp(operand=operand) if found := self._joined(operand, unit, sign, number):
-                return ast.UnaryOp(left.op, found)
-            case ast.BinOp(left=first, op=ast.Mult(), right=last):
-                if found := self._joined(last, unit, sign, number):
-                    return ast.BinOp(first, left.op, found)
+            case ast.UnaryOp(operand=last) | ast.BinOp(op=ast.Mult() | ast.Mod(), right=last):
+                inside = last.end_col_offset != left.end_col_offset  # of parentheses
+                if not inside and (found := self._joined(last, unit, sign, number)):
+                    name = "operand" if isinstance(left, ast.UnaryOp) else "right"
+                    setattr(left, name, found)
+                    return left
         return None
 
     def _named(self, value: Value, node: ast.expr, bare: bool = False) -> ast.expr:

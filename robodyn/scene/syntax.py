@@ -76,9 +76,10 @@ class Token(NamedTuple):
 
 
 class Tree(NamedTuple):
-    """Expressions as Python reads them; the place in the text of each letter that Python has."""
+    """Expressions, the line that Python reads, and the place in the text of each of its letters."""
 
     nodes: Sequence[ast.expr]
+    line: str
     places: list[int]
 
 
@@ -132,7 +133,7 @@ def parsed(
             sign = _BETWEEN.match(line, at) if error.msg == "invalid syntax" else None
             what = f"an expression is missing before {sign[0]}" if sign else error.msg
             raise SyntaxError(f"{what} at character {places[at] + 1}") from None
-    return Tree(tree.elts if isinstance(tree, ast.Tuple) else [tree], places)
+    return Tree(tree.elts if isinstance(tree, ast.Tuple) else [tree], line, places)
 
 
 def unit_of(node: ast.expr) -> str:
@@ -177,6 +178,11 @@ def _python(
         elif kind == "number":
             if ended:
                 raise _missing(token)
+            after = tokens[k + 1] if k + 1 < count else before
+            if after.text in _WORDS and not after.apart:  # what Python will not take one day
+                raise SyntaxError(
+                    f"a blank is missing in the expression at character {after.at + 1}"
+                )
             ended = True
         elif word == "(":
             if ended:
