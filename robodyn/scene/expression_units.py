@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Container
 from contextlib import suppress
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from robodyn.scene.quantities import dimension_of
 from robodyn.scene.syntax import FUNCTIONS, MARK, parsed, unit_of
@@ -68,7 +68,7 @@ class _Marking:
             number = joins or isinstance(left, ast.Constant)
             found = None if apart else self._joined(left, self._value(right), sign, number)
             if found is not None:
-                part = found
+                part: Any = found
                 while part.end_col_offset != node.end_col_offset:  # its last factor is longer
                     part.end_col_offset = node.end_col_offset
                     part = getattr(part, "operand", None) or getattr(part, "right", part)

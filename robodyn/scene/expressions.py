@@ -74,6 +74,8 @@ class Written:
                 compile(code, "<expression>", "eval")  # Python has limits of its own
         except NotAllowedError:
             raise
+        except ArithmeticError:
+            raise ValueError("a number is too large") from None
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise ValueError(getattr(error, "msg", None) or str(error)) from None
 

@@ -116,23 +116,27 @@ def parsed(
 
     `variable` tells the names that are variables, and no units where no number is before them.
     """
-    line, places = _python(tokens_of(text) if tokens is None else tokens, variable, functions)
+    tokens = tokens_of(text) if tokens is None else tokens
+    line, places = _python(tokens, variable, functions)
     places.append(len(text))
     if not line or line.endswith(","):
         raise SyntaxError(MISSING)
     if not line.isascii():  # Python would take other scripts' letters for our own
         raise SyntaxError("a character is not ASCII")
-    with warnings.catch_warnings():  # what Python warns of it will not take one day
-        warnings.simplefilter("error")
-        try:
+    try:
+        if any(x.kind == "other" or x.text in _WORDS for x in tokens):
+            with warnings.catch_warnings():  # what Python warns of it will not take one day
+                warnings.simplefilter("error")
+                tree = ast.parse(line, mode="eval").body
+        else:
             tree = ast.parse(line, mode="eval").body
-        except SyntaxError as error:
-            at = (error.offset or 0) - 1
-            if not 0 <= at < len(line):
-                raise SyntaxError(MISSING) from None
-            sign = _BETWEEN.match(line, at) if error.msg == "invalid syntax" else None
-            what = f"an expression is missing before {sign[0]}" if sign else error.msg
-            raise SyntaxError(f"{what} at character {places[at] + 1}") from None
+    except SyntaxError as error:
+        at = (error.offset or 0) - 1
+        if not 0 <= at < len(line):
+            raise SyntaxError(MISSING) from None
+        sign = _BETWEEN.match(line, at) if error.msg == "invalid syntax" else None
+        what = f"an expression is missing before {sign[0]}" if sign else error.msg
+        raise SyntaxError(f"{what} at character {places[at] + 1}") from None
     return Tree(tree.elts if isinstance(tree, ast.Tuple) else [tree], line, places)
 
 

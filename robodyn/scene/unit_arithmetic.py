@@ -60,6 +60,7 @@ def read_value(text: str, joints: bool = False) -> Value:
         if len(tree.nodes) != 1:
             raise SyntaxError("a comma")
         value = _Folding(tree.places, joints).of(tree.nodes[0])
+        sizes = [x.total for x in (value, *value.joints.values())]
     except (OverflowError, RecursionError, MemoryError):
         raise ValueError("is too large for a number") from None
     except ZeroDivisionError:
@@ -68,7 +69,7 @@ def read_value(text: str, joints: bool = False) -> Value:
         missing = error.msg == MISSING
         told = "something is missing at its end" if missing else error.msg
         raise ValueError(f"is not a number: {told}") from None
-    if not all(math.isfinite(x.number) for x in (value, *value.joints.values())):
+    if not all(map(math.isfinite, sizes)):
         raise ValueError("is too large for a number")
     return value
 
