@@ -1,4 +1,4 @@
-"""One language of values and expressions: products left out, units, and texts that would do harm."""
+"""One language of values and expressions: products left out, units, texts that would do harm."""
 
 from __future__ import annotations
 
@@ -68,6 +68,26 @@ def test_values_and_expressions_without_variables_are_the_same() -> None:
         unit = {"350 mm": "m", "9.81 m/s^2": "m/s²", "2 km/3 h": "m s", "-0.3 N mm": "N m"}
         place = unit.get(text, "m" if "µm" in text else "m²/s")
         assert value(text) == parse_quantity(text, place)
+
+
+def test_functions_of_values_are_those_of_expressions() -> None:
+    for text, expected in (
+        ("min(3 mm, 0.2 cm)", 0.002),
+        ("max(3 mm, 0.2 cm, 1 um)", 0.003),
+        ("abs(-3 mm)", 0.003),
+        ("hypot(2 m, 3 m, 6 m)", 7.0),
+        ("floor(2.5 m)", 2.0),
+        ("sign(-3 kg) m", -1.0),
+        ("cosh(0) tanh(0) m + log(8, 2) m", None),
+        ("log(8, 2) m", 3.0),
+        ("3 min s^-1 m", 180.0),
+    ):
+        if expected is None:
+            with pytest.raises(ValueError, match="operator is missing before tanh"):
+                parse_quantity(text, "m")
+        else:
+            assert parse_quantity(text, "m") == pytest.approx(expected, rel=4e-16), text
+            assert value(text) == pytest.approx(expected, rel=4e-16), text
 
 
 @each(

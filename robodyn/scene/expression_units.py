@@ -13,10 +13,8 @@ from typing import Any, NamedTuple
 
 from robodyn.scene.quantities import dimension_of
 from robodyn.scene.syntax import FUNCTIONS, MARK, parsed, unit_of
-from robodyn.scene.unit_arithmetic import ANGULAR, Value, power, product, unit_value
+from robodyn.scene.unit_arithmetic import ALIKE, ANGULAR, Value, power, product, unit_value
 from robodyn.scene.units import PLAIN, Dimension, fits, shown_dimension, times
-
-_ALIKE = ("abs", "min", "max", "hypot", "floor")  # of what they are of
 
 
 class Marked(NamedTuple):
@@ -187,7 +185,7 @@ def _product(a: Measure | None, b: Measure | None, divided: bool) -> Measure | N
 
 
 def _called(node: ast.expr, name: str, given: list[Measure | None]) -> Measure | None:
-    if name in _ALIKE or name == "atan2":
+    if name in ALIKE or name == "atan2":
         both = given[0]
         for other in given[1:]:
             both = _same(node, name, both, other)

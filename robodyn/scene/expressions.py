@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from robodyn.scene.expression_units import Measure, Measuring, marked
-from robodyn.scene.syntax import CONSTANTS, FUNCTIONS
+from robodyn.scene.syntax import ARGUMENTS, CONSTANTS, FUNCTIONS
 from robodyn.scene.units import Dimension
 
 # math.pow: a root of a negative number is outside its domain, not complex
@@ -26,7 +26,6 @@ MAX_LENGTH = 2000  # characters of one expression
 MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
 
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod)
-_ARGUMENTS = {"atan2": (2, 2), "hypot": (1, 9), "log": (1, 2), "min": (2, 99), "max": (2, 99)}
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 
 Rename = Callable[[str], str | None]  # a variable as code has it; None: it is none
@@ -123,7 +122,7 @@ class Written:
             case ast.IfExp(test=test, body=body, orelse=orelse):
                 return ast.IfExp(self._write(test), self._write(body), self._write(orelse))
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
-                least, most = _ARGUMENTS.get(name, (1, 1))
+                least, most = ARGUMENTS.get(name, (1, 1))
                 if not least <= len(args) <= most:
                     raise self._no(node, f"{len(args)} arguments of {name}")
                 return ast.Call(ast.Name(f"_{name}"), [self._write(x) for x in args], [])

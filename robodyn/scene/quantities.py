@@ -11,10 +11,9 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 from robodyn.errors import InputError
-from robodyn.scene.syntax import PLAIN_NUMBER, plain_text, tokens_of
+from robodyn.scene.syntax import FUNCTIONS, PLAIN_NUMBER, plain_text, tokens_of
 from robodyn.scene.unit_arithmetic import (
     CONSTANTS,
-    FUNCTIONS,
     Value,
     finite,
     read_value,

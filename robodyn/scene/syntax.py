@@ -65,6 +65,9 @@ FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name
 FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign, "floor": _floor, "exp": _exp}
 FUNCTIONS |= {"cosh": _cosh, "sinh": _sinh}
 
+# how many they take, where not one
+ARGUMENTS = {"atan2": (2, 2), "hypot": (1, 9), "log": (1, 2), "min": (2, 99), "max": (2, 99)}
+
 
 class Token(NamedTuple):
     """A part of a text: `at` is the place of its first character, `apart` tells of a blank."""

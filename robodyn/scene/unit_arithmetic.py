@@ -8,20 +8,15 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Callable
 
-from robodyn.scene.syntax import MARK, MISSING, Token, parsed, tokens_of
+from robodyn.scene.syntax import ARGUMENTS, FUNCTIONS, MARK, MISSING, Token, parsed, tokens_of
 from robodyn.scene.units import PLAIN, UNITS, Dimension, shown_dimension, times
 from robodyn.tables.records import Record
 
 LONGEST, DEEPEST = 300, 30  # characters of one value, parentheses within one another
 CONSTANTS = {"pi": math.pi}
-_ONE = ["sin", "cos", "tan", "asin", "acos", "atan", "exp", "log"]
-FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in _ONE}
-FUNCTIONS |= {"sqrt": math.sqrt, "atan2": math.atan2, "hypot": math.hypot}
-PAIRS = ("atan2", "hypot")
 ANGULAR = ("sin", "cos", "tan")  # of an angle
-SCALING = ("sqrt", "hypot", "atan2")  # of any unit
+ALIKE = ("abs", "min", "max", "hypot", "floor")  # of what they are of
 _JOINT = re.compile(r"q\d{1,18}", re.ASCII)
 
 
@@ -174,21 +169,24 @@ def power(base: Value, exponent: Value) -> Value:
 def _called(name: str, given: list[Value]) -> Value:
     if not given:
         raise ValueError(f"is not a number: nothing is in the parentheses of {name}")
-    wanted = 2 if name in PAIRS else 1
-    if len(given) != wanted:
+    least, most = ARGUMENTS.get(name, (1, 1))
+    if not least <= len(given) <= most:
+        wanted = f"{least}" if least == most else f"{least} to {most}"
         raise ValueError(f"has {len(given)} arguments of {name}, which takes {wanted}")
     angle = {"rad": 1.0} if name in ANGULAR else None
     for x in given:
-        if x.joints or (x.of and x.of != angle and name not in SCALING):
+        odd = x.of and x.of != angle and name not in (*ALIKE, "sqrt", "atan2", "sign")
+        if x.joints or odd:
             raise ValueError(f"has {name} of what is {shown_dimension(x.of) or 'a joint'}")
-    if name in PAIRS and given[0].of != given[1].of:
-        raise ValueError(f"has {name} of {_told(given[0])} and {_told(given[1])}")
+    for other in given[1:]:
+        if other.of != given[0].of:
+            raise ValueError(f"has {name} of {_told(given[0])} and {_told(other)}")
     try:
         number = FUNCTIONS[name](*(x.total for x in given))
     except ValueError:
         raise ValueError(f"has {name} of a number that has none") from None
-    power = {"sqrt": 0.5, "hypot": 1.0}.get(name)
-    return Value(number, PLAIN if power is None else times(PLAIN, given[0].of, power))
+    power = 0.5 if name == "sqrt" else float(name in ALIKE)
+    return Value(number, times(PLAIN, given[0].of, power))
 
 
 def _told(value: Value) -> str:
