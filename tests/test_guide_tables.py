@@ -17,9 +17,9 @@ import robodyn
 from robodyn import cli
 from robodyn.dynamics import closed_form, dynamics
 from robodyn.errors import InputError, RobodynError
-from robodyn.scene import expressions, units
+from robodyn.scene import expressions, syntax, units
 from robodyn.scene.quantities import parse_quantity
-from robodyn.scene.unit_arithmetic import CONSTANTS, FUNCTIONS
+from robodyn.scene.unit_arithmetic import CONSTANTS
 
 COMMANDS = typer.main.get_command(cli._application([])).commands
 
@@ -77,17 +77,17 @@ def test_values_are_read_as_the_guide_says() -> None:
 def test_units_and_functions_of_values_are_listed() -> None:
     written = PAGES["values"].split("## Numbers with units")[1].split("## Expressions")[0]
     listed = {x for text in re.findall(r"`([^`]+)`", written) for x in text.split()}
-    assert {*units.UNITS, *FUNCTIONS, *CONSTANTS} <= listed
+    assert {*units.UNITS, *syntax.FUNCTIONS, *CONSTANTS} <= listed
 
 
 def test_expressions_and_their_units_are_listed() -> None:
     written = PAGES["values"].split("## Expressions")[1]
     listed = next(x for x in re.findall(r"`([^`]+)`", written) if "atan2" in x)
-    assert sorted(listed.split()) == sorted(expressions.FUNCTIONS)
-    assert all(f"`{name}`" in written for name in expressions.CONSTANTS)
+    assert sorted(listed.split()) == sorted(syntax.FUNCTIONS)
+    assert all(f"`{name}`" in written for name in syntax.CONSTANTS)
     smooth = PAGES["scene"].split("## Expressions and tables")[1].split("What bends")[0]
     words = set(re.findall(r"[a-z]+[0-9]*", smooth))
-    assert set(expressions.SMOOTH) | set(expressions.CONSTANTS) <= words
+    assert set(expressions.SMOOTH) | set(syntax.CONSTANTS) <= words
     assert words.isdisjoint(expressions.BENDS)
 
 

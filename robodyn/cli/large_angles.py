@@ -10,13 +10,15 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from contextvars import ContextVar
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from robodyn.errors import InputError
 from robodyn.pictures.column_units import joint_units
 from robodyn.scene.quantities import entries
 from robodyn.scene.scene import JointSpring
-from robodyn.scene.unit_arithmetic import plain_text, read_value
+from robodyn.scene.syntax import plain_text
+from robodyn.scene.unit_arithmetic import read_value
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -122,7 +124,8 @@ def _compared(mechanism: Mechanism, text: str) -> list[str]:
         return bool(names) and names <= turning and not scaled
 
     with suppress(SyntaxError, ValueError):  # which the command tells
-        for node in ast.walk(ast.parse(marked(text).text.strip(), mode="eval")):
+        nodes = marked(text, lambda name: name[0] in "qt").nodes
+        for node in chain.from_iterable(map(ast.walk, nodes)):
             match node:
                 case ast.Compare(left=left, comparators=[right]):
                     pass

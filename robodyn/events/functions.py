@@ -20,7 +20,8 @@ from robodyn.events.rounding import Bounded, around_of, bound_of
 from robodyn.events.smooth_parts import has_one_sign, switches
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.expression_units import state_dimension
-from robodyn.scene.expressions import FUNCTIONS, NotAllowedError, Written, state_names
+from robodyn.scene.expressions import NotAllowedError, Written, state_names
+from robodyn.scene.syntax import FUNCTIONS
 from robodyn.tables.arrays import Array
 
 Values = Callable[[Array, Array], Array]

@@ -20,7 +20,7 @@ from robodyn.mechanics.program import (
     Slot,
     Sum,
 )
-from robodyn.scene.expressions import FUNCTIONS
+from robodyn.scene.syntax import FUNCTIONS
 
 MOST_FACTORS = 64  # of a whole power that is written as products
 

@@ -7,55 +7,101 @@ expression has units, they must fit one another, and those of t, q and qd.
 from __future__ import annotations
 
 import ast
-import re
 from collections.abc import Callable, Container
-from typing import NamedTuple
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 from robodyn.scene.quantities import dimension_of
-from robodyn.scene.unit_arithmetic import ANGULAR, NUMBER, Value, plain_text, read_value
-from robodyn.scene.units import PLAIN, UNITS, Dimension, fits, shown_dimension, times
-
-_NAMES = "|".join(sorted(map(re.escape, UNITS), key=len, reverse=True))
-_UNIT = rf"(?:{_NAMES})(?!\w|\s*\()(?:\s*\*\*\s*-?\d+)?"
-_TAIL = rf"{_UNIT}(?:\s*(?:\*(?!\*)|/)?\s*{_UNIT})*"
-_QUANTITY = re.compile(rf"((?<![\w.]){NUMBER}|(?<!\w)pi(?!\w)|\))\s*({_TAIL})", re.ASCII)
-_NOT_FIRST = re.compile(r"(?:/|\*\*)\s*[+-]?\s*\Z")  # what binds the number behind it first
-_ALIKE = ("abs", "min", "max", "hypot", "floor")  # of what they are of
-MARK = "__"  # begins the name of a quantity in the text
+from robodyn.scene.syntax import FUNCTIONS, MARK, parsed, unit_of
+from robodyn.scene.unit_arithmetic import ALIKE, ANGULAR, Value, power, product, unit_value
+from robodyn.scene.units import PLAIN, Dimension, fits, shown_dimension, times
 
 
 class Marked(NamedTuple):
-    """An expression as Python reads it, with names for its quantities; where its letters were."""
+    """Expressions whose numbers with units are names; the place in the text of each letter."""
 
-    text: str
+    nodes: list[ast.expr]
     quantities: dict[str, Value]
     places: list[int]
 
 
-def marked(text: str) -> Marked:
-    """The expression with quantities as names; ^ is a power, as in values."""
-    letters = [
-        (one, k)
-        for k, letter in enumerate(text)
-        for one in plain_text(letter).replace("°", "deg").replace("^", "**")
-    ]
-    plain, origins = "".join(one for one, _ in letters), [k for _, k in letters] + [len(text)]
-    found: dict[str, Value] = {}
-    pieces: list[str] = []
-    places: list[int] = []
-    at = 0
+def marked(text: str, variable: Callable[[str], bool]) -> Marked:
+    """The expressions of a text, their numbers with units as names, by what is a variable.
 
-    for match in _QUANTITY.finditer(plain):
-        pieces.append(plain[at : match.start()])
-        places += origins[at : match.start()]
-        number, name = match[1], f"{MARK}{len(found)}"
-        alone = number[0] in "p)" or _NOT_FIRST.search(plain[: match.start()])
-        found[name] = read_value(match[2] if alone else match[0])
-        pieces.append(f"{number}*{name} " if alone else f"{name} ")
-        at = match.end()
-        places += [origins[match.start()]] * (len(pieces[-1]) - 1) + [origins[at]]
-    pieces.append(plain[at:])
-    return Marked("".join(pieces), found, places + origins[at:])
+    Raises SyntaxError where it has none, OverflowError for numbers too large.
+    """
+    tree = parsed(text, variable, FUNCTIONS)
+    marking = _Marking(tree.line)
+    return Marked([marking.of(node) for node in tree.nodes], marking.quantities, tree.places)
+
+
+class _Marking:
+    """Gives each unit to the number before it: in 2 x*3 mm/s to the 3, in x/3 mm to none."""
+
+    def __init__(self, line: str) -> None:
+        self.line = line
+        self.quantities: dict[str, Value] = {}
+        self.bare: set[str] = set()  # which of them are units without a number
+
+    def of(self, node: ast.expr) -> ast.expr:
+        """The expression, after its parts."""
+        if unit := unit_of(node):
+            return self._named(unit_value(unit), node, bare=True)
+        for name, value in ast.iter_fields(node):
+            if isinstance(value, list):
+                setattr(node, name, [self.of(x) if isinstance(x, ast.expr) else x for x in value])
+            elif isinstance(value, ast.expr):
+                setattr(node, name, self.of(value))
+        if not isinstance(node, ast.BinOp):
+            return node
+        left, right = node.left, node.right
+        if isinstance(node.op, ast.Pow) and self._is_bare(left):
+            with suppress(ValueError):
+                if type(k := ast.literal_eval(right)) is int:
+                    return self._named(power(self._value(left), Value(float(k))), node, bare=True)
+        joins = isinstance(node.op, ast.MatMult)
+        if self._is_bare(right) and isinstance(node.op, ast.MatMult | ast.Mult | ast.Div):
+            sign = -1 if isinstance(node.op, ast.Div) else 1
+            apart = ")" in self.line[left.end_col_offset : right.col_offset]
+            number = joins or isinstance(left, ast.Constant)
+            found = None if apart else self._joined(left, self._value(right), sign, number)
+            if found is not None:
+                part: Any = found
+                while part.end_col_offset != node.end_col_offset:  # its last factor is longer
+                    part.end_col_offset = node.end_col_offset
+                    part = getattr(part, "operand", None) or getattr(part, "right", part)
+                return found
+        if joins:
+            node.op = ast.Mult()
+        return node
+
+    def _joined(self, left: ast.expr, unit: Value, sign: int, number: bool) -> ast.expr | None:
+        """`left` with a unit at its last factor, if this has one already, or is a `number`."""
+        match left:
+            case ast.Name(id=name) if name in self.quantities:
+                return self._named(product(self.quantities[name], unit, sign), left)
+            case ast.Constant(value=int() | float() as value) if number:
+                return self._named(product(Value(float(value)), unit, sign), left)
+            case ast.UnaryOp(operand=last) | ast.BinOp(op=ast.Mult() | ast.Mod(), right=last):
+                inside = last.end_col_offset != left.end_col_offset  # of parentheses
+                if not inside and (found := self._joined(last, unit, sign, number)):
+                    name = "operand" if isinstance(left, ast.UnaryOp) else "right"
+                    setattr(left, name, found)
+                    return left
+        return None
+
+    def _named(self, value: Value, node: ast.expr, bare: bool = False) -> ast.expr:
+        name = f"{MARK}{len(self.quantities)}"
+        self.quantities[name] = value
+        if bare:
+            self.bare.add(name)
+        return ast.copy_location(ast.Name(name), node)
+
+    def _is_bare(self, node: ast.expr) -> bool:
+        return isinstance(node, ast.Name) and node.id in self.bare
+
+    def _value(self, node: ast.expr) -> Value:
+        return self.quantities[node.id]  # type: ignore[attr-defined]
 
 
 def _bare(of: Dimension) -> Dimension:
@@ -139,7 +185,7 @@ def _product(a: Measure | None, b: Measure | None, divided: bool) -> Measure | N
 
 
 def _called(node: ast.expr, name: str, given: list[Measure | None]) -> Measure | None:
-    if name in _ALIKE or name == "atan2":
+    if name in ALIKE or name == "atan2":
         both = given[0]
         for other in given[1:]:
             both = _same(node, name, both, other)
@@ -160,6 +206,8 @@ def _same(node: ast.expr, what: str, a: Measure | None, b: Measure | None) -> Me
     sure, other = (a, b) if a.sure else (b, a)
     fit = other.of and (sure.of or not other.sure) and fits(sure.of, other.of)
     alike = fit or _bare(a.of) == _bare(b.of)
+    if a.of and b.of and not _bare({**a.of, **b.of}) and a.of != b.of and other.sure:
+        alike = False  # an angle and its square
     if not alike:
         raise ValueError(f"{what} of {_told(a.of)} and {_told(b.of)}", node)
     return sure

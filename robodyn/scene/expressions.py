@@ -8,42 +8,12 @@ from __future__ import annotations
 
 import ast
 import math
-import re
-import warnings
 from collections.abc import Callable, Sequence
 
-from robodyn.scene.expression_units import Marked, Measure, Measuring, marked
+from robodyn.scene.expression_units import Measure, Measuring, marked
+from robodyn.scene.syntax import ARGUMENTS, CONSTANTS, FUNCTIONS
 from robodyn.scene.units import Dimension
 
-_NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
-
-
-def _sign(x: float) -> float:
-    return math.copysign(1.0, x) if x else 0.0
-
-
-def _exp(x: float) -> float:
-    try:
-        return math.exp(x)
-    except OverflowError:  # so that 1/(1 + exp(x)) goes on to 0
-        return math.inf
-
-
-def _cosh(x: float) -> float:
-    return 0.5 * (_exp(x) + _exp(-x)) if abs(x) > 700.0 else math.cosh(x)
-
-
-def _sinh(x: float) -> float:
-    return 0.5 * (_exp(x) - _exp(-x)) if abs(x) > 700.0 else math.sinh(x)
-
-
-def _floor(x: float) -> float:
-    return float(math.floor(x))
-
-
-FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in _NAMES.split()}
-FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign, "floor": _floor, "exp": _exp}
-FUNCTIONS |= {"cosh": _cosh, "sinh": _sinh}
 # math.pow: a root of a negative number is outside its domain, not complex
 SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
 SCOPE["_pow"] = math.pow
@@ -52,14 +22,10 @@ BENDS = ("abs", "min", "max", "sign", "floor", "atan2")
 _BENDING: dict[type, str] = {ast.Compare: "a comparison", ast.IfExp: "`if`", ast.Mod: "%"}
 NO_BENDS = "which bends or jumps: expressions of a scene are smooth; write a table"
 SMOOTH = tuple(name for name in FUNCTIONS if name not in BENDS)
-CONSTANTS = {"pi": math.pi, "e": math.e}
 MAX_LENGTH = 2000  # characters of one expression
-MISSING = "an expression is missing at the end"
-_BETWEEN = re.compile(r"[<>]=?(?!>)|[*/%]+|[,)]")  # what stands behind an expression
 MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
 
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod)
-_ARGUMENTS = {"atan2": (2, 2), "hypot": (1, 9), "log": (1, 2), "min": (2, 99), "max": (2, 99)}
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 
 Rename = Callable[[str], str | None]  # a variable as code has it; None: it is none
@@ -96,8 +62,8 @@ class Written:
         if len(text) > MAX_LENGTH:
             raise NotAllowedError(f"more than {MAX_LENGTH} characters")
         try:
-            self._marked = marked(text)
-            nodes = _parsed(self._marked)
+            self._marked = marked(text, lambda name: rename(name) is not None)
+            nodes = self._marked.nodes
             if self._marked.quantities:
                 self.measures = [self._measure(node, dimensions) for node in nodes]
             self.texts = [self._segment(node) for node in nodes]
@@ -107,6 +73,8 @@ class Written:
                 compile(code, "<expression>", "eval")  # Python has limits of its own
         except NotAllowedError:
             raise
+        except ArithmeticError:
+            raise ValueError("a number is too large") from None
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise ValueError(getattr(error, "msg", None) or str(error)) from None
 
@@ -154,7 +122,7 @@ class Written:
             case ast.IfExp(test=test, body=body, orelse=orelse):
                 return ast.IfExp(self._write(test), self._write(body), self._write(orelse))
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
-                least, most = _ARGUMENTS.get(name, (1, 1))
+                least, most = ARGUMENTS.get(name, (1, 1))
                 if not least <= len(args) <= most:
                     raise self._no(node, f"{len(args)} arguments of {name}")
                 return ast.Call(ast.Name(f"_{name}"), [self._write(x) for x in args], [])
@@ -207,32 +175,6 @@ def check_smooth(codes: Sequence[str]) -> None:
 def value_of(code: str) -> float:
     """The number that code without variables is; ArithmeticError or ValueError for none."""
     return float(eval(code, {"__builtins__": {}, **SCOPE}))
-
-
-def _parsed(given: Marked) -> Sequence[ast.expr]:
-    """The expressions in the text; their places are those in it."""
-    line = re.sub("#[^\n]*", lambda comment: " " * len(comment[0]), given.text).replace("\n", " ")
-    begin, end = len(line) - len(line.lstrip()), len(line.rstrip())
-    if line[:end].endswith(","):
-        raise SyntaxError(MISSING)
-    if not line.isascii():  # Python would take other scripts' letters for our own
-        raise SyntaxError("a character is not ASCII")
-    with warnings.catch_warnings():  # what Python warns of it will not take one day
-        warnings.simplefilter("error")
-        try:
-            tree = ast.parse(line[begin:], mode="eval").body
-        except SyntaxError as error:
-            at = begin + (error.offset or 0) - 1
-            if not begin <= at < end:
-                raise SyntaxError(MISSING) from None
-            sign = _BETWEEN.match(line, at) if error.msg == "invalid syntax" else None
-            what = f"an expression is missing before {sign[0]}" if sign else error.msg
-            raise SyntaxError(f"{what} at character {given.places[at] + 1}") from None
-    for node in ast.walk(tree):
-        if isinstance(node, ast.expr):
-            node.col_offset += begin
-            node.end_col_offset = begin + (node.end_col_offset or 0)
-    return tree.elts if isinstance(tree, ast.Tuple) else [tree]
 
 
 def _float(value: float) -> float:

@@ -11,15 +11,12 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 from robodyn.errors import InputError
+from robodyn.scene.syntax import FUNCTIONS, PLAIN_NUMBER, plain_text, tokens_of
 from robodyn.scene.unit_arithmetic import (
     CONSTANTS,
-    FUNCTIONS,
-    PLAIN_NUMBER,
     Value,
     finite,
-    plain_text,
     read_value,
-    tokens_of,
 )
 from robodyn.scene.units import PLAIN, UNITS, Dimension, fits, shown_dimension
 from robodyn.tables.csv_fields import shown

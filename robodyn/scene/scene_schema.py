@@ -9,10 +9,10 @@ from __future__ import annotations
 from itertools import combinations
 from typing import Any
 
-from robodyn.scene.expressions import CONSTANTS, SMOOTH
+from robodyn.scene.expressions import SMOOTH
 from robodyn.scene.grammar import FORMS, MAPPINGS, NUMBERS, OR_VECTOR, WORDS, Form, Key
+from robodyn.scene.syntax import CONSTANTS, FUNCTIONS
 from robodyn.scene.unit_arithmetic import CONSTANTS as OF_VALUES
-from robodyn.scene.unit_arithmetic import FUNCTIONS
 from robodyn.scene.units import UNITS
 
 Schema = dict[str, Any]
