@@ -1,7 +1,7 @@
 """Where a simulation's torque comes from: constants, expressions of t, q, qd, or a table.
 
 Each source becomes lines of Python that the generated right-hand side contains; constants are
-folded into it.  How expressions are read is told in `scene/expressions.py`.
+folded into it.  How expressions are read is told in `scene/syntax.py`.
 """
 
 from __future__ import annotations

@@ -12,12 +12,7 @@ from functools import lru_cache
 
 from robodyn.errors import InputError
 from robodyn.scene.syntax import FUNCTIONS, PLAIN_NUMBER, plain_text, tokens_of
-from robodyn.scene.unit_arithmetic import (
-    CONSTANTS,
-    Value,
-    finite,
-    read_value,
-)
+from robodyn.scene.unit_arithmetic import CONSTANTS, Value, finite, read_value
 from robodyn.scene.units import PLAIN, UNITS, Dimension, fits, shown_dimension
 from robodyn.tables.csv_fields import shown
 
