@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import math
 import random
 import time
+from collections.abc import Iterator
 
 import pytest
 from each_case import each
@@ -124,6 +126,15 @@ PIECES = [
     *"0123456789.eE+-*/^%()<>=,#_[]{}'\"\\°²π:;@! \n", "q1", "qd1", "t", "sin(", "cos(", "pi", "mm",
     "m", "s", "deg", "in", "min", " if ", " else ", " lambda ", "__", "1e9", "**", "//", "exec",
 ]  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _no_collection() -> Iterator[None]:
+    """What takes its time is the text, and not the garbage of earlier tests."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
 
 
 def harmless(text: str) -> None:

@@ -297,15 +297,14 @@ class TestOthers:
         mech = arm(text + 'loads: [{link: arm, torque: "cos(q1) - 0.2*qd1"}]')
         y = np.array([[0.4, 0.0], [-0.8, 1.0], [0.0, 3.0]])
         given = Motions(mech, y, np.zeros((3, 1)), np.zeros(3))
-        for compiled in (True, False) if machine.available() else (False,):
-            (ends,) = integrate([given], 2.0, Aims(1e-10, 1e-10, work=True), [False], compiled)
-            assert ends is not None
-            assert (ends.status == Status.REACHED).all()
-            for k, (q, qd) in enumerate(y):
-                motion = run(mech, q, qd, 2.0, "taylor")
-                right = [motion.q[-1, 0], motion.qd[-1, 0]]
-                assert ends.y[k] == pytest.approx(right, abs=2e-7)
-            assert ends.drift.max() < 1e-7
+        (ends,) = integrate([given], 2.0, Aims(1e-10, 1e-10, work=True), [False])
+        assert ends is not None
+        assert (ends.status == Status.REACHED).all()
+        for k, (q, qd) in enumerate(y):
+            motion = run(mech, q, qd, 2.0, "taylor")
+            right = [motion.q[-1, 0], motion.qd[-1, 0]]
+            assert ends.y[k] == pytest.approx(right, abs=2e-7)
+        assert ends.drift.max() < 1e-7
         timed = arm('loads: [{link: arm, torque: "sin(t)"}]')
         given = Motions(timed, y, np.zeros((3, 1)), np.zeros(3))
         assert integrate([given], 2.0, Aims(1e-9, 1e-9), [False]) == [None]

@@ -17,6 +17,9 @@ from robodyn.tables.arrays import Array
 ROUNDING = 1e-12  # part of the largest weight that an eigenvalue may be below zero
 
 
+STANDS = 1e-9  # part of the fastest eigenvalue below which one is zero but for rounding
+
+
 def lqr(model: LinearModel, weights_x: ArrayLike = 1.0, weights_u: ArrayLike = 1.0) -> Array:
     """K (m, 2f) of a linear model at rest.
 
@@ -35,7 +38,8 @@ def lqr(model: LinearModel, weights_x: ArrayLike = 1.0, weights_u: ArrayLike = 1
     try:
         P = solve_continuous_are(model.A, model.B, X, U)
         K = np.asarray(np.linalg.solve(U, model.B.T @ P), float)
-        settles = bool((np.linalg.eigvals(model.A - model.B @ K).real < 0.0).all())
+        ways = np.linalg.eigvals(model.A - model.B @ K)
+        settles = bool((ways.real < -STANDS * np.abs(ways).max()).all())
     except (np.linalg.LinAlgError, ValueError):
         settles = False
     if not settles:

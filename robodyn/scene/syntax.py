@@ -166,7 +166,7 @@ def _python(
         opens = k + 1 < count and tokens[k + 1].text == "("
         if kind == "name":
             if word.startswith(MARK):
-                raise SyntaxError(f"invalid syntax at character {at + 1}")
+                raise SyntaxError(f"no name begins with {MARK}, at character {at + 1}")
             unit = word in UNITS and not (opens and word in functions)
             unit = unit and (ended or joined or not variable(word))
             if word == "in" and ended and before.kind == "name" and not in_unit:
