@@ -180,7 +180,8 @@ def _number(kind: type, unit: str, value: Any) -> float:
     try:
         number = parse_quantity(value.strip(), unit)
     except ValueError as error:
-        raise typer.BadParameter(f"{value!r} {error}.") from None
+        end = "" if str(error).endswith("?") else "."
+        raise typer.BadParameter(f"{value!r} {error}{end}") from None
     if kind is float:
         return number
     if not (number.is_integer() and abs(number) < 2.0**53):
