@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
-from robodyn.engines.singular_values import svd
+from robodyn.engines.singular_values import least_solution, svd
 from robodyn.errors import SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
@@ -169,6 +169,9 @@ def _closed(mechanism: Mechanism, given: Array, free: list[int], exact: float) -
             return closed, step
         Psi = scaled_jacobian(mechanism, q)[..., free]
         Psi = np.where(np.isfinite(Psi), Psi, 0.0)  # a state that is not finite stays as it is
+        if not exact:
+            step[..., free] = least_solution(Psi, gap, CUT)
+            return closed, step * units if mechanism.slides else step
         U, s, Vt = svd(Psi)
         held = s > CUT * s[..., :1]
         least = np.where(held, s, np.inf).min(axis=-1)

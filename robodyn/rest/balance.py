@@ -88,7 +88,7 @@ def rests(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> NDArray[np.b
 
 
 def bend(mechanism: Mechanism, q: Array, u: Array, v: Array) -> Array:
-    """B(u, v) (..., r) at q (n,) of rates u, v (..., n)."""
+    """B(u, v) (..., r) at q of rates u, v, (..., n) that broadcast."""
     sums = [closure_bias(mechanism, q, x) for x in (u + v, u - v)]
     return np.asarray((sums[0] - sums[1]) / 4.0)
 
@@ -98,12 +98,29 @@ def balance(mechanism: Mechanism, q: Array, tau: Array) -> Balance:
 
     Raises SingularError where the ends of a spring with a free length coincide.
     """
-    N, zero = free_motions(mechanism, q), np.zeros(mechanism.n)
-    load = inverse_dynamics_derivatives(unclosed(mechanism), q, zero, zero)
-    K, missing = N.T @ load.by_q @ N, tau - load.tau
-    multipliers: Array = np.zeros(len(mechanism.rows))
+    return balances(mechanism, q[None], tau)[0]
+
+
+def balances(mechanism: Mechanism, q: Array, tau: Array) -> list[Balance]:
+    """The balance at each of q (k, n); see `balance`."""
+    units = mechanism.arrays.units[:, None]
+    load = inverse_dynamics_derivatives(unclosed(mechanism), q, np.zeros_like(q), np.zeros_like(q))
+    closures = decompose(mechanism, scaled_jacobian(mechanism, q))
+    missing = tau - load.tau
+    multipliers = np.zeros((len(q), len(mechanism.rows)))
     if mechanism.rows:
-        inverse = decompose(mechanism, scaled_jacobian(mechanism, q)).inverse
-        multipliers = -inverse.T @ (mechanism.arrays.units * missing)
-        K = K - bend(mechanism, q, N.T[:, None], N.T[None]) @ multipliers
-    return Balance(N, N.T @ missing, K, load, multipliers)
+        turned = np.swapaxes(closures.inverse, -1, -2)
+        multipliers = -(turned @ (units * missing[..., None]))[..., 0]
+    found: dict[int, Balance] = {}
+    for rank in sorted(set(closures.rank.tolist())):  # so many columns of V are free motions
+        which = np.flatnonzero(closures.rank == rank)
+        N = units * closures.V[which][..., rank:]
+        Nt = np.swapaxes(N, -1, -2)
+        K, force = Nt @ load.by_q[which] @ N, (Nt @ missing[which][..., None])[..., 0]
+        if mechanism.rows:
+            bends = bend(mechanism, q[which][:, None, None], Nt[:, :, None], Nt[:, None])
+            K = K - (bends * multipliers[which][:, None, None]).sum(axis=-1)
+        for place, k in enumerate(which.tolist()):
+            one = InverseDerivatives(*(x[k] for x in load))
+            found[k] = Balance(N[place], force[place], K[place], one, multipliers[k])
+    return [found[k] for k in range(len(q))]

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice, product
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import (
     closure_gap,
@@ -34,7 +34,7 @@ from robodyn.loops.closing import close_positions, half_turn, loop_size, random_
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.mechanism import Mechanism, joint_index
 from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
-from robodyn.rest.balance import Balance, balance, free_motions, single
+from robodyn.rest.balance import Balance, balance, balances, free_motions, single
 from robodyn.rest.natural_modes import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
@@ -52,8 +52,9 @@ CLOSED = 1e-9  # part of the loop's size that a pose may be open
 SAME = 1e-6  # rad by which poses may differ that are one
 STARTS = 30  # in vain before no more are tried, or 10 for each pose that is found
 MOST_EVALUATIONS = 10_000  # of the balance, over all starts
-MANY = 300  # starts drawn at once, after the first
-MOST_STARTS = STARTS + 10 * MANY
+DRAWN = (STARTS, 300, 900, 900, 900)  # starts, so many at once: paths to many take no longer
+TOGETHER = 30  # starts followed at once
+MOST_STARTS = sum(DRAWN)
 MOST_TURNS = 10  # of a joint with springs, from their free angles
 MOST_LEVEL = 12  # poses that rest beside themselves, after which there is no end of them
 
@@ -91,7 +92,7 @@ def equilibrium(
     """
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     begin = _near(mechanism, near)
-    found, _ = _at_rest(mechanism, joints, begin, torques)
+    found, _ = next(_poses(mechanism, joints, [begin], torques))
     if isinstance(found, float):
         raise _none(mechanism, begin, torques, found)
     q = found[0]
@@ -128,14 +129,14 @@ def equilibria(
     turns = searched_turns(mechanism, begin, hold, torques)
     in_vain = STARTS + 10 * sum(high - low for low, high in turns.values())
     evaluations = 0
-    for tried, start in enumerate(_starts(mechanism, joints, begin, turns, watch)):
+    starts = _starts(mechanism, joints, begin, turns, watch)
+    for tried, (found, count) in enumerate(_poses(mechanism, joints, starts, torques)):
         if tried - last > in_vain + 10 * len(there):
             break
         if evaluations > MOST_EVALUATIONS:
             remark = f"the search ended after {tried} starts: there may be more poses at rest"
             warnings.warn(remark, RobodynWarning, stacklevel=2)
             break
-        found, count = _at_rest(mechanism, joints, start, torques)
         evaluations += count
         if isinstance(found, float):
             least = min(least, found)
@@ -294,8 +295,7 @@ def _starts(
     coupled = {k for x in mechanism.description.couplings for k in (x.joint, *dict(x.terms))}
     yield near
     drawn_first = 0
-    while drawn_first < MOST_STARTS:
-        count = STARTS if not drawn_first else MANY
+    for count in DRAWN:
         drawn = random_states(mechanism, rng, count)
         for joint, stop in mechanism.limits:
             low, high = (dict(stop.ends).get(side) for side in (-1, 1))
@@ -314,13 +314,13 @@ def _starts(
                 free = np.isnan(missing)  # any direction closes: the one drawn
                 drawn = np.where(np.isnan(q), drawn, q)
                 q[free] = close_positions(mechanism, drawn[free], joints)
-                free &= [not _open(mechanism, each) for each in q]
+                free &= ~_open(mechanism, q)
                 for k in set(shifts) - {*driven, *coupled}:
                     q[:, k] += shifts[k]
                 closed = q[free | (missing <= 0.0)]
         if closed is None:
             q = close_positions(mechanism, drawn, joints)
-            closed = q[[not _open(mechanism, each) for each in q]]
+            closed = q[~_open(mechanism, q)]
         for place, pose in enumerate(closed):
             if watch is not None:
                 watch((drawn_first + count * place / len(closed)) / MOST_STARTS)
@@ -335,9 +335,94 @@ def _same(mechanism: Mechanism, turning: Sequence[int], way: Array) -> bool:
     return bool(np.abs(way).max() < SAME)
 
 
-def _open(mechanism: Mechanism, q: Array) -> bool:
-    gap = np.abs(closure_gap(mechanism, q)).max(initial=0.0)
-    return not gap <= CLOSED * loop_size(mechanism)
+def _open(mechanism: Mechanism, q: Array) -> NDArray[np.bool_]:
+    """Which of q (..., n) are open."""
+    gap = np.abs(closure_gap(mechanism, q)).max(axis=-1, initial=0.0)
+    return np.asarray(~(gap <= CLOSED * loop_size(mechanism)))
+
+
+# -- many poses at once ----------------------------------------------------------------------------
+
+
+class Try(NamedTuple):
+    """A pose whose balance is asked for, to be closed before; `exact` is None for one that is."""
+
+    acting: Mechanism  # with what acts at the pose before
+    q: Array  # (n,)
+    exact: bool | None
+
+
+# a closed pose, what acts there, and the balance; None where it does not close
+Tried = tuple[Array, Mechanism, Balance] | None
+Steps = Generator[Try, Tried, Found | float]
+Key = TypeVar("Key")
+
+
+def _poses(
+    mechanism: Mechanism, joints: tuple[int, ...], starts: Iterable[Array], tau: Array
+) -> Iterator[tuple[Found | float, int]]:
+    """Of each start what `_at_rest` finds, and how many balances that took.
+
+    So many as TOGETHER go on at once, since numpy takes for one pose as long as for many.
+    """
+    each = iter(starts)
+    while block := list(islice(each, TOGETHER)):
+        walks = [_at_rest(mechanism, joints, start, tau) for start in block]
+        asked = {k: next(walk) for k, walk in enumerate(walks)}
+        found: list[Found | float] = [math.inf] * len(block)
+        counts = [0] * len(block)
+        while asked:
+            answers = _balances(mechanism, joints, asked, tau)
+            for k, answer in answers.items():
+                counts[k] += answer is not None
+                try:
+                    if isinstance(answer, Exception):
+                        asked[k] = walks[k].throw(answer)
+                    else:
+                        asked[k] = walks[k].send(answer)
+                except StopIteration as end:
+                    found[k] = end.value
+                    del asked[k]
+        yield from zip(found, counts, strict=True)
+
+
+def _balances(
+    mechanism: Mechanism, joints: tuple[int, ...], asked: Mapping[int, Try], tau: Array
+) -> dict[int, Tried | Exception]:
+    """The answers to what is asked, or the error of each that has none."""
+    answers: dict[int, Tried | Exception] = dict.fromkeys(asked)
+    closed: dict[int, Array] = {}
+    for (acting, exact), which in _grouped({k: (x.acting, x.exact) for k, x in asked.items()}):
+        q = np.array([asked[k].q for k in which])
+        if exact is not None:
+            q = close_positions(acting, q, exact=exact)
+        opened = _open(mechanism, q)
+        closed |= {k: q[i] for i, k in enumerate(which) if exact is None or not opened[i]}
+    acting_at = {k: _acting(mechanism, joints, q) for k, q in closed.items()}
+    for acting, which in _grouped(acting_at):
+        q = np.array([closed[k] for k in which])
+        try:
+            found: list[Balance | Exception] = [*balances(acting, q, tau)]
+        except (SingularError, np.linalg.LinAlgError):  # of one of them
+            found = [_one(acting, each, tau) for each in q]
+        for k, at in zip(which, found, strict=True):
+            answers[k] = at if isinstance(at, Exception) else (closed[k], acting, at)
+    return answers
+
+
+def _one(acting: Mechanism, q: Array, tau: Array) -> Balance | Exception:
+    try:
+        return balance(acting, q, tau)
+    except (SingularError, np.linalg.LinAlgError) as error:
+        return error
+
+
+def _grouped(keys: Mapping[int, Key]) -> Iterator[tuple[Key, list[int]]]:
+    """Each key with the numbers that have it."""
+    groups: dict[Key, list[int]] = {}
+    for number, key in keys.items():
+        groups.setdefault(key, []).append(number)
+    yield from groups.items()
 
 
 # -- one pose ------------------------------------------------------------------------------------
@@ -349,39 +434,27 @@ def _acting(mechanism: Mechanism, joints: tuple[int, ...], q: Array) -> Mechanis
     return in_mode(mechanism, mode) if mechanism.switches or any(mode) else mechanism
 
 
-def _at_rest(
-    mechanism: Mechanism, joints: tuple[int, ...], start: Array, tau: Array
-) -> tuple[Found | float, int]:
+def _at_rest(mechanism: Mechanism, joints: tuple[int, ...], start: Array, tau: Array) -> Steps:
     """Follow steps from `start` to a pose at rest, or else to the least part of forces left over.
 
-    Also returns how many times the balance was evaluated.
+    It asks for balances by yielding poses, and is sent them.
     """
-    least, count = math.inf, 0
-
-    def balanced(acting: Mechanism, q: Array) -> Balance:
-        nonlocal count
-        count += 1
-        return balance(acting, q, tau)
-
+    least = math.inf
     for downhill in (False, True):
         with suppress(SingularError, np.linalg.LinAlgError):
-            found = _steps(mechanism, joints, start, tau, downhill, balanced)
+            found = yield from _steps(mechanism, joints, start, tau, downhill)
             if not isinstance(found, float):
-                return found, count
+                return found
             least = min(least, found)
-    return least, count
+    return least
 
 
 def _steps(
-    mechanism: Mechanism,
-    joints: tuple[int, ...],
-    q: Array,
-    tau: Array,
-    downhill: bool,
-    balanced: Callable[[Mechanism, Array], Balance],
-) -> Found | float:
-    acting = _acting(mechanism, joints, q)
-    at, damping, least = balanced(acting, q), 0.0, math.inf
+    mechanism: Mechanism, joints: tuple[int, ...], q: Array, tau: Array, downhill: bool
+) -> Steps:
+    first = yield Try(_acting(mechanism, joints, q), q, None)
+    assert first is not None  # it is not closed, and so does not fail to close
+    (q, acting, at), damping, least = first, 0.0, math.inf
     moves = at.N.size > 0
     for _ in range(PASSES):
         if moves and not at.N.size:
@@ -398,23 +471,20 @@ def _steps(
         if settled and left > AT_REST * size:
             return least  # what no stiffness balances
         there = q + at.N @ (step * min(1.0, LONGEST / max(length, LONGEST)))
-        there = close_positions(acting, there, exact=settled)
-        nearer = None
-        if _open(mechanism, there):
-            if downhill:
-                return least
-        else:
-            acting = _acting(mechanism, joints, there)
-            nearer = balanced(acting, there)
+        tried = yield Try(acting, there, settled)
+        if tried is None and downhill:
+            return least
+        if tried is not None:
+            there, acting, nearer = tried
             if settled:  # pin forces that grow beyond bounds stiffen, and hide what is left over
                 bound = AT_REST * _acts(mechanism, nearer, tau)
                 rests = np.abs(nearer.force).max(initial=0.0) <= bound
                 return (there, nearer, acting) if rests else least
-        if nearer is not None and (
-            downhill or np.linalg.norm(nearer.force) < SHRINKS * np.linalg.norm(at.force)
-        ):
-            q, at, damping = there, nearer, damping / 10.0 if damping > LEAST * size else 0.0
-        elif (damping := max(10.0 * damping, 10.0 * LEAST * size)) > MOST * size:
+            if downhill or np.linalg.norm(nearer.force) < SHRINKS * np.linalg.norm(at.force):
+                q, at = there, nearer
+                damping = damping / 10.0 if damping > LEAST * size else 0.0
+                continue
+        if (damping := max(10.0 * damping, 10.0 * LEAST * size)) > MOST * size:
             return least
     return least
 
