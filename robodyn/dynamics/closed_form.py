@@ -45,16 +45,28 @@ from robodyn.mechanics.planar_model import Arrays
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.records import Record
 
+BLOCK = 4  # rows, whose products need no new memory
 LONG = 100  # links, from which on products of whole matrices cost more than sums along the tree
 
 
 def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = None) -> Array:
     """Re(T^H A T), M in x less rotors, (..., n, n); with `rates` Re(T^H A T'), C in x."""
     moved = rates or at
+    if mechanism.n >= LONG and not mechanism.slides:
+        return _by_blocks(mechanism.arrays.A, 1j * at.X, 1j * moved.X)
     right = columns(mechanism, mechanism.arrays.A, moved.X[..., None, :], moved.E[..., None, :])
     adjoint = np.swapaxes(right.conj(), -1, -2)
     W = columns(mechanism, adjoint, at.X[..., None, :], at.E[..., None, :]).real
     return W if rates is None else np.swapaxes(W, -1, -2)
+
+
+def _by_blocks(A: Complex, left: Complex, right: Complex) -> Array:
+    """Re(conj(left_i) A_ij right_j), (..., n, n), by blocks of rows that stay in the cache."""
+    W = np.empty((*right.shape, right.shape[-1]))
+    for begin in range(0, len(A), BLOCK):
+        rows = slice(begin, begin + BLOCK)
+        W[..., rows, :] = (left[..., rows, None].conj() * (A[rows] * right[..., None, :])).real
+    return W
 
 
 def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
@@ -90,12 +102,12 @@ def _of_joints(mechanism: Mechanism, W: Array) -> Array:
     J = mechanism.arrays.J
     if mechanism.n < LONG:
         return np.asarray(J.T @ W @ J)
-    for _ in range(2):
-        W = np.array(np.swapaxes(W, -1, -2))
+    for _ in range(2):  # J^T W, then (J^T W)^T: rows are sooner added up than columns
         for k in reversed(mechanism.order):
             above = mechanism.above[k]
             if above is not None:
                 W[..., above, :] += W[..., k, :]
+        W = np.array(np.swapaxes(W, -1, -2))
     return W
 
 
@@ -132,6 +144,8 @@ def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike
     states = as_states(mechanism, "q", q), as_states(mechanism, "qd", qd)
     if mechanism.switches:
         return _forces_by_modes(mechanism, *states, t)
+    if not mechanism.has_state_forces:
+        return np.zeros(np.broadcast_shapes(*(x.shape for x in states)))
     rows = rows_of(parts.spent, mechanism)
     check_directions(rows.mechanism, states[0])
     return 0.0 - rows("torques", *states, t)  # of nothing no -0.0

@@ -128,15 +128,15 @@ def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     """
     q, qd, scene = sample.q, sample.qd, build(mechanism.description)
     rows = RowValues(replace(scene, A=()))  # which none reads, and which is large
-    M = closed_form.mass_matrix(mechanism, q)
+    M, C = closed_form.mass_matrix(mechanism, q), closed_form.coriolis_matrix(mechanism, q, qd)
     found = [
         Identity("M = M^T", _relative(M - np.swapaxes(M, -1, -2), M)),
         Identity("M positive (least eigenvalue >= 0)", _below_zero(M)),
     ]
-    found += _energy_identities(mechanism, rows, q, qd, M)
+    found += _energy_identities(mechanism, rows, q, qd, M, C)
     if mechanism.rows:
         found += _closure_identities(mechanism, rows, q, qd)
-    return found + _motion_identities(mechanism, rows, q, qd, M)
+    return found + _motion_identities(mechanism, rows, q, qd, M, C)
 
 
 def _below_zero(M: Array) -> float:
@@ -167,19 +167,18 @@ def _span_by_iterations(M: Array) -> float:
     from scipy.linalg import cho_solve
     from scipy.sparse.linalg import LinearOperator, eigsh
 
-    factor, begin = np.linalg.cholesky(M), np.ones(len(M))
-    inverse = LinearOperator(M.shape, lambda b: cho_solve((factor, True), b), dtype=float)
+    factor, begin = np.linalg.cholesky(M).T, np.ones(len(M))  # turned, as LAPACK stores matrices
+    inverse = LinearOperator(M.shape, lambda b: cho_solve((factor, False), b), dtype=float)
     ends = [eigsh(A, 1, v0=begin, tol=1e-4, return_eigenvectors=False) for A in (M, inverse)]
     return float(ends[0][0] * ends[1][0])
 
 
 def _energy_identities(
-    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, M: Array
+    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, M: Array, C: Array
 ) -> list[Identity]:
     KE = closed_form.kinetic_energy(mechanism, q, qd)
     half = 0.5 * _dot(qd, matvec(M, qd))
     bodies = _kinetic_energy(rows.mechanism, q, qd)
-    C = closed_form.coriolis_matrix(mechanism, q, qd)
     turning = absolute_rates(mechanism, qd)
     Mdot = along(lambda s: closed_form.mass_matrix(mechanism, q + s * qd), turning)
     skew = Mdot - 2 * C
@@ -238,7 +237,7 @@ def _closure_identities(
 
 
 def _motion_identities(
-    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, M: Array
+    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, M: Array, C: Array
 ) -> list[Identity]:
     """Forward dynamics against inverse dynamics, and power against the growth of energy."""
     driven = list(mechanism.actuated)
@@ -253,7 +252,6 @@ def _motion_identities(
     qdd = motion.qdd
     damping = np.array(rows.mechanism.damping)
     Q = closed_form.other_forces(mechanism, q, qd)
-    C = closed_form.coriolis_matrix(mechanism, q, qd)
     terms = [matvec(M, qdd), matvec(C, qd), damping * qd, G, -tau, -Q]
     found = []
     if mechanism.rows:
@@ -311,10 +309,13 @@ def along(function: Callable[[Array], Any], speed: Array) -> Any:
     """d function(s)/ds at s = 0 for each state; steps shrink with the largest speed."""
     fastest = np.abs(speed).max(axis=-1, keepdims=True)
     step = np.asarray(STEP / np.where(fastest > 0.0, fastest, 1.0))  # (T, 1)
-    total: Any = 0.0
+    total: Any = None
     for k, weight in enumerate(WEIGHTS, start=1):
-        total = total + weight * (function(k * step) - function(-k * step))
-    return total / step.reshape(step.shape[:1] + (1,) * (np.ndim(total) - 1))
+        change = function(k * step) - function(-k * step)
+        change *= weight  # in place, as matrices of long chains are large
+        total = change if total is None else np.add(total, change, out=total)
+    total /= step.reshape(step.shape[:1] + (1,) * (np.ndim(total) - 1))
+    return total
 
 
 def _dot(left: Array, right: Array) -> Array:

@@ -237,7 +237,10 @@ def _dense_couplings(
         if d is not None:
             half[d] += above[k].conj() * first
             own[d] += inertia[k]
-    return half.T + half.conj() + np.diag(own)
+    A = half.conj()
+    A += half.T
+    A[np.diag_indices(n)] += own
+    return A
 
 
 def _rotors(tree: Tree) -> Iterator[Rotor]:
