@@ -190,11 +190,14 @@ def forward(
     s = decompose(mechanism, Psi)
     particular = -matvec(s.inverse, bend)
     right = force - matvec(M, particular)
-    free = np.zeros_like(right)
-    for rank in np.unique(s.rank):  # as a rule there is one
-        at = s.rank == rank
-        free[at] = _along_freedoms(mechanism, s.V[at][..., rank:], M[at], right[at])
-    acceleration = particular + free
+    n, ranks = mechanism.n, s.rank.ravel()
+    states = s.V.reshape(-1, n, n), M.reshape(-1, n, n), right.reshape(-1, n)
+    free = np.zeros_like(states[2])
+    for rank in set(ranks.tolist()):  # as a rule there is one
+        which = slice(None) if (ranks == rank).all() else ranks == rank
+        V, inertia, force_left = (x[which] for x in states)
+        free[which] = _along_freedoms(mechanism, V[..., rank:], inertia, force_left)
+    acceleration = particular + free.reshape(right.shape)
     unbalanced = matvec(M, acceleration) - force
     multipliers = matvec(np.swapaxes(s.inverse, -1, -2), unbalanced)
     acceleration = acceleration * units
@@ -289,8 +292,9 @@ def _along_freedoms(
     moved = 0.0 if whole else LIGHTEST * (np.abs(N) * (np.abs(M) @ np.abs(N))).sum(axis=-2)
     scale = np.sqrt(np.where(diagonal > moved, diagonal, np.inf))
     scaled = reduced / (scale[:, :, None] * scale[:, None, :])
-    least = np.zeros(len(scaled))
-    if not np.isinf(scale).any():
+    one = N.shape[-1] == 1  # whose inertia is scaled to 1
+    least = np.where(np.isinf(scale[:, 0]), 0.0, 1.0) if one else np.zeros(len(scaled))
+    if not (one or np.isinf(scale).any()):
         try:  # no pivot is below the least eigenvalue, and few are near it
             pivots = np.diagonal(np.linalg.cholesky(scaled), axis1=-2, axis2=-1) ** 2
             least = pivots.min(axis=-1)
@@ -316,7 +320,8 @@ def _along_freedoms(
             limit="its acceleration is undefined; give it, or what it carries, a mass or an "
             "inertia",
         )
-    z = np.linalg.solve(scaled, (matvec(Nt, right) / scale)[..., None])[..., 0] / scale
+    z = matvec(Nt, right) / scale
+    z = (z if one else np.linalg.solve(scaled, z[..., None])[..., 0]) / scale
     return matvec(N, z)
 
 
