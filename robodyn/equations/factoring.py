@@ -102,10 +102,10 @@ def _bracketed(group: list[Term], collect: Callable[[list[Term]], list[Term]]) -
     if not common and number == 1:
         return rest
     if len(rest) == 1:
-        return [(_sorted(common + rest[0][0]), number * rest[0][1])]
+        return [(in_writing_order(common + rest[0][0]), number * rest[0][1])]
     if rest[0][1] < 0:
         number, rest = -number, [(factors, -x) for factors, x in rest]
-    return [(_sorted((*common, (Sum(dict(rest)), 1))), number)]
+    return [(in_writing_order((*common, (Sum(dict(rest)), 1))), number)]
 
 
 def _common(group: list[Term]) -> tuple[Number, Monomial]:
@@ -121,8 +121,8 @@ def _divided(term: Term, number: Number, common: Monomial) -> Term:
     return left, term[1] // number if isinstance(term[1], int) else term[1]
 
 
-def _sorted(factors: Monomial) -> Monomial:
-    """In the order of writing."""
+def in_writing_order(factors: Monomial) -> Monomial:
+    """The factors of a product in the order of writing."""
     return tuple(sorted(factors, key=lambda factor: _rank(factor[0])))
 
 
@@ -179,7 +179,7 @@ def _identities(term: Monomial) -> Iterator[tuple[Powers, int, Powers, int]]:
             yield (square, (other, 2)), 1, (square,), 1
     for one in sines:
         for two in calls:
-            if (difference := _difference(one.place, two.place)) is None:
+            if (difference := difference_of(one.place, two.place)) is None:
                 continue
             place, sign = difference
             pair = (one, -1), (two, -1)
@@ -194,7 +194,7 @@ def _other(atom: Atom) -> Atom:
     return atom._replace(name="cos" if atom.name == "sin" else "sin")
 
 
-def _difference(one: tuple[int, ...], two: tuple[int, ...]) -> tuple[tuple[int, ...], int] | None:
+def difference_of(one: tuple[int, ...], two: tuple[int, ...]) -> tuple[tuple[int, ...], int] | None:
     """The place of an angle less another, and the sign of that; its first joint is added.
 
     None where they are the same, or a joint would count twice.

@@ -70,7 +70,7 @@ class Notation:
         return text if power == 1 else self.power(text, int(power))
 
     def atom(self, atom: Atom) -> str:
-        if atom.role < Role.angle:
+        if atom.role < Role.angle or (atom.role == Role.rate and atom.name):
             return self.symbol(atom.name)
         angles = [self._signed(self.angle, k) for k in atom.place]
         rates = [self._signed(self.rate, k) for k in atom.place]

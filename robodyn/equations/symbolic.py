@@ -13,7 +13,7 @@ motion.  Their numbers are exact: ints and Fractions, of the scene's decimal num
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
@@ -189,6 +189,30 @@ def collected(terms: Iterable[tuple[Monomial, Number]]) -> Sum:
     for monomial, number in terms:
         found[monomial] = found.get(monomial, 0) + number
     return Sum({monomial: x for monomial, x in found.items() if x})
+
+
+def expanded(sum_: Sum) -> Sum:
+    """The sum without brackets."""
+    terms: list[tuple[Monomial, Number]] = []
+    for monomial, number in sum_.terms.items():
+        brackets = [x for x in monomial if isinstance(x[0], Sum) and x[1] in range(1, 9)]
+        plain = merged((), tuple(x for x in monomial if x not in brackets))
+        product_ = Sum({plain: number})
+        for factor, power in brackets:
+            product_ = product_ * expanded(factor) ** power
+        terms += product_.terms.items()
+    return collected(terms)
+
+
+def slope(sum_: Sum, of_atom: Callable[[Atom], Sum]) -> Sum:
+    """The derivative of a sum without brackets, of whose atoms `of_atom` tells the derivatives."""
+    found: list[tuple[Monomial, Number]] = []
+    for monomial, number in sum_.terms.items():
+        for atom, power in monomial:
+            if by := of_atom(atom):
+                rest = Sum({merged(monomial, ((atom, -1),)): number * power})
+                found += (rest * by).terms.items()
+    return collected(found)
 
 
 def merged(a: Monomial, b: Monomial) -> Monomial:

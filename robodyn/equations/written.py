@@ -196,7 +196,12 @@ SYMBOLIC = Arithmetic(
 def _in_order(entry: Any, block: str) -> Sum:
     """The entry of a block, its terms from the ground on, body by body."""
     entry = simplified(summed(entry))
-    terms = _gathered(entry) if block == "C" else entry.terms
+    return in_place(Sum(_gathered(entry)) if block == "C" else entry, block)
+
+
+def in_place(entry: Sum, block: str) -> Sum:
+    """The terms of an entry of a block, or of what is like it, in the order of writing."""
+    terms = entry.terms
     angles = dict.fromkeys(x.place for term in terms for x, _ in term if x.role == Role.function)
     seen = {joints: place for place, joints in enumerate(angles)}
     return Sum({x: terms[x] for x in sorted(terms, key=lambda term: _place(block, term, seen))})
