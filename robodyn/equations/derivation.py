@@ -56,6 +56,7 @@ from robodyn.equations.symbolic import (
 from robodyn.equations.written import in_place
 from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Closure, JointSpring, Load, Moment, Point, Spring
 
 MOST_LINKS = 8
@@ -159,6 +160,14 @@ class Part(NamedTuple):
 Parts = tuple[Part, ...]
 
 
+def check_size(mechanism: Mechanism) -> None:
+    """Raise InputError for more links than a derivation is written of."""
+    if mechanism.n > MOST_LINKS:
+        limit = f"at most {MOST_LINKS} links; the equations without --steps have no limit"
+        value = f"{mechanism.n} links"
+        raise InputError("--steps", where=mechanism.source, value=value, limit=limit)
+
+
 def said(plain: str, *figures: Vector) -> Line:
     """A sentence."""
     return Line(plain=plain, figures=figures)
@@ -185,10 +194,7 @@ class Derivation:
     def __init__(self, equations: Equations[Sum]) -> None:
         self.equations, self.mechanism = equations, equations.mechanism
         mechanism = self.mechanism
-        if mechanism.n > MOST_LINKS:
-            limit = f"at most {MOST_LINKS} links; the equations without --steps have no limit"
-            value = f"{mechanism.n} links"
-            raise InputError("--steps", where=mechanism.source, value=value, limit=limit)
+        check_size(mechanism)
         self.names: dict[str, Name] = {}  # of the atoms that stand for formulas
         self.n, self.joints = mechanism.n, range(mechanism.n)
         self.scene: Any = equations.known.scene
@@ -320,7 +326,9 @@ class Derivation:
 
     def point_place(self, point: Point) -> Parts:
         """Where a point is, in the ground's frame."""
-        k, at = point.link, planar(point.at)
+        return self._place_on(point.link, planar(point.at))
+
+    def _place_on(self, k: int | None, at: Planar) -> Parts:
         place = self.places[k] if k is not None else ()
         return (*place, Part(self.units[k] * at, self.paths[k])) if at else place
 
@@ -390,7 +398,7 @@ class Derivation:
         for k, link in enumerate(self.links):
             pieces = []
             for m, at in ((link.m, link.r), (link.payload, Planar(summed(link.l), ZERO))):
-                x, y = self.components(self.point_place(Point(k, at)), 1)
+                x, y = self.components(self._place_on(k, planar(at)), 1)
                 height = -(self.put(summed(m)) * (self.put(gx) * x + self.put(gy) * y))
                 pieces += [written(height, (as_one,))] if height else []
             yield entry_name("PE", k), tuple(pieces)
@@ -466,7 +474,8 @@ class Derivation:
         if atom.role == Role.angle:
             return of(Atom(Role.rate, atom.place))
         if atom.role == Role.function and atom.speed is None:
-            return derived(atom) * of(Atom(Role.rate, atom.place))
+            found: Sum = derived(atom) * of(Atom(Role.rate, atom.place))
+            return found
         return ZERO
 
     def bent(self, i: int) -> Sum:
@@ -507,16 +516,16 @@ class Derivation:
                 return ((self._turning(one), 2),), number
             more, less = (of(self._turning(x, 1), 2) for x in (one, two))
             return ((more - less, 1),), number
-        if (parts := factored(form)) is None:
+        if (linear := factored(form)) is None:
             terms = {}
             for (j, k), x in form:
                 pair = ((j, 2),) if j == k else ((j, 1), (k, 1))
                 terms[tuple((Atom(Role.rate, (m,)), power) for m, power in pair)] = whole(x)
             return ((Sum(terms), 1),), Fraction(1)
-        one, two, number = parts
-        if one == two:
-            return ((self._linear(one), 2),), number
-        return ((self._linear(one), 1), (self._linear(two), 1)), number
+        first, second, number = linear
+        if first == second:
+            return ((self._linear(first), 2),), number
+        return ((self._linear(first), 1), (self._linear(second), 1)), number
 
     def _linear(self, form: Linear) -> Atom | Sum:
         """A sum of rates as one factor; in a scene that is folded by omega_k, or two of them."""
@@ -712,7 +721,8 @@ class Derivation:
     def _split(self) -> Iterator[Line]:
         """What squares of rates make of C qd, and what products of two do."""
         for i in self.joints:
-            squares, products = [], []
+            squares: list[Sum] = []
+            products: list[Sum] = []
             for form, before in forms_of(in_place(self.coriolis(i), "C")):
                 for (j, k), x in form:
                     pair = of(Atom(Role.rate, (j,))) * of(Atom(Role.rate, (k,)))
@@ -958,11 +968,11 @@ class Derivation:
                 for j in self.joints
                 if M[j]
             )
-            right = [self.named("f", i)] if forces[i] else []
-            right += [
+            acts = [self.named("f", i)] if forces[i] else []
+            acts += [
                 bracketed(entry(r, i), of(self.atom(multipliers[r])), 1) for r in rows if Psi[r][i]
             ]
-            final.append(Line(left, (joined(right),)))
+            final.append(Line(left, (joined(acts),)))
         yield final
 
 

@@ -45,18 +45,27 @@ NAMES = {
 
 def latex(equations: Equations[Sum]) -> str:
     """A whole document."""
+    return document(equations, "equations of motion", content(equations))
+
+
+def document(equations: Equations[Sum], title: str, lines: Iterable[str]) -> str:
+    """A document of these lines with a title after the scene's name."""
     columns = max(len(block.rows[0]) for block in equations.blocks)
     wide = rf"\setcounter{{MaxMatrixCols}}{{{columns}}}" + "\n" if columns > 10 else ""
-    lines = [PREAMBLE + wide, r"\begin{document}"]
-    lines.append(rf"\section*{{{escaped(equations.title)}: equations of motion}}")
-    lines += _display(_head(equations))
+    heading = rf"\section*{{{escaped(equations.title)}: {title}}}"
+    begin = [PREAMBLE + wide, r"\begin{document}", heading]
+    return "\n".join([*begin, *lines, r"\end{document}"]) + "\n"
+
+
+def content(equations: Equations[Sum]) -> Iterator[str]:
+    """The equations and the legend of their symbols."""
+    yield from display(_head(equations))
     for definitions, block in equations.defined():
-        lines += _display(_block(block))
+        yield from display(_block(block))
         if definitions:
             named = ((subscripted(name.name), name.value) for name in definitions)
-            lines += _display(chain.from_iterable(_equation(*x) for x in named))
-    lines += _legend(equations)
-    return "\n".join([*lines, r"\end{document}"]) + "\n"
+            yield from display(chain.from_iterable(equation(*x) for x in named))
+    yield from _legend(equations)
 
 
 def escaped(text: str) -> str:
@@ -114,7 +123,8 @@ def measure(formula: str) -> float:
     return 0.7 * len(small) + len(normal) - 0.6 * normal.count("'") + 1.6 * operators
 
 
-def _display(lines: Iterable[str]) -> list[str]:
+def display(lines: Iterable[str]) -> list[str]:
+    """Formulas below one another."""
     return [r"\begin{align*}", *(" \\\\\n".join(lines)).split("\n"), r"\end{align*}"]
 
 
@@ -160,14 +170,15 @@ def _block(block: Block[Sum]) -> Iterator[str]:
         return f"{bare}_{{{block.numbers(i, j, ',')}}}"
 
     for places, entry in block.listed():
-        yield from _equation(" = ".join(label(*place) for place in places), entry)
+        yield from equation(" = ".join(label(*place) for place in places), entry)
     zeros = [label(*place) for place in block.zeros]
     for k in range(0, len(zeros), ZEROS):
         first, *others = zeros[k : k + ZEROS]
         yield f"{first} &= {' = '.join([*others, '0'])}"
 
 
-def _equation(left: str, entry: Sum | Formula) -> Iterator[str]:
+def equation(left: str, entry: Sum | Formula) -> Iterator[str]:
+    """The lines of `left = entry`."""
     first, *more = broken(_entry(entry), WIDTH - round(measure(left)) - 6, measure)
     yield f"{left} &= {first}"
     yield from (rf"&\quad {part.strip()}" for part in more)
