@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from robodyn.equations.factoring import (
     as_one,
     by_angle,
+    by_cosines,
     by_function,
     by_role,
     difference_of,
@@ -214,7 +215,7 @@ class Derivation:
         self.KE = simplified(total(flat for flat, _ in self.kinetic))
         self.M = [[self._inertia(i, j) for j in self.joints] for i in self.joints]
         for i, row in enumerate(M):
-            if [simplified(expanded(entry)) for entry in row] != self.M[i]:
+            if any(by_cosines(expanded(x) - y) for x, y in zip(row, self.M[i], strict=True)):
                 raise AssertionError(f"row {i + 1} of M is not that of the kinetic energy")
         self.potential = [*self._weights(), *self._springs(), *self._loads()]
 
@@ -899,11 +900,14 @@ class Derivation:
 
     def _eliminated(self, blocks: Sequence[Sequence[int]], forces: Any) -> Iterator[list[Line]]:
         """N = M^-1, W = Psi N Psi^T, b, lambda, and the rows with them, in names."""
+        known = self.equations.known.known  # of which a rotor's damping may be b1
+        letter = next(x for x in "bcu" if not {f"{x}1", f"{x}2"} & known.keys())
         yield [
             shown(
-                "N = M^-1    W = Psi N Psi^T    b = Psi N f + Psidot qd    lambda = -W^-1 b",
-                r"N = M^{-1}, \quad W = \Psi N\Psi^T, \quad b = \Psi Nf + \dot{\Psi}\dot{q},"
-                r" \quad \lambda = -W^{-1}b",
+                f"N = M^-1    W = Psi N Psi^T    {letter} = Psi N f + Psidot qd"
+                f"    lambda = -W^-1 {letter}",
+                rf"N = M^{{-1}}, \quad W = \Psi N\Psi^T, \quad {letter} = \Psi Nf"
+                rf" + \dot{{\Psi}}\dot{{q}}, \quad \lambda = -W^{{-1}}{letter}",
             )
         ]
         lines, N = [], {}
@@ -941,8 +945,8 @@ class Derivation:
             parts = [in_line(acting)]
             if self.blocks["Psidot_qd"].rows[r][0]:
                 parts.append(self.named("Psidot qd", r, latex=r"(\dot{\Psi}\dot{q})"))
-            b.append(self.named("b", r))
-            lines.append(Line(entry_name("b", r), (joined(parts),)))
+            b.append(self.named(letter, r))
+            lines.append(Line(entry_name(letter, r), (joined(parts),)))
         multipliers = [entry_name("lambda", r, latex=r"\lambda") for r in rows]
         if len(Psi) == 1:
             lines.append(Line(multipliers[0], (over(-b[0], W[0, 0]),)))

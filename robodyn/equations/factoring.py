@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from math import gcd
 
-from robodyn.equations.symbolic import Atom, Monomial, Number, Role, Sum, merged
+from robodyn.equations.symbolic import Atom, Monomial, Number, Role, Sum, collected, merged
 
 Term = tuple[Monomial, Number]
 Key = Callable[[Monomial], Hashable]
@@ -147,6 +147,33 @@ def simplified(sum_: Sum) -> Sum:
     return Sum({term: number for term, number in terms.items() if number})
 
 
+def by_cosines(sum_: Sum) -> Sum:
+    """The sum without squares of the sines of axes, uy^2 = 1 - ux^2: equal sums are the same."""
+    while True:
+        found: list[Term] = []
+        for term, number in sum_.terms.items():
+            square = next((x for x, power in term if _is_sine(x) and power > 1), None)
+            if square is None:
+                found.append((term, number))
+                continue
+            rest, other = merged(term, ((square, -2),)), _beside(square)
+            found += [(rest, number), (merged(rest, ((other, 2),)), -number)]
+        if (next_ := collected(found)) == sum_:
+            return sum_
+        sum_ = next_
+
+
+def _is_sine(atom: Atom) -> bool:
+    """Whether it is the sine of the axis of a joint."""
+    return bool(atom.role == Role.direction and atom.place[1][-1] == "y")
+
+
+def _beside(sine: Atom) -> Atom:
+    """The cosine of the same axis."""
+    along = sine.place[0], sine.place[1][:-1] + "x"
+    return sine._replace(place=along, name=sine.name[:-1] + "x")
+
+
 def _paired(terms: dict[Monomial, Number], term: Monomial) -> bool:
     """Put what an identity makes of a term and its partner in their place; whether there is one."""
     for to_other, sign, to_both, turned in _identities(term):
@@ -172,9 +199,8 @@ def _identities(term: Monomial) -> Iterator[tuple[Powers, int, Powers, int]]:
         square, other = (atom, -2), None
         if atom in sines:
             other = _other(atom)
-        elif atom.role == Role.direction and atom.place[1][-1] == "y":
-            along = atom.place[0], atom.place[1][:-1] + "x"
-            other = atom._replace(place=along, name=atom.name[:-1] + "x")
+        elif _is_sine(atom):
+            other = _beside(atom)
         if other is not None and power > 1:
             yield (square, (other, 2)), 1, (square,), 1
     for one in sines:

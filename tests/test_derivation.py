@@ -1,0 +1,342 @@
+"""The derivation of the equations: line by line as in the lecture, and against sympy's."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import sympy as sp
+from derivation_oracle import wrong
+from sliding_scenes import SLIDING_SCENES
+
+from random_mechanisms import (
+    LOOPS,
+    forced,
+    mechanism,
+    motored,
+    seeded_scene,
+    seeded_tree,
+    sliding,
+)
+from robodyn.equations.derivation import Derivation
+from robodyn.equations.derivation_latex import derivation_latex
+from robodyn.equations.derivation_text import derivation_json, derivation_text
+from robodyn.equations.quadratic_forms import difference_of_squares, factored, forms_of
+from robodyn.equations.symbolic import Atom, Role, of
+from robodyn.equations.text import text
+from robodyn.equations.written import equations
+from robodyn.mechanics.mechanism import Mechanism, load
+
+ROBOTS = Path(__file__).resolve().parent.parent / "robots"
+NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))
+COMPILER = shutil.which("pdflatex") or shutil.which("lualatex") or shutil.which("tectonic")
+LAWS = """\
+gravity: 9.81
+links:
+  - {name: slide, joint: prismatic, axis: [1, 0], m: 2, l: 0.1, r: 0.02, I: 0.01,
+     friction: {force: 0.4, static: 0.6, stribeck: 0.1}}
+  - {name: arm, m: 1, l: 0.6, r: [0.3, 0.05], I: 0.03, damping: 0.1,
+     limits: {min: -0.5, max: 0.6, stiffness: 80, damping: 2}}
+springs:
+  - {joint: arm, torque: "3 x + 2 x^3"}
+  - {between: [arm, [0.4, 0.9]], force: "60 x + 4 v", length: 0.2}
+  - {joint: slide, stiffness: 30, length: 0.1}
+loads:
+  - {link: arm, torque: "0.5 sin(3 t)"}
+  - {link: arm, at: [0.2, 0], force: ["q1 + t", 2], frame: link}
+  - {link: slide, at: [0.1, 0], force: [1, 2], frame: link}
+  - {link: arm, at: [0.3, 0.1], force: [0, "2 t"]}
+"""
+
+
+def steps_of(mech: Mechanism) -> dict[str, list]:
+    """What is right of each name in the JSON."""
+    content = json.loads(derivation_json(Derivation(equations(mech))))
+    lines = [x for step in content["steps"] for x in step["lines"] if "left" in x]
+    return {line["left"]: line["right"] for line in lines}
+
+
+# -- against the lecture ---------------------------------------------------------------------------
+
+
+def same(found: str, written: str) -> bool:
+    """Whether two formulas are one; theta and phi of the slides stand for q."""
+    return sp.simplify(sp.expand_trig(sp.sympify(found) - sp.sympify(written))) == 0
+
+
+KE_2R = """m1*r1**2*qd1**2/2 + I1*qd1**2/2 + m2/2*(l1**2*qd1**2 + r2**2*(qd1 + qd2)**2
+    + 2*l1*r2*qd1*(qd1 + qd2)*cos(q2)) + I2*(qd1 + qd2)**2/2"""  # (24), with l1^2 for its r2^2
+PE_2R = "m1*g*r1*sin(q1) + m2*g*(l1*sin(q1) + r2*sin(q1 + q2))"  # (25)
+M_2R = (
+    "(m1*r1**2 + I1 + m2*(l1**2 + r2**2 + 2*l1*r2*cos(q2)) + I2)",
+    "(m2*(r2**2 + l1*r2*cos(q2)) + I2)",
+    "(m2*r2**2 + I2)",
+)
+TAU_2R = (  # (27), with r2 in G2
+    f"{M_2R[0]}*qdd1 + {M_2R[1]}*qdd2 - 2*m2*l1*r2*sin(q2)*qd1*qd2 - m2*l1*r2*sin(q2)*qd2**2"
+    " + (m1*r1 + m2*l1)*g*cos(q1) + m2*g*r2*cos(q1 + q2)",
+    f"{M_2R[1]}*qdd1 + {M_2R[2]}*qdd2 + m2*l1*r2*sin(q2)*qd1**2 + m2*g*r2*cos(q1 + q2)",
+)
+
+
+def test_the_2r_arm_is_the_lectures() -> None:
+    found = steps_of(load(ROBOTS / "2r.yaml"))
+    assert same(found["KE"][-1], KE_2R)
+    assert same(found["PE"][-1], PE_2R)
+    assert same(found["L"][-1], f"{KE_2R} - ({PE_2R})")  # (26)
+    q = sp.symbols("q1 q2 qd1 qd2 qdd1 qdd2")
+    L = sp.sympify(f"{KE_2R} - ({PE_2R})")
+    for i in (1, 2):
+        slope, p = sp.diff(L, f"q{i}"), sp.diff(L, f"qd{i}")
+        assert same(found[f"dL/dq{i}"][0], str(slope))
+        assert same(found[f"dL/dqd{i}"][0], str(p))
+        rate = sum(sp.diff(p, a) * b for a, b in zip(q[:4], q[2:], strict=True))
+        assert same(found[f"d/dt dL/dqd{i}"][0], str(rate))
+        assert same(found[f"tau{i}"][0], TAU_2R[i - 1])
+    assert same(found["centripetal (C qd)1"][0], "-m2*l1*r2*qd2**2*sin(q2)")
+    assert same(found["Coriolis (C qd)1"][0], "-2*m2*l1*r2*qd1*qd2*sin(q2)")
+    assert same(found["centripetal (C qd)2"][0], "m2*l1*r2*qd1**2*sin(q2)")
+    assert "Coriolis (C qd)2" not in found
+    velocity = ["l1*qd1*sin(q2)", "l1*qd1*cos(q2) + r2*(qd1 + qd2)"]
+    assert all(same(*pair) for pair in zip(found["vC2"][-1], velocity, strict=True))
+
+
+def test_the_four_bar_is_the_lectures() -> None:
+    found = steps_of(load(ROBOTS / "four-bar.yaml"))
+    own = "m3*r3**2*qd3**2/2 + I3*qd3**2/2"  # with the square of its rate
+    assert same(found["KE"][-1], f"{KE_2R} + {own}")  # (28)
+    assert same(found["PE"][-1], f"{PE_2R} + m3*g*r3*sin(q3)")  # (29)
+    assert same(found["L"][-1], f"{KE_2R} + {own} - ({PE_2R} + m3*g*r3*sin(q3))")  # (30)
+    assert same(found["tau1"][0], TAU_2R[0])  # (32)
+    assert same(found["tau2"][0], TAU_2R[1])
+    assert same(found["tau3"][0], "(m3*r3**2 + I3)*qdd3 + m3*g*r3*cos(q3)")
+    assert found["l1*cos(q1) + l2*cos(q1 + q2)"] == ["l3*cos(q3) + x3"]  # (31)
+    assert found["l1*sin(q1) + l2*sin(q1 + q2)"] == ["l3*sin(q3)"]
+    Psi = {
+        "Psi11": "-l1*sin(q1) - l2*sin(q1 + q2)",
+        "Psi12": "-l2*sin(q1 + q2)",
+        "Psi13": "l3*sin(q3)",
+        "Psi21": "l1*cos(q1) + l2*cos(q1 + q2)",
+        "Psi22": "l2*cos(q1 + q2)",
+        "Psi23": "-l3*cos(q3)",
+    }
+    assert all(same(found[name][0], entry) for name, entry in Psi.items())
+    # (33): what the names make of M qdd is f - Psi^T (Psi M^-1 Psi^T)^-1 (Psi M^-1 f + Psidot qd)
+    M = sp.Matrix(3, 3, lambda i, j: sp.Symbol(f"M{min(i, j) + 1}{max(i, j) + 1}"))
+    M[0, 2] = M[1, 2] = M[2, 0] = M[2, 1] = 0
+    Psi_ = sp.Matrix(2, 3, lambda i, j: sp.Symbol(f"Psi{i + 1}{j + 1}"))
+    f, bias = sp.Matrix(sp.symbols("f1:4")), sp.Matrix(sp.symbols("Psidot_qd1:3"))
+    W = Psi_ * M.inv() * Psi_.T
+    wanted = f - Psi_.T * W.inv() * (Psi_ * M.inv() * f + bias)
+    rows = ["M11*qdd1 + M12*qdd2", "M12*qdd1 + M22*qdd2", "M33*qdd3"]
+    names = {x: found[x][0] for x in found if re.fullmatch(r"d12|dW|[NWb]\d+|lambda\d", x)}
+    for k, row in enumerate(rows):
+        shown = sp.sympify(found[row][0])
+        for _ in range(5):
+            shown = shown.subs({x: sp.sympify(y) for x, y in names.items()})
+        assert sp.simplify(shown - wanted[k]) == 0
+
+
+# -- against sympy, from positions -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_right_side_of_the_examples(name: str) -> None:
+    assert wrong(load(ROBOTS / f"{name}.yaml")) == []
+
+
+@pytest.mark.parametrize("name", ["2r", "cart-pole", "whitworth", "spring-slider-crank"])
+def test_with_numbers(name: str) -> None:
+    assert wrong(load(ROBOTS / f"{name}.yaml"), numeric=True) == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_trees(seed: int) -> None:
+    tree = seeded_tree(seed, 2 + seed % 3)
+    assert wrong(tree.mechanism) == []
+    assert wrong(forced(seed, seeded_tree(seed, 2)).mechanism) == []
+    assert wrong(motored(seed, seeded_tree(seed, 3)).mechanism) == []
+    assert wrong(sliding(seed, seeded_tree(seed + 30, 3), seed % 3).mechanism) == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_loops(seed: int) -> None:
+    shape = list(LOOPS.values())[seed]
+    assert wrong(forced(seed, seeded_scene(seed, shape)).mechanism) == []
+    assert wrong(motored(seed, seeded_scene(seed + 50, shape)).mechanism) == []
+
+
+@pytest.mark.parametrize("name", SLIDING_SCENES)
+def test_prismatic_joints_slots_and_blocks(name: str) -> None:
+    assert wrong(mechanism(SLIDING_SCENES[name])) == []
+
+
+def test_laws_friction_and_stops() -> None:
+    assert wrong(mechanism(LAWS)) == []
+
+
+def test_a_changed_line_is_found() -> None:
+    """Of every line with a number in it one that is another is found."""
+    mech = load(ROBOTS / "spring-slider-crank.yaml")
+    count = sum(len(x["lines"]) for x in steps_in(mech))
+    missed = []
+    for k in range(count):
+        touched: list[str] = []
+
+        def change(steps: list, k: int = k, touched: list[str] = touched) -> None:
+            line = [x for step in steps for x in step["lines"]][k]
+            if "left" in line and line["right"][-1] not in ("0", ["0", "0"]):
+                last = line["right"][-1]
+                other = (
+                    f"1.01*({last})" if isinstance(last, str) else [f"{last[0]} + 0.01", last[1]]
+                )
+                line["right"][-1] = other
+                touched.append(line["left"])
+
+        bad = wrong(mech, change=change)
+        if touched and not any(x.startswith(f"{touched[0]} = ") for x in bad):
+            missed += touched
+    assert missed == []
+
+
+def steps_in(mech: Mechanism) -> list[dict]:
+    return json.loads(derivation_json(Derivation(equations(mech))))["steps"]
+
+
+# -- form ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_result_is_what_equations_prints(name: str) -> None:
+    found = equations(load(ROBOTS / f"{name}.yaml"))
+    shown, plain = derivation_text(Derivation(found)), text(found)
+    before, _, result = shown.partition("\nResult\n\n")
+    assert result == plain.split("\n", 2)[2]
+    titles = [x for x in before.split("\n") if re.match(r"\d+\. ", x)]
+    assert [x.split(".")[0] for x in titles] == [str(k + 1) for k in range(len(titles))]
+
+
+def test_entries_are_the_strings_of_the_result() -> None:
+    shown = derivation_text(Derivation(equations(load(ROBOTS / "watt-six-bar.yaml"))))
+    before, _, result = shown.partition("\nResult\n\n")
+    for line in result.split("\n"):
+        if re.match(r"  (Psi\d+|\(Psidot qd\)\d) .* = ", line) and not line.endswith("= 0"):
+            assert line in before
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_lines_are_no_wider_than_asked(width: int) -> None:
+    shown = derivation_text(Derivation(equations(load(ROBOTS / "2r.yaml"))), width)
+    long = [x for x in shown.split("\n") if len(x) > width]
+    assert [x for x in long if " = " not in x and " + " in x.strip()[1:]] == []
+
+
+def test_every_symbol_is_in_the_legend() -> None:
+    for name in NAMES:
+        shown = derivation_text(Derivation(equations(load(ROBOTS / f"{name}.yaml"))))
+        known = equations(load(ROBOTS / f"{name}.yaml")).known.known
+        before, _, _ = shown.partition("\nResult\n")
+        formulas = [x for x in before.split("\n") if "  " in x[:2]]
+        used = {x for x in known if re.search(rf"(?<![\w]){x}(?![\w])", "\n".join(formulas))}
+        for symbol in used:
+            assert re.search(rf"^  {symbol} +[-\d]", shown, re.MULTILINE), (name, symbol)
+
+
+def test_a_long_scene_is_folded() -> None:
+    found = steps_of(load(ROBOTS / "watt-six-bar.yaml"))
+    assert found["L"] == ["KE - PE"]
+    assert found["dL/dqd1"] == ["M11*qd1 + M12*qd2 + M14*qd4"]
+    assert "(omega4**2 - omega2**2)" in found["tau1"][0]
+    assert not [x for x in found if x.startswith("centripetal")]
+
+
+def test_quadratic_forms_are_products_where_they_can_be() -> None:
+    q = [of(Atom(Role.rate, (k,))) for k in range(3)]
+
+    def only(sum_):
+        ((form, _),) = forms_of(sum_)
+        return form
+
+    assert factored(only(q[1] * q[1] + 2 * q[0] * q[1])) == (((1, 1),), ((0, 2), (1, 1)), 1)
+    assert factored(only(q[0] * q[0] + q[1] * q[1])) is None
+    assert factored(only(q[0] * q[1] + q[2] * q[2])) is None
+    one, two, number = factored(only((q[0] + q[1]) * (2 * q[0] - 3 * q[2])))
+    assert {one, two} == {((0, 1), (1, 1)), ((0, 2), (2, -3))}
+    assert number == 1
+    form = only((q[0] + q[1]) * (q[0] + q[1]) - q[0] * q[0])
+    assert difference_of_squares(form, [(0,), (0, 1)]) == ((0, 1), (0,), 1)
+
+
+def test_eight_links_take_less_than_three_seconds() -> None:
+    rows = "\n".join(
+        f"  - {{name: a{k}, m: {1 + k}, l: 0.{k + 2}, r: [0.1, 0.0{k + 1}], I: 0.1}}"
+        for k in range(8)
+    )
+    begin = time.process_time()
+    derivation_text(Derivation(equations(mechanism(f"gravity: 9.81\nlinks:\n{rows}\n"))))
+    assert time.process_time() - begin < 30.0  # a count of ten, for a machine that is loaded
+
+
+# -- the command -----------------------------------------------------------------------------------
+
+
+def test_the_command(robodyn: Run) -> None:
+    done = robodyn("equations", "2r", "--steps")
+    assert done.stdout.startswith("planar 2R arm: equations of motion, step by step\n\n1. Frames")
+    numbers = robodyn("equations", "2r", "--steps", "--numeric")
+    assert "KE2 = 0.288 qd1² + 0.028125 (qd1 + qd2)²" in numbers.stdout
+    content = json.loads(robodyn("equations", "2r", "--steps", "--format", "json").stdout)
+    plain = json.loads(robodyn("equations", "2r", "--format", "json").stdout)
+    assert content.pop("steps")[0]["title"] == "1. Frames and angles"
+    assert content == plain
+
+
+@pytest.mark.parametrize("format", ["python", "c"])
+def test_code_has_no_steps(robodyn: Run, format: str) -> None:
+    done = robodyn("equations", "2r", "--steps", "--format", format)
+    assert done.code == 2
+    assert f"--format = {format}: goes without --steps" in done.stderr
+
+
+def test_more_than_eight_links(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    rows = "".join(f"  - {{name: a{k}, m: 1, l: 1, r: 0.5, I: 0.1}}\n" for k in range(9))
+    done = robodyn("equations", str(scene(f"links:\n{rows}")), "--steps")
+    assert done.code == 2
+    assert "--steps = 9 links: at most 8 links; the equations without --steps have no limit" in (
+        done.stderr
+    )
+
+
+@pytest.mark.parametrize("name", ["2r", "four-bar", "rp-arm", "spring-slider-crank"])
+def test_latex_is_whole(name: str) -> None:
+    shown = derivation_latex(Derivation(equations(load(ROBOTS / f"{name}.yaml"))))
+    assert shown.count(r"\begin{align*}") == shown.count(r"\end{align*}")
+    assert shown.count(r"\begin{pmatrix}") == shown.count(r"\end{pmatrix}")
+    bare = re.sub(r"\\[{}]", "", shown)
+    assert bare.count("{") == bare.count("}")
+    assert r"{}^{1}v_{C_{1}}" in shown
+    assert not re.search(
+        r"\b(qdd?|tau|lambda|omega|Psi)\d",
+        shown.split("Result")[0]
+        .replace("by q1 + q2", "")
+        .split("2. Velocities")[1]
+        .replace("tau2 = tau3 = 0", "")
+        .replace("tau2 = 0", ""),
+    )
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no LaTeX compiler")
+@pytest.mark.parametrize("name", ["four-bar", "watt-six-bar", "rp-arm"])
+def test_latex_compiles(name: str, tmp_path: Path) -> None:
+    assert COMPILER is not None
+    shown = derivation_latex(Derivation(equations(load(ROBOTS / f"{name}.yaml"))))
+    (tmp_path / "steps.tex").write_text(shown, encoding="utf-8")
+    options = [] if "tectonic" in COMPILER else ["-interaction=nonstopmode", "-halt-on-error"]
+    done = subprocess.run([COMPILER, *options, "steps.tex"], cwd=tmp_path, capture_output=True)
+    assert done.returncode == 0, done.stdout[-2000:]
