@@ -18,7 +18,7 @@ from robodyn.scene.scene import DryFriction, Friction, JointSpring, Load, Moment
 
 TAKEN = re.compile(r"[HTFBY]\d+[xy]?")  # laws that vary: what their names stand for is as given
 NAMED = re.compile(  # what is left of an equal sign, but for the first side of a closure
-    r"(omega|vC|vP|v|KE|PEs|PEl|PE|rF|tau|Q|D_qd|f|lambda|b|gap|Psidot_qd|d/dt gap|dL/dqd?"
+    r"(omega|vC|vP|v|KE|PEs|PEl|PE|rF|tau|Q|D_qd|f|lambda|[bcu]|gap|Psidot_qd|d/dt gap|dL/dqd?"
     r"|d/dt dL/dqd)\d+|(Psi|N|W|d)\d\d|[SVKP]\d+[xy]?|KE|PE|L|dW|(centripetal|Coriolis) \(C qd\)\d+"
 )
 FUNCTIONS = {name: getattr(math, name) for name in ("sin", "cos", "tan", "tanh", "exp", "sqrt")}
@@ -369,7 +369,7 @@ class Oracle:
             case ("", "dW"):
                 W = self.solved[0]
                 return W[0, 0] * W[1, 1] - W[0, 1] ** 2
-            case ("", "b"):
+            case ("", "b" | "c" | "u"):
                 return self.solved[1][k]
             case ("", "lambda"):
                 return self.solved[2][k]

@@ -115,7 +115,7 @@ def _vector(notation: Notation, right: Right) -> str:
     """A vector as a column, or as operations on vectors."""
     match right:
         case Vector(x, y):
-            rows = " \\\\ ".join(notation.text(each) for each in (x, y))
+            rows = " \\\\ ".join(_row(notation.text(each)) for each in (x, y))
             return rf"\begin{{pmatrix}} {rows} \end{{pmatrix}}"
         case Offset(k, arm):
             found = _of(k + 1, f"v_{{{k + 1}}}")
@@ -140,6 +140,15 @@ def _vector(notation: Notation, right: Right) -> str:
                 found += rf" + \begin{{pmatrix}} \dot{{q}}_{{{k + 1}}} \\ 0 \end{{pmatrix}}"
             return found
     raise AssertionError(right)
+
+
+def _row(text: str) -> str:
+    """A component; one that is wider than the page in lines."""
+    first, *more = broken(text, WIDTH - 20, measure)
+    if not more:
+        return first
+    lines = " \\\\ ".join([f"& {first}", *(rf"& \quad {part.strip()}" for part in more)])
+    return rf"\begin{{aligned}} {lines} \end{{aligned}}"
 
 
 def _turn(notation: Notation, k: int, along: Vector | None) -> str:
