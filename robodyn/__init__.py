@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from robodyn.errors import ResidualError as ResidualError
     from robodyn.errors import RobodynError as RobodynError
     from robodyn.errors import SingularError as SingularError
-    from robodyn.kinematics.point_motion import points as points
+    from robodyn.kinematics.named_points import points as points
     from robodyn.loops.assembly import assemble as assemble
     from robodyn.loops.loop_rates import loop_accelerations as loop_accelerations
     from robodyn.loops.loop_rates import loop_velocities as loop_velocities
@@ -58,19 +58,19 @@ if TYPE_CHECKING:
     from robodyn.notebook.figures_of import plot as plot
     from robodyn.notebook.loading import load as load
     from robodyn.notebook.sweep_table import sweep as sweep
-    from robodyn.parameters.fitting import fit as fit
     from robodyn.parameters.identification import identify as identify
+    from robodyn.parameters.motion_fit import fit as fit
     from robodyn.parameters.motion_fit import fit_motion as fit_motion
     from robodyn.parameters.regression_matrix import regressor as regressor
     from robodyn.rest.linear_model import linearize as linearize
+    from robodyn.rest.linear_model import lqr as lqr
     from robodyn.rest.poses_at_rest import equilibria as equilibria
     from robodyn.rest.poses_at_rest import equilibrium as equilibrium
-    from robodyn.rest.regulator import lqr as lqr
     from robodyn.simulation.simulation import Motion as Motion
     from robodyn.simulation.simulation import simulate as simulate
-    from robodyn.trajectories.inverse_kinematics import inverse_kinematics as inverse_kinematics
     from robodyn.trajectories.reference import ReferenceMotion as ReferenceMotion
     from robodyn.trajectories.reference import reference_motion as reference_motion
+    from robodyn.trajectories.task_space import inverse_kinematics as inverse_kinematics
     from robodyn.trajectories.time_scaling import shortest_motion as shortest_motion
 
 __version__ = "0.1.0"
@@ -106,7 +106,7 @@ _ROOMS = {
         "RobodynError",
         "SingularError",
     ],
-    "kinematics.point_motion": ["points"],
+    "kinematics.named_points": ["points"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism"],
     "dynamics.state_columns": ["motor_loads"],
@@ -117,15 +117,13 @@ _ROOMS = {
     "notebook.sweep_table": ["sweep"],
     "parameters.identification": ["identify"],
     "parameters.regression_matrix": ["regressor"],
-    "parameters.fitting": ["fit"],
-    "parameters.motion_fit": ["fit_motion"],
+    "parameters.motion_fit": ["fit", "fit_motion"],
     "rest.poses_at_rest": ["equilibria", "equilibrium"],
-    "rest.linear_model": ["linearize"],
-    "rest.regulator": ["lqr"],
+    "rest.linear_model": ["linearize", "lqr"],
     "simulation.simulation": ["Motion", "simulate"],
     "control.state_feedback": ["StateFeedback"],
     "control.tracking": ["ReferenceTable"],
-    "trajectories.inverse_kinematics": ["inverse_kinematics"],
+    "trajectories.task_space": ["inverse_kinematics"],
     "trajectories.time_scaling": ["shortest_motion"],
     "trajectories.reference": ["ReferenceMotion", "reference_motion"],
 }

@@ -21,7 +21,7 @@ import robodyn
 from hard_cases.cases import n_four_bar
 from oracles import n_four_bar_exact
 from random_mechanisms import mechanism as read
-from robodyn.engines import machine, machine_motion, object_cache
+from robodyn.engines import machine, machine_motion
 from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.benchmark import benchmark
@@ -122,7 +122,7 @@ def code_of_many_loops(bench: Any) -> list[Any]:
     from bench import Row
 
     counts, made, costs = (5, 10, 20) if bench.quick else (5, 10, 20, 40, 80), [], []
-    usual, object_cache.folder = object_cache.folder, lambda: None
+    usual, machine.folder = machine.folder, lambda: None
     try:
         for n in (2, *counts) if machine.available() else ():  # the first loads LLVM
             mechanism = n_four_bar(n)
@@ -135,7 +135,7 @@ def code_of_many_loops(bench: Any) -> list[Any]:
             steps = len(run().t)
             costs.append(min(timeit(run, timer=process_time, number=1) for _ in range(9)) / steps)
     finally:
-        object_cache.folder = usual
+        machine.folder = usual
     if not made:
         return []
     exponent = float(np.polyfit(np.log(counts), np.log(costs[1:]), 1)[0])

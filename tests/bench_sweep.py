@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 import robodyn
 from robodyn.engines import machine
-from robodyn.sweeps.sweep_plan import CHUNKS, Plan
+from robodyn.sweeps.sweep_plan import CHUNKS, Axis, Plan, Variation
 from robodyn.sweeps.sweep_workers import results
-from robodyn.sweeps.variation import Axis, Variation
 from yardsticks import four_bar_rates, two_link_rates
 
 Array = NDArray[np.float64]

@@ -20,17 +20,18 @@ from robodyn import other_forces, pin_forces, reactions
 from robodyn.dynamics import closed_form, dense_dynamics
 from robodyn.dynamics import dynamics as dyn
 from robodyn.engines import batches, formulas, straightline
+from robodyn.engines.arithmetic import FLOATS, Arithmetic
 from robodyn.engines.array_blocks import ArrayFormula
+from robodyn.engines.batches import Rows
 from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.engines.machine import PLAIN
-from robodyn.engines.machine_rows import Rows
 from robodyn.engines.row_values import rows_of
-from robodyn.engines.series import FLOATS, Arithmetic, Series
+from robodyn.engines.series import Series
 from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.simulation.extended import LONGS
+from robodyn.simulation.benchmark import LONGS
 from robodyn.simulation.right_hand_side import right_hand_side
 
 DIGITAL = Arithmetic(

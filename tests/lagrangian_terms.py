@@ -7,8 +7,8 @@ from mpmath import mp
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.placed import relative_matrix
+from robodyn.engines.arithmetic import FLOATS
 from robodyn.engines.expansion import MotionProgram
-from robodyn.engines.series import FLOATS
 from robodyn.mechanics.actuation import Actuation
 
 

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from robodyn.engines import machine, sines
+from robodyn.engines import machine, segment
 from robodyn.engines.assembler import ADDRESS, WHOLE, Kernel, Module
 
 
@@ -45,7 +45,7 @@ def sine_and_cosine(x, family="", level=2):
     """(2, T)."""
 
     def write(k, words):
-        return sines.sine_cosine(k, words[0])
+        return segment.sine_cosine(k, words[0])
 
     return run(write, x, family=family, level=level)
 

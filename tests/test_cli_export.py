@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -141,19 +139,6 @@ def test_the_help_has_examples_that_work(quick_shell: Run, tmp_path: Path) -> No
 def test_a_reader_that_leaves_ends_it_quietly(shell: Run) -> None:
     given = shell("robodyn export robots/four-bar.yaml --format mjcf --q 1 | head -1").succeeds()
     assert given.out == '<?xml version="1.0" encoding="utf-8"?>\n'
-
-
-def test_it_starts_without_numpy() -> None:
-    program = (
-        "import sys\n"
-        "from robodyn import cli\n"
-        "sys.stdout = open('/dev/null', 'w')\n"
-        "codes = [cli.run(['export', 'robots/2r.yaml', '--format', x]) for x in ('urdf', 'mjcf')]\n"
-        "found = {name.split('.')[0] for name in sys.modules} & {'numpy', 'scipy', 'rich'}\n"
-        "sys.exit(f'{codes} {found}' if any(codes) or found else 0)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, GRAVITY)
 
 
 @each("format", ["urdf", "mjcf"])

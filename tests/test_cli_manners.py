@@ -23,11 +23,10 @@ from each_case import each
 from named_case import case
 
 from robodyn import cli
-from robodyn.cli import command_groups
 from robodyn.scene import other_conventions
 from robodyn.scene.example_scenes import example_file
 from robodyn.scene.grammar import FORMS, MAPPINGS
-from robodyn.tables.delimited import Delimited
+from robodyn.tables.csv_fields import Delimited
 
 Run = Callable[..., Outcome]
 
@@ -39,7 +38,7 @@ def function_of(command: str) -> Any:
 def test_the_summaries_are_those_of_the_docstrings() -> None:
     for name in cli.COMMANDS:
         told = inspect.getdoc(function_of(name)) or ""
-        assert command_groups.summary(name) == told.split("\n\n")[0], name
+        assert cli.summary(name) == told.split("\n\n")[0], name
 
 
 def test_the_list_of_commands_is_grouped_and_whole(robodyn: Run) -> None:
@@ -47,10 +46,10 @@ def test_the_list_of_commands_is_grouped_and_whole(robodyn: Run) -> None:
     assert "..." not in out.partition("States:")[2]
     shown = out.partition("States:")[2]
     for name in cli.COMMANDS:
-        words = r"\s+".join(map(re.escape, command_groups.summary(name).split()))
+        words = r"\s+".join(map(re.escape, cli.summary(name).split()))
         assert re.search(rf"^  {name} +{words}$", shown, re.M)
     headings = re.findall(r"^(\w+):$", out, re.M)
-    assert headings == ["Options", *command_groups.GROUPS]
+    assert headings == ["Options", *cli.GROUPS]
 
 
 @each("name", cli.COMMANDS)

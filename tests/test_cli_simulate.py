@@ -22,7 +22,7 @@ from conftest import FOUR_BAR, ROOT, TWO_LINK, Outcome
 
 import oracles
 from robodyn import assemble, load, simulate
-from robodyn.cli import signals
+from robodyn.cli import progress
 
 Run = Callable[..., Outcome]
 PATIENCE = 60.0  # s, on a busy machine
@@ -641,13 +641,13 @@ def test_a_run_that_ends_finishes_its_files(
 
     The processor's clock is the test's own: on a busy machine a run that works may look idle.
     """
-    monkeypatch.setattr(signals, "PATIENCE", 0.05)
+    monkeypatch.setattr(progress, "PATIENCE", 0.05)
     seconds = itertools.count()
     monkeypatch.setattr(time, "process_time", lambda: next(seconds))
-    monkeypatch.setattr(signals, "received", [])
+    monkeypatch.setattr(progress, "received", [])
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     try:
-        with signals.watching(1.0, quiet=True) as watch:
+        with progress.watching(1.0, quiet=True) as watch:
             watch(reached)
             signal.raise_signal(signal.SIGINT)
             assert reached == 1.0 or watch(reached)

@@ -24,8 +24,7 @@ from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.scene.description import from_text
-from robodyn.simulation.impacts import rates_after
-from robodyn.simulation.phases import Phases
+from robodyn.simulation.phases import Phases, rates_after
 from robodyn.simulation.recording import Outcome
 from robodyn.simulation.simulation import Motion, simulate
 

@@ -18,12 +18,12 @@ from scipy.optimize import linprog
 import robodyn
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.sticking import mode_at
-from robodyn.events import pieces, signs
+from robodyn.events import pieces, single_zeros
 from robodyn.mechanics import actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.motion_columns import as_actuation
 from robodyn.simulation.phases import DOUBTS, Phases
 from robodyn.simulation.recording import Outcome
-from robodyn.simulation.run_torques import as_actuation
 from robodyn.simulation.simulation import Motion, simulate
 
 # -- which joints of a loop stick ------------------------------------------------------------------
@@ -343,14 +343,14 @@ def test_what_rounding_hides_for_long_is_told_once(
 ) -> None:
     """Along its stop a joint follows this but for what the method misses: zero, or nearly."""
     boxes = 0
-    stretches = signs.stretches
+    stretches = single_zeros.stretches
 
     def counted(*given: Any) -> Any:
         nonlocal boxes
         boxes += 1
         return stretches(*given)
 
-    monkeypatch.setattr(signs, "stretches", counted)
+    monkeypatch.setattr(single_zeros, "stretches", counted)
     monkeypatch.setattr(pieces, "stretches", counted)
     motion = simulate(
         scene(BLOCKS), [0.0] * 4, [1.0, -2.0, 0.5, 3.0], 1.3, method=method, rtol=1e-7,

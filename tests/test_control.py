@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from conftest import TWO_LINK
 from contact_scenes import FIVE_BAR, scene
+from named_case import case
 from numpy.polynomial import Polynomial
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
@@ -21,16 +23,22 @@ from robodyn import (
     Motion,
     ReferenceTable,
     RobodynError,
+    SingularError,
     assemble,
     controller,
     forward_dynamics,
     gravity_vector,
+    inverse_dynamics,
     load,
+    loop_accelerations,
     loop_velocities,
     mass_matrix,
+    other_forces,
     reference_motion,
     simulate,
 )
+from robodyn.control import laws
+from robodyn.control.laws import driving_torques, rest_torques
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.accuracy import error_estimate, settings_for
@@ -542,3 +550,184 @@ def test_a_set_point_beyond_a_dead_centre_ends_the_run_soon() -> None:
         assert motion.t[-1] == pytest.approx(lined_up, abs=0.03 if rate else 1e-8)
         assert "of a at t = 0.1" in motion.report.advice
         assert "beside a dead centre" in motion.report.advice
+
+
+# Reference tables: what lies between their rows, and where its derivatives jump.
+
+
+TIMES = np.array([-0.3, 0.0, 0.4, 0.5, 1.1, 1.7])
+BETWEEN = np.linspace(-0.3, 1.7, 201)
+
+
+def rows(motion, times=TIMES, given=3):
+    """q, qd, qdd (or the first of them) of a list of polynomials at times."""
+    return [np.stack([p.deriv(d)(times) for p in motion], axis=1) for d in range(given)]
+
+
+@pytest.mark.parametrize(("given", "degree"), [(3, 5), (2, 3), (1, 3)])
+def test_a_polynomial_that_the_rows_determine_is_kept(given: int, degree: int) -> None:
+    rng = np.random.default_rng(given)
+    motion = [Polynomial(rng.normal(size=degree + 1)) for _ in range(2)]
+    found = ReferenceTable(TIMES, *rows(motion, given=given))
+    known = rows(motion, BETWEEN)
+    for values, expected in zip(found.at(BETWEEN), known, strict=False):
+        assert values == pytest.approx(expected, abs=1e-12)
+    assert found.kinks == []
+    assert not found.jumps
+
+
+def test_rows_are_kept_with_their_derivatives() -> None:
+    rng = np.random.default_rng(7)
+    q, qd, qdd = rng.normal(size=(3, len(TIMES), 3))
+    found = ReferenceTable(TIMES, q, qd, qdd)
+    side = 1e-5  # a step for differences of qd
+    for t, *known in zip(TIMES[1:-1], q[1:-1], qd[1:-1], qdd[1:-1], strict=True):
+        assert found.at(t)[0] == pytest.approx(known[0], abs=1e-14)
+        assert found.at(t)[1] == pytest.approx(known[1], abs=1e-13)
+        for way in (-side, side):
+            slope = (found.at(t + way)[1] - found.at(t)[1]) / way
+            assert slope == pytest.approx(known[2], abs=0.5)
+    assert found.kinks == TIMES[1:-1].tolist()  # of the third derivative
+    assert not found.jumps
+
+
+def test_angles_alone_make_scipys_spline() -> None:
+    q = np.random.default_rng(3).normal(size=(len(TIMES), 2))
+    found, known = ReferenceTable(TIMES, q), CubicSpline(TIMES, q)
+    assert found.at(BETWEEN)[0] == pytest.approx(known(BETWEEN), abs=1e-12)
+    assert found.at(BETWEEN)[1] == pytest.approx(known(BETWEEN, 1), abs=1e-11)
+    assert found.kinks == TIMES[2:-2].tolist()  # not-a-knot at the second and the last but one
+    assert not found.jumps
+
+
+def test_rates_without_accelerations_make_these_jump() -> None:
+    q, qd = np.random.default_rng(4).normal(size=(2, len(TIMES), 2))
+    found = ReferenceTable(TIMES, q, qd)
+    assert found.kinks == TIMES[1:-1].tolist()
+    assert found.jumps
+
+
+def test_close_rows_of_a_smooth_motion_are_no_kinks() -> None:
+    t = np.linspace(0.0, 2.0, 2001)[:, None]
+    smooth = ReferenceTable(t[:, 0], np.sin(t), np.cos(t), -np.sin(t))
+    assert smooth.kinks == []
+    bent = np.where(t < 1.0, 0.0, (t - 1.0) ** 2)
+    slope = np.where(t < 1.0, 0.0, 2.0 * (t - 1.0))
+    one = ReferenceTable(t[:, 0], bent, slope)
+    assert one.kinks == [1.0]
+    assert one.jumps
+
+
+def test_two_rows_are_enough() -> None:
+    line = ReferenceTable([0.0, 2.0], [[1.0], [3.0]])
+    assert line.at([0.5, 2.0])[0].tolist() == [[1.5], [3.0]]
+    assert line.at(0.5)[1].tolist() == [1.0]
+    still = ReferenceTable([0.0, 2.0], [[1.0], [1.0]], [[0.0], [0.0]])
+    assert still.at(1.3)[0].tolist() == [1.0]
+
+
+def test_some_of_the_joints() -> None:
+    q, qd = np.random.default_rng(5).normal(size=(2, len(TIMES), 3))
+    chosen = ReferenceTable(TIMES, q, qd).of([2, 0])
+    assert chosen.at(0.7)[0] == pytest.approx(ReferenceTable(TIMES, q, qd).at(0.7)[0][[2, 0]])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (([0.0], [[1.0]]), ("rows = 1", "two or more")),
+        (([0.0, 1.0, 1.0], np.ones((3, 1))), ("t = 1", "increase", "before has 1")),
+        (([0.0, np.nan], np.ones((2, 1))), ("t", "finite")),
+        (([0.0, 1.0], [[1.0], [np.inf]]), ("q", "finite")),
+        (([0.0, 1.0], np.ones((3, 1))), ("shape of q", "(3, 1)", "(2, joints)")),
+        (([0.0, 1.0], np.ones((2, 2)), np.ones((2, 1))), ("shape of qd", "(2, 1)")),
+        (([0.0, 1.0], np.ones((2, 1)), None, np.ones((2, 1))), ("qdd", "needs qd")),
+    ],
+)
+def test_what_is_no_reference(arguments: tuple, parts: tuple[str, ...]) -> None:
+    with pytest.raises(InputError) as caught:
+        ReferenceTable(*arguments, where="ref.csv")
+    for part in ("ref.csv", *parts):
+        assert part in str(caught.value)
+
+
+# The torques that hold a model at rest, and those that drive it.
+
+
+def scenes() -> list[random_mechanisms.Scene]:
+    trees = [random_mechanisms.seeded_tree(seed, n) for seed, n in enumerate((1, 2, 4, 6))]
+    loops = [
+        random_mechanisms.seeded_scene(seed, shape)
+        for seed, shape in enumerate(random_mechanisms.LOOPS.values())
+    ]
+    forced = [random_mechanisms.forced(k, scene) for k, scene in enumerate(trees + loops)]
+    return trees + loops + forced
+
+
+def test_the_inverse_dynamics_of_what_the_actuated_joints_do() -> None:
+    for made in scenes():
+        with case(made):
+            mech = made.mechanism
+            driven = list(mech.actuated)
+            v = made.qdd[driven]
+            qdd = loop_accelerations(mech, made.q, made.qd, v)
+            known = inverse_dynamics(mech, made.q, made.qd, qdd)[driven]
+            found = driving_torques(mech)(*made.q, *made.qd, *v)
+            assert found == pytest.approx(known, abs=1e-9 * max(1.0, np.abs(known).max()))
+            still = inverse_dynamics(mech, made.q, 0 * made.q, 0 * made.q)[driven]
+            found = rest_torques(mech)(*made.q)
+            assert found == pytest.approx(still, abs=1e-9 * max(1.0, np.abs(still).max()))
+
+
+def test_at_rest_an_open_chain_needs_its_gravity_vector() -> None:
+    for seed in range(4):
+        scene = random_mechanisms.forced(seed, random_mechanisms.seeded_tree(seed, 4))
+        mech = scene.mechanism
+        known = gravity_vector(mech, scene.q) - other_forces(mech, scene.q, 0 * scene.q)
+        assert rest_torques(mech)(*scene.q) == pytest.approx(known, abs=1e-10)
+
+
+def underactuated(text: str) -> Mechanism:
+    return random_mechanisms.mechanism(text + "actuated: [upper arm]\n")
+
+
+def test_fewer_actuators_than_freedoms() -> None:
+    arm = underactuated((ROBOTS / "2r.yaml").read_text())
+    q = [0.4, -0.9]
+    assert rest_torques(arm)(*q) == pytest.approx(gravity_vector(arm, q)[:1], abs=1e-12)
+    with pytest.raises(RobodynError, match=r"q2.*free"):
+        driving_torques(arm)
+
+
+def test_more_actuators_than_freedoms() -> None:
+    text = (ROBOTS / "four-bar.yaml").read_text().replace("[crank]", "[crank, rocker]")
+    mech = random_mechanisms.mechanism(text)
+    with pytest.raises(InputError, match="2 actuators for a mobility of 1"):
+        driving_torques(mech)
+    q = assemble(load(ROBOTS / "four-bar.yaml"), [1.0])
+    with pytest.warns(UserWarning, match="least norm"):
+        found = rest_torques(mech)(*q)
+    with pytest.warns(UserWarning, match="least norm"):
+        known = inverse_dynamics(mech, q, 0 * q, 0 * q)
+    assert found == pytest.approx(known[[0, 2]])
+
+
+def test_many_links_go_without_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = random_mechanisms.seeded_tree(3, 4)
+    q, qd, v = scene.q, scene.qd, scene.qdd
+    known = driving_torques(scene.mechanism)(*q, *qd, *v), rest_torques(scene.mechanism)(*q)
+    monkeypatch.setattr(laws.formulas, "MAX_GENERATED", 3)
+    assert driving_torques(scene.mechanism)(*q, *qd, *v) == pytest.approx(known[0], abs=1e-11)
+    assert rest_torques(scene.mechanism)(*q) == pytest.approx(known[1], abs=1e-11)
+
+
+def test_a_dead_centre() -> None:
+    """The rocker cannot drive the four-bar where crank and coupler are in line."""
+    text = (ROBOTS / "four-bar.yaml").read_text().replace("[crank]", "[rocker]")
+    mech = random_mechanisms.mechanism(text)
+    a, b, c, d = 0.35, 0.95, 0.8, 1.1  # crank and coupler in line: rocker at its limit
+    crank = np.arccos(((a + b) ** 2 + d**2 - c**2) / (2 * (a + b) * d))
+    tip = (a + b) * np.exp(1j * crank)
+    q = np.array([crank, 0.0, np.angle(tip - d)])
+    with pytest.raises(SingularError, match="dead centre"):
+        driving_torques(mech)(*q, 0.0, 0.0, 0.0, 1.0)

@@ -27,7 +27,7 @@ from robodyn.dynamics.evaluators import _accelerations
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.scene.quantities import parse_coupling
-from robodyn.simulation.extended import reference
+from robodyn.simulation.benchmark import reference
 from robodyn.simulation.right_hand_side import right_hand_side
 
 FIVE_BAR = """

@@ -18,10 +18,9 @@ import robodyn as rd
 from random_mechanisms import Scene, forced
 from robodyn.dynamics import derivatives, identities
 from robodyn.engines import expression, formulas
-from robodyn.engines.derivative_formulas import forward_derivatives_formula
-from robodyn.engines.expression import Graph
+from robodyn.engines.expression import Graph, substituted, tangents
+from robodyn.engines.formulas import forward_derivatives_formula
 from robodyn.engines.straightline import compile_floats
-from robodyn.engines.tangents import substituted, tangents
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.scene_values import read_numbers

@@ -501,8 +501,8 @@ def test_any_bytes_are_refused(data: bytes) -> None:
     "path",
     [
         *("errors.InputError", "errors.AssemblyError", "errors.SingularError"),
-        *("trajectories.continuation.PathEndError", "trajectories.continuation.TravelError"),
-        *("trajectories.motion_limits.LimitError", "engines.row_values.TableLeftError"),
+        *("trajectories.loop_path.PathEndError", "trajectories.loop_path.TravelError"),
+        *("trajectories.time_scaling.LimitError", "engines.row_values.TableLeftError"),
         *("simulation.accuracy.AccuracyError", "cli.simulate.UnfinishedError"),
     ],
 )

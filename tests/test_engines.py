@@ -22,9 +22,9 @@ from series_table import ORDER, known, states
 from random_mechanisms import loops, trees
 from robodyn import kinetic_energy, potential_energy, simulate
 from robodyn.engines import machine
+from robodyn.engines.machine_motion import Status
 from robodyn.loops.projection import float_closing, suspect_quality
 from robodyn.mechanics.actuation import Actuation, expressions, table
-from robodyn.taylor import Status
 from robodyn.taylor.compiled import serves
 
 EVERYWHERE = (*KINDS, *ROBOTS)
@@ -185,7 +185,7 @@ def test_series_follow_the_equations_of_motion(name):
 
 
 # ---------------------------------------------------------------------------------------------
-# Motions; those of robots/ that are known to 18 digits are in test_taylor_steps.py
+# Motions; those of robots/ that are known to 18 digits are in test_taylor_run.py
 # ---------------------------------------------------------------------------------------------
 
 BY_ROWS = 100.0  # DOP853 takes the rows of tables by its errors alone

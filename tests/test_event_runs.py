@@ -12,8 +12,9 @@ import pytest
 from example_starts import start
 from named_case import case
 
+from robodyn.engines.machine_motion import Status
 from robodyn.errors import InputError
-from robodyn.events.told import Events
+from robodyn.events.watch import Events
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly import assemble
 from robodyn.mechanics.actuation import Actuation
@@ -21,7 +22,6 @@ from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.simulation import Motion, simulate
-from robodyn.taylor import Status
 from robodyn.taylor.compiled import CompiledEngine
 
 METHODS: list[dict[str, Any]] = [
@@ -413,7 +413,7 @@ def test_a_step_next_to_a_change_point_is_made_again(tol: float) -> None:
 
 def test_no_more_events_are_held_than_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are made when they are asked for, the first of them; all are counted."""
-    monkeypatch.setattr("robodyn.events.told.MOST", 100)
+    monkeypatch.setattr("robodyn.events.watch.MOST", 100)
     pendulum, *_ = start("pendulum", 0.0)
     named = {"method": "taylor", "rtol": 1e-4, "atol": 1e-4}
     given = pendulum, [0.3], [0.0], 600.0

@@ -16,6 +16,7 @@ from documents import blocks
 from named_case import case
 
 from robodyn import cli, load
+from robodyn.cli import bench
 from robodyn.dynamics import evaluators
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.csv_fields import finite
@@ -123,7 +124,7 @@ def measure_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(evaluators, "BATCHES", (1,))
     monkeypatch.setattr(evaluators, "repeat", lambda call, **_: repeat(call, number=1, repeat=1))
-    monkeypatch.setattr(evaluators, "measure_evaluators", measured)
+    monkeypatch.setattr(bench, "measure_evaluators", measured)
 
 
 def check_form(form: str, given: Outcome, picture: Path) -> None:

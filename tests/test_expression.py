@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from robodyn.engines import expression
 from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Expression, Graph, cost
-from robodyn.engines.source_text import float_source
+from robodyn.engines.straightline import float_source
 
 NAMES = ("x", "y", "z")
 examples = settings(deadline=None, max_examples=150 if FRESH else 60)

@@ -34,7 +34,7 @@ from robodyn.dynamics.dynamics import forward_dynamics_and_forces
 from robodyn.engines.row_values import RowValues
 from robodyn.errors import SingularError
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation.extended import reference
+from robodyn.simulation.benchmark import reference
 
 SEEDS = range(4)
 TREES = {f"tree {n}": seeded_tree(n, n) for n in (1, 2, 3, 5)}

@@ -14,7 +14,7 @@ from conftest import TWO_LINK, Outcome, relative_error
 
 import oracles
 from robodyn.errors import RobodynError
-from robodyn.trajectories.splines import derivative, resampled
+from robodyn.trajectories.joint_paths import derivative, resampled
 
 Run = Callable[..., Outcome]
 ARM, FOUR_BAR, PENDULUM = "robots/2r.yaml", "robots/four-bar.yaml", "robots/pendulum.yaml"

@@ -14,7 +14,7 @@ from engine_cases import ROBOTS
 import robodyn as rd
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.parameters import scene_numbers
+from robodyn.parameters import identification
 from robodyn.parameters.base_parameters import base_parameters, random_states
 from robodyn.parameters.identification import identify
 from robodyn.parameters.zero_phase import rates
@@ -29,11 +29,11 @@ ARM = "robots/2r.yaml"
 def other(mech: Mechanism, seed: int = 0) -> Mechanism:
     """The mechanism with masses, centres, inertias, dampers and springs changed by up to 20 %."""
     rng, scene = np.random.default_rng(seed), mech.description
-    for name, (place, *_) in scene_numbers.own_numbers(scene).items():
-        number = scene_numbers.number_at(scene, place) * (1.0 + rng.uniform(-0.2, 0.2))
+    for name, (place, *_) in identification.own_numbers(scene).items():
+        number = identification.number_at(scene, place) * (1.0 + rng.uniform(-0.2, 0.2))
         if name.startswith("links") and name.endswith("damping"):
             number += 0.05
-        scene = scene_numbers.replaced(scene, place, number)
+        scene = identification.replaced(scene, place, number)
     return build(scene)
 
 
@@ -58,7 +58,7 @@ def test_base_parameters_are_found_without_noise(path: Path) -> None:
     assert not found.kept
     if not found.faults:
         text, known = path.read_text(), SceneValues(path.read_text(), str(path))
-        changed = scene_numbers.changes(mech.description, found.description, known)
+        changed = identification.changes(mech.description, found.description, known)
         again = build(from_text(rewritten(text, str(path), changed), str(path)))
         left = torques(again, states) - torques(true, states)
         assert np.abs(left).max() < 1e-9 * np.abs(torques(true, states)).max()
@@ -69,8 +69,8 @@ def test_named_numbers_are_found_without_noise() -> None:
     mech = rd.load(ARM)
     names = ["links.forearm.m", "links.forearm.r", "links.forearm.I", "links.upper arm.damping"]
     wanted = [1.3, 0.31, 0.05, 0.4]
-    where = [scene_numbers.number_called(mech.description, name).place for name in names]
-    true = build(scene_numbers.with_numbers(mech.description, where, np.array(wanted)))
+    where = [identification.number_called(mech.description, name).place for name in names]
+    true = build(identification.with_numbers(mech.description, where, np.array(wanted)))
     states = random_states(mech, 60, seed=3)
     found = identify(mech, *states, torques(true, states), of=names)
     assert [x.value for x in found.estimates] == pytest.approx(wanted, rel=1e-9)
@@ -107,8 +107,8 @@ def test_standard_errors_cover_the_truth_as_often_as_they_say() -> None:
     true, states = other(mech), random_states(mech, 150, seed=4)
     plain, expected = torques(true, states), values(true)
     names = ["links.forearm.m", "links.forearm.r"]
-    where = [scene_numbers.number_called(mech.description, name).place for name in names]
-    half = scene_numbers.with_numbers(mech.description, where, np.array([1.1, 0.22]))
+    where = [identification.number_called(mech.description, name).place for name in names]
+    half = identification.with_numbers(mech.description, where, np.array([1.1, 0.22]))
     half_torques = torques(build(half), states)
     inside: list[bool] = []
     named: list[bool] = []
@@ -142,9 +142,9 @@ def test_physical_numbers_are_kept_to() -> None:
 def test_named_numbers_are_physical_too() -> None:
     mech = rd.load(ARM)
     states = [x[:12] for x in random_states(mech, 40, seed=5)]
-    true = scene_numbers.with_numbers(
+    true = identification.with_numbers(
         mech.description,
-        [scene_numbers.number_called(mech.description, "links.forearm.damping").place],
+        [identification.number_called(mech.description, "links.forearm.damping").place],
         np.array([-0.5]),  # as no scene has it
     )
     tau, names = torques(build(true), states), ["links.forearm.damping", "links.forearm.m"]

@@ -20,19 +20,11 @@ import robodyn as api
 from machine_sines import hard_angles, run, sine_and_cosine
 from random_mechanisms import LOOPS, mechanism, seeded_scene
 from robodyn.dynamics import dense_dynamics, dynamics
-from robodyn.engines import (
-    batches,
-    expression,
-    formulas,
-    machine,
-    machine_motion,
-    object_cache,
-    sines,
-)
+from robodyn.engines import batches, expression, formulas, machine, machine_motion, segment
 from robodyn.engines.assembler import Kernel, Module
+from robodyn.engines.batches import Rows
 from robodyn.engines.expression import Expression, Graph
 from robodyn.engines.machine_motion import Observer
-from robodyn.engines.machine_rows import Rows
 from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
 
@@ -94,7 +86,7 @@ class TestSines:
         size = 10.0 ** rng.uniform(-8, 8, (2, 4000))
         y, x = size * rng.choice([-1.0, 1.0], size.shape)
         x[:6], y[:6] = (0.0, 0.0, 1.0, -1.0, -1.0, 2.0), (1.0, -1.0, 0.0, 0.0, -0.0, 2.0)
-        found, _ = run(lambda k, w: [sines.arctangent(k, w[0], w[1])], y, x, family=family)
+        found, _ = run(lambda k, w: [segment.arctangent(k, w[0], w[1])], y, x, family=family)
         np.testing.assert_array_max_ulp(found, np.arctan2(y, x), maxulp=3)
 
 
@@ -184,8 +176,8 @@ class TestBatches:
         rng = np.random.default_rng(1)
         states = rng.normal(size=(3, 1003, 3))
         whole = dynamics.forward_dynamics(mech, *states)
-        monkeypatch.setattr("robodyn.engines.machine_rows.SHARE", 300)
-        monkeypatch.setattr("robodyn.engines.machine_rows.PIECE", 77)
+        monkeypatch.setattr("robodyn.engines.batches.SHARE", 300)
+        monkeypatch.setattr("robodyn.engines.batches.PIECE", 77)
         assert np.array_equal(whole, dynamics.forward_dynamics(mech, *states))
         assert np.array_equal(whole[501:], dynamics.forward_dynamics(mech, *states[:, 501:]))
 
@@ -231,7 +223,7 @@ class TestCache:
         (path,) = cache.iterdir()
         assert stat.S_IMODE(cache.stat().st_mode) == 0o700
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
-        monkeypatch.setattr(object_cache, "store", lambda *_: pytest.fail("made again"))
+        monkeypatch.setattr(machine, "store", lambda *_: pytest.fail("made again"))
         assert torques()
 
     @pytest.mark.parametrize("content", [b"", b"no object", bytes(5000)])
@@ -248,8 +240,8 @@ class TestCache:
         """A bare one; LLVM would abort the process over what is none."""
         assert torques()
         (path,) = cache.iterdir()
-        good, content = path.read_bytes(), object_cache.load(cache, path.name)
-        object_cache.store(cache, path.name, content[8:])
+        good, content = path.read_bytes(), machine.load(cache, path.name)
+        machine.store(cache, path.name, content[8:])
         assert torques()
         assert path.read_bytes() == good
 
@@ -257,15 +249,15 @@ class TestCache:
         assert torques()
         (path,) = cache.iterdir()
         name = path.name
-        assert object_cache.load(cache, name) is not None
+        assert machine.load(cache, name) is not None
         path.chmod(0o666)
-        assert object_cache.load(cache, name) is None
+        assert machine.load(cache, name) is None
         path.chmod(0o600)
         cache.chmod(0o777)
-        assert object_cache.load(cache, name) is None
+        assert machine.load(cache, name) is None
         cache.chmod(0o700)
         monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
-        assert object_cache.load(cache, name) is None
+        assert machine.load(cache, name) is None
         assert torques()
 
     def test_a_link_is_not_followed(self, cache):
@@ -273,7 +265,7 @@ class TestCache:
         (path,) = cache.iterdir()
         path.rename(cache / "elsewhere")
         path.symlink_to(cache / "elsewhere")
-        assert object_cache.load(cache, path.name) is None
+        assert machine.load(cache, path.name) is None
 
     def test_no_folder_and_no_room(self, tmp_path, monkeypatch):
         (tmp_path / "file").write_text("")
@@ -294,14 +286,14 @@ class TestCache:
         assert torques()
         assert list(tmp_path.iterdir()) == []
         monkeypatch.delenv("ROBODYN_CACHE")
-        assert object_cache.folder() == tmp_path / "robodyn" or sys.platform != "linux"
+        assert machine.folder() == tmp_path / "robodyn" or sys.platform != "linux"
 
     def test_old_objects_go(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(object_cache, "KEPT", 10)
+        monkeypatch.setattr(machine, "KEPT", 10)
         for k in range(30):
-            object_cache.store(tmp_path, f"{k}", b"object")
+            machine.store(tmp_path, f"{k}", b"object")
         assert len(list(tmp_path.iterdir())) <= 11
-        assert object_cache.load(tmp_path, "29") == b"object"
+        assert machine.load(tmp_path, "29") == b"object"
 
     def test_a_key_spares_the_text(self, cache):
         def write(processor):
@@ -414,7 +406,7 @@ class TestKernelLanguage:
         x = 10.0 ** np.random.default_rng(0).uniform(-200, 200, 800)
 
         def write(k, words):
-            return [sines.rough_power(k, words[0], -1 / 12)]
+            return [segment.rough_power(k, words[0], -1 / 12)]
 
         power, _ = run(write, x, family=family)
         np.testing.assert_allclose(power, x ** (-1 / 12), rtol=0.07)

@@ -29,7 +29,7 @@ from random_mechanisms import (
 )
 from robodyn.errors import InputError
 from robodyn.export.mjcf import DEEPEST, MINIMUM, TIMESTEP, mjcf
-from robodyn.export.mujoco_laws import contact_notes, damping_ratio, restitution
+from robodyn.export.model_xml import contact_notes, damping_ratio, restitution
 from robodyn.mechanics.mechanism import build, load
 from robodyn.mechanics.modes import Mode, in_mode, pressed
 

@@ -26,9 +26,9 @@ from robodyn.dynamics import closed_form, dynamics, identities, reaction_forces
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import load
 from robodyn.scene.description import from_text
-from robodyn.simulation.extended import reference
-from robodyn.simulation.run_torques import as_actuation
-from robodyn.trajectories.motion_limits import LimitError
+from robodyn.simulation.benchmark import reference
+from robodyn.simulation.motion_columns import as_actuation
+from robodyn.trajectories.time_scaling import LimitError
 
 SEEDS = range(FIRST_SEED, FIRST_SEED + (200 if FRESH else 24))
 METHODS = "DOP853", "Radau", "taylor"

@@ -351,11 +351,6 @@ def imported(*lines: str) -> set[str]:
     return names
 
 
-def test_points_of_one_state_of_an_open_chain_import_neither_numpy_nor_scipy() -> None:
-    names = imported("points robots/2r.yaml --q 0.1,0.2 --qd 1,2 --qdd 0,0")
-    assert not names & {"numpy", "scipy", "rich", "matplotlib", "sympy"}
-
-
 def test_scipy_is_for_simulations_and_rich_for_terminals() -> None:
     names = imported(
         "torque robots/2r.yaml -",

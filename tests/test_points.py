@@ -14,8 +14,12 @@ import oracles
 import robodyn as rd
 from random_mechanisms import LOOPS, Scene, mechanism, seeded_scene, seeded_tree, sliding
 from robodyn.errors import InputError
-from robodyn.kinematics.named_points import named_points, values_of_points
-from robodyn.kinematics.point_motion import link_turns, point_jacobian, unit_rates
+from robodyn.kinematics.named_points import (
+    link_turns,
+    named_points,
+    point_jacobian,
+    unit_rates,
+)
 from robodyn.kinematics.transmission import (
     rate_ratios,
     ratio_named,
@@ -183,8 +187,6 @@ def test_points_move_as_their_places_do(scene: Scene) -> None:
     these = [x.point for x in named_points(mech, of)]
     J = point_jacobian(mech, these, scene.q)
     assert relative_error(J @ scene.qd, moved[:, 1]) < 1e-13
-    alone = values_of_points(mech, these, *(x.tolist() for x in scene.states))  # in plain floats
-    assert relative_error(np.reshape(alone, moved.shape), moved) < 1e-13
 
 
 def test_the_jacobian_of_a_closed_mechanism_in_its_actuated_joints() -> None:

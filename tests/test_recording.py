@@ -13,11 +13,9 @@ from robodyn.dynamics import closed_form, dynamics
 from robodyn.loops import assembly
 from robodyn.loops.assembly import loop_size
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation.even_times import EvenTimes
-from robodyn.simulation.recording import ROWS_AT_ONCE
+from robodyn.simulation.recording import ROWS_AT_ONCE, RunStatistics
 from robodyn.simulation.report import Outcome, Report
-from robodyn.simulation.run_statistics import RunStatistics
-from robodyn.simulation.settings import METHODS, Settings
+from robodyn.simulation.settings import METHODS, EvenTimes, Settings
 from robodyn.simulation.simulation import run
 
 

@@ -22,8 +22,7 @@ from robodyn.parameters.base_parameters import (
     dependence,
     random_states,
 )
-from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import _rows
+from robodyn.parameters.regression_matrix import _rows, linear_parameters
 from robodyn.scene.description import from_text
 
 Run = Callable[..., Outcome]

@@ -29,6 +29,7 @@ from robodyn import (
 )
 from robodyn.engines import machine
 from robodyn.engines.expansion import MotionProgram
+from robodyn.engines.machine_motion import Status
 from robodyn.engines.row_values import SignalError, TableLeftError
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.actuation import Actuation
@@ -36,9 +37,8 @@ from robodyn.mechanics.mechanism import build, load
 from robodyn.scene.description import from_text
 from robodyn.scene.scene_schema import scene_schema
 from robodyn.scene.scene_values import SceneValues
-from robodyn.simulation.extended import reference
+from robodyn.simulation.benchmark import reference
 from robodyn.sweeps.lanes import Aims, Motions, integrate
-from robodyn.taylor import Status
 
 Run = Callable[..., Outcome]
 METHODS = ["DOP853", *(["taylor"] if machine.available() else [])]

@@ -17,7 +17,7 @@ from random_mechanisms import (
 )
 from robodyn.dynamics import closed_form as cf
 from robodyn.dynamics import dynamics as dyn
-from robodyn.engines import array_blocks, expression, formulas, source_text, straightline
+from robodyn.engines import array_blocks, expression, formulas, straightline
 from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Graph
 from robodyn.engines.formulas import Recorded
@@ -54,7 +54,7 @@ def on_arrays(formula, *states):
 
 def source(formula):
     """The statements and results of a formula's float code as one text."""
-    lines, outputs = source_text.float_source(formula.outputs)
+    lines, outputs = straightline.float_source(formula.outputs)
     return "\n".join([*lines, *outputs])
 
 

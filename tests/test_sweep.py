@@ -32,10 +32,9 @@ from robodyn.scene.description import from_text
 from robodyn.scene.scene_values import SceneValues
 from robodyn.sweeps import sweep_chunks, sweep_workers
 from robodyn.sweeps.sweep_chunks import Rows, run_chunk
-from robodyn.sweeps.sweep_plan import Plan, check
+from robodyn.sweeps.sweep_plan import Axis, Plan, Variation, check, spaced
 from robodyn.sweeps.sweep_request import SweepRequest, lacks_machine_code, plan_of
 from robodyn.sweeps.sweep_workers import results
-from robodyn.sweeps.variation import Axis, Variation, spaced
 
 METHODS = ["DOP853"]  # one by one; and in lanes
 if machine.available():

@@ -15,11 +15,10 @@ from mpmath import mp
 import robodyn as api
 from random_mechanisms import seeded_tree
 from robodyn.errors import AssemblyError, InputError, SingularError
-from robodyn.kinematics.named_points import named_points
-from robodyn.kinematics.point_motion import point_jacobian
+from robodyn.kinematics.named_points import named_points, point_jacobian
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
-from robodyn.trajectories.plane_paths import arc, length_until, spline_curve
+from robodyn.trajectories.task_space import arc, length_until, spline_curve
 
 Run = Callable[..., Outcome]
 TO = ("--from", "0,90deg", "--of", "tip2")  # of the 2R arm, from (0.8, 0.6)

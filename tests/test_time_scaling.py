@@ -14,16 +14,21 @@ import robodyn
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, Sweep, path_through
-from robodyn.trajectories.motion_limits import LimitError, limits_of
+from robodyn.trajectories.loop_path import TravelError
 from robodyn.trajectories.reference import (
     ReferenceMotion,
     all_joints,
     motion_along,
     reference_motion,
 )
-from robodyn.trajectories.time_scaling import check_limits, shortest_along, shortest_motion
+from robodyn.trajectories.time_scaling import (
+    LimitError,
+    check_limits,
+    limits_of,
+    shortest_along,
+    shortest_motion,
+)
 
 ARM = robodyn.load(ROOT / "robots/2r.yaml")
 CHAIN = robodyn.load(ROOT / "robots/3r.yaml")

@@ -1,5 +1,7 @@
 """When the torques of expressions switch, what narrow features they have, and what sees them."""
 
+from __future__ import annotations
+
 import json
 import math
 import re
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import FRESH, ROOT
 from each_case import each
+from named_case import case
 from scipy.integrate import quad
 from scipy.special import expi, sici
 
@@ -19,12 +22,12 @@ from robodyn import load, simulate
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation
-from robodyn.mechanics.kinks import next_stop
+from robodyn.mechanics.kinks import NEAR, kink_at, next_kink, next_stop
 from robodyn.mechanics.torque_times import over_a_run
 from robodyn.simulation.accuracy import AUTO, settings_for
-from robodyn.simulation.extended import reference
+from robodyn.simulation.benchmark import reference
+from robodyn.simulation.recording import UnseenWork
 from robodyn.simulation.report import Outcome
-from robodyn.simulation.run_statistics import UnseenWork
 from robodyn.simulation.settings import METHODS, Settings
 
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
@@ -188,7 +191,7 @@ def test_a_torque_too_fast_for_samples_is_told_before_the_first_step(text, monke
     def stepping(*_, **__):
         raise AssertionError("a step was taken first")
 
-    monkeypatch.setattr("robodyn.simulation.smooth_motions.SmoothMotions.run", stepping)
+    monkeypatch.setattr("robodyn.simulation.simulation.SmoothMotions.run", stepping)
     warnings.simplefilter("error")  # until the end of this test
     with pytest.raises(RobodynWarning, match="too fast to be sampled"):
         simulate(FREE, [0.0], [0.0], 1.0, text)
@@ -511,3 +514,39 @@ def test_the_options_in_a_process(robodyn, tmp_path):
     ).succeeds()
     assert json.loads(path.read_text())["steps"] >= 600
     assert set(given.column("tau1")) == {0.0}  # at 5 s the comparison is not yet true
+
+
+# The next kink of a torque, and whether a time is one.
+
+
+KINKS = (-1.0, 0.0, 0.5, 2.0)
+
+
+NEXT = [
+    (0.0, 3.0, 0.5),
+    (0.1, 3.0, 0.5),
+    (0.1, 0.4, 0.4),
+    (2.0, 3.0, 3.0),
+    (0.0, -3.0, -1.0),
+    (0.6, -3.0, 0.5),
+    (-1.0, -3.0, -3.0),
+    (0.5, 0.5, 0.5),
+]
+
+
+def test_next() -> None:
+    for t, end, expected in NEXT:
+        with case(t, end, expected):
+            assert next_kink(KINKS, t, end) == expected
+            assert next_kink((), t, end) == end
+
+
+def test_one_that_is_missed_by_rounding() -> None:
+    before, after = math.nextafter(0.5, 0.0), math.nextafter(0.5, 1.0)
+    assert next_kink(KINKS, before, 3.0) == 0.5
+    assert next_kink(KINKS, before, 3.0, NEAR) == 2.0
+    assert next_kink(KINKS, after, -3.0, NEAR) == 0.0
+    for t in (before, 0.5, after):
+        assert kink_at(KINKS, t) == 0.5
+    for t in (0.3, 0.5 + 1e-14, 3.0, -2.0):
+        assert kink_at(KINKS, t) is None

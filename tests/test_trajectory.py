@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT
 from each_case import each
+from named_case import case
 
 import oracles
 import robodyn
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
+from robodyn import load
 from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.trajectories.continuation import TravelError
-from robodyn.trajectories.joint_paths import ConstantSpeed, Sweep, path_through, piece_at
-from robodyn.trajectories.loop_path import LoopPath
+from robodyn.trajectories import joint_paths
+from robodyn.trajectories.joint_paths import (
+    ConstantSpeed,
+    Profile,
+    Sweep,
+    path_through,
+    piece_at,
+    profile,
+)
+from robodyn.trajectories.loop_path import LoopPath, TravelError, WholePath
 from robodyn.trajectories.reference import (
     ReferenceMotion,
     all_joints,
@@ -488,3 +498,157 @@ def test_a_start_just_before_a_change_point(before: float) -> None:
     q, _, qdd = motion.states(np.linspace(0.0, 2.0, 401))
     assert np.abs(q[:, 2] - q[:, 0]).max() < 1e-10
     assert np.abs(qdd[:, 2] - qdd[:, 0]).max() < 1e-9 * np.abs(qdd).max()
+
+
+# Profiles of rest-to-rest motions: their ends, integrals, symmetry and peaks.
+
+
+PARTS = (0.05, 0.25, 1 / 3, 0.5)
+AT_REST = [
+    *(profile(name) for name in ("cubic", "quintic", "cycloidal")),
+    *(profile("trapezoidal", part) for part in PARTS),
+]
+each_profile = pytest.mark.parametrize(
+    "shape", AT_REST, ids=lambda shape: f"{shape.name}-{len(shape.breaks)}"
+)
+
+
+def values(shape: Profile, piece: int, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """s, s', s'' at u of one piece."""
+    late, s, rate, acceleration = shape.evaluate(u, 1 - u, np.full(len(u), piece))
+    return np.where(late, 1 - s, s), rate, acceleration
+
+
+def pieces(shape: Profile, count: int) -> list[tuple[int, np.ndarray]]:
+    ends = zip(shape.breaks[:-1], shape.breaks[1:], strict=True)
+    return [(k, np.linspace(a, b, count)) for k, (a, b) in enumerate(ends)]
+
+
+@each_profile
+def test_it_goes_from_rest_at_0_to_rest_at_1_exactly(shape: Profile) -> None:
+    last = len(shape.breaks) - 2
+    s, rate, acceleration = values(shape, 0, np.zeros(1))
+    assert (s[0], rate[0]) == (0.0, 0.0)
+    s, rate, final = values(shape, last, np.ones(1))
+    assert (s[0], rate[0]) == (1.0, 0.0)
+    assert final[0] == -acceleration[0]
+    if shape.name in ("quintic", "cycloidal"):
+        assert acceleration[0] == final[0] == 0.0
+
+
+@each_profile
+def test_rate_and_acceleration_are_the_derivatives(shape: Profile) -> None:
+    """By Gauss's quadrature from each piece's beginning."""
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    for k, u in pieces(shape, 17):
+        s, rate, _ = values(shape, k, u)
+        for end in range(1, len(u)):
+            half = 0.5 * (u[end] - u[0])
+            _, rates, accelerations = values(shape, k, u[0] + half * (1 + nodes))
+            assert s[end] - s[0] == pytest.approx(half * weights @ rates, abs=1e-15, rel=1e-14)
+            gained = half * weights @ accelerations
+            assert rate[end] - rate[0] == pytest.approx(gained, abs=1e-14, rel=1e-13)
+
+
+@each_profile
+def test_s_and_its_rate_are_continuous(shape: Profile) -> None:
+    for k, at in enumerate(shape.breaks[1:-1]):
+        u = np.array([at])
+        before, after = values(shape, k, u), values(shape, k + 1, u)
+        assert before[0] == pytest.approx(after[0], rel=1e-15)
+        assert before[1] == pytest.approx(after[1], rel=1e-15)
+        assert before[2] != after[2]  # the corner of a trapezoid
+
+
+@each_profile
+def test_it_is_symmetric_and_rises(shape: Profile) -> None:
+    for k, u in pieces(shape, 101):
+        s, rate, acceleration = values(shape, k, u)
+        mirrored = values(shape, len(shape.breaks) - 2 - k, 1 - u)
+        assert np.allclose(s, 1 - mirrored[0], rtol=0, atol=1e-15)
+        assert np.allclose(rate, mirrored[1], rtol=0, atol=1e-14)
+        assert np.allclose(acceleration, -mirrored[2], rtol=0, atol=1e-13 * 40)
+        assert (np.diff(s) > 0).all()
+        assert (rate >= 0).all()
+
+
+def test_peaks_of_the_textbooks() -> None:
+    mechanism = load("robots/pendulum.yaml")
+    for name, part, rate, acceleration in (
+        ("cubic", 1 / 3, 1.5, 6.0),
+        ("quintic", 1 / 3, 1.875, 10 / math.sqrt(3)),
+        ("cycloidal", 1 / 3, 2.0, 2 * math.pi),
+        ("trapezoidal", 0.25, 4 / 3, 16 / 3),
+        ("trapezoidal", 0.5, 2.0, 4.0),
+        ("trapezoidal", 1 / 3, 1.5, 4.5),
+        ("constant", 1 / 3, 1.0, 0.0),
+    ):
+        with case(name, part):
+            path = path_through(np.array([[0.0], [1.0]]), None, name, part)
+            peaks = WholePath(mechanism, path).peaks()
+            assert peaks[:, 0] == pytest.approx([rate, acceleration], rel=1e-14)
+
+
+@pytest.mark.parametrize("part", [0.0, -0.1, 0.51, math.nan, math.inf])
+def test_a_part_that_is_none_is_refused(part: float) -> None:
+    with pytest.raises(InputError, match=r"acceleration = .*> 0 and <= 0\.5"):
+        profile("trapezoidal", part)
+
+
+def test_a_name_that_is_none_is_refused() -> None:
+    with pytest.raises(InputError, match="must be one of cubic, quintic"):
+        profile("linear")
+
+
+# Splines against their conditions, and the largest values of paths.
+
+
+def draw(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Knots whose steps differ by a factor of up to 100, and points of three joints."""
+    rng = np.random.default_rng(seed)
+    return np.cumsum(10 ** rng.uniform(-2, 0, count)), rng.normal(size=(count, 3))
+
+
+def close(found: np.ndarray, known: np.ndarray, rtol: float) -> bool:
+    return bool(np.abs(found - known).max() <= rtol * max(1.0, np.abs(known).max()))
+
+
+def test_smoothness_and_ends() -> None:
+    """It goes through the points, is C2 or C4 at the inner ones, and rests at its ends."""
+    for kind in ["cubic", "quintic"]:
+        for seed in range(4):
+            with case(kind, seed):
+                knots, points = draw(seed, 9)
+                highest = 2 if kind == "cubic" else 4
+                found = joint_paths.spline(knots, points, kind)
+                beside = np.stack([knots[1:-1] - 1e-12, knots[1:-1] + 1e-12])
+                for order in range(highest + 1):
+                    before, after = (found(x, order) for x in beside)
+                    assert close(before, after, 1e-6)
+                assert close(found(knots, 0), points, 1e-11)
+                for order in range(1, 1 + highest // 2):
+                    size = np.abs(found(np.linspace(knots[0], knots[-1], 999), order)).max()
+                    assert np.abs(found(knots[[0, -1]], order)).max() <= 1e-10 * size
+
+
+def test_between_two_points_they_are_the_profiles_of_rest_to_rest() -> None:
+    knots, points, u = np.array([0.0, 1.0]), np.array([[0.0], [1.0]]), np.linspace(0.0, 1.0, 9)
+    for kind, known in (
+        ("cubic", u**2 * (3 - 2 * u)),
+        ("quintic", u**3 * (10 - 15 * u + 6 * u**2)),
+    ):
+        with case(kind):
+            assert joint_paths.spline(knots, points, kind)(u, 0)[:, 0] == pytest.approx(known)
+
+
+def test_the_largest_values_of_the_derivatives_of_a_path() -> None:
+    mechanism = load("robots/3r.yaml")
+    for kind in ("cubic", "quintic", "trapezoidal", "cycloidal"):
+        with case(kind):
+            knots, points = draw(7, 10)
+            path = path_through(points, knots, kind)
+            found = WholePath(mechanism, path).peaks()
+            u = np.concatenate([np.linspace(a, b, 5001)[:-1] for a, b in pairwise(path.breaks)])
+            sampled = [np.abs(x).max(axis=0) for x in path.evaluate(u)[1:]]
+            assert (found >= np.array(sampled) * (1 - 1e-13)).all()
+            assert found == pytest.approx(np.array(sampled), rel=1e-5)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
+from robodyn.cli.equilibrium import joint_torques
 from robodyn.cli.figures import check_directory, parse_size
 from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.motion_files import whole_table, without_jumps
@@ -17,9 +18,15 @@ from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.animation_files import MovingPicture, check_animation, check_programs
+from robodyn.pictures.animation_files import (
+    Frames,
+    MovingPicture,
+    check_animation,
+    check_programs,
+    frames,
+)
 from robodyn.pictures.column_units import scene_units
-from robodyn.pictures.motion_frames import Frames, frames
+from robodyn.rest.linear_model import linearize, mode_motion
 from robodyn.tables.table import Reader
 
 SHOWN = 2.0  # s that a mode is watched at least
@@ -84,9 +91,6 @@ def animate(
 def _of_mode(
     mechanism: Mechanism, mode: int, q: Text, tau: Text, fps: float, speed: float
 ) -> Frames:
-    from robodyn.cli.equilibrium import joint_torques
-    from robodyn.rest.linear_model import linearize, mode_motion
-
     (pose,) = single_state(mechanism, [Quantity("q", q, True)])
     torques = None if tau is None else joint_torques(mechanism, tau)
     with named_options(["mode"]):

@@ -13,6 +13,8 @@ from robodyn.cli.options import Model, Text, option, switch
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import StateOptions, remarks, single_state
+from robodyn.dynamics.evaluators import COLUMNS as names
+from robodyn.dynamics.evaluators import measure_evaluators
 from robodyn.errors import InputError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
@@ -61,9 +63,6 @@ def bench(
     if rows.out is not None:
         check_directory(rows.out)
     if evaluators:
-        from robodyn.dynamics.evaluators import COLUMNS as names
-        from robodyn.dynamics.evaluators import measure_evaluators
-
         measured = measure_evaluators(mechanism)
         first = next(measured)  # what cannot be measured writes no header
         with rows.writer(names) as writer:

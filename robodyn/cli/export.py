@@ -7,7 +7,12 @@ from typing import Literal
 
 from robodyn.cli.options import Model, Number, Out, Q, option, refuse
 from robodyn.cli.output import note
+from robodyn.cli.states import Quantity, single_state
 from robodyn.errors import InputError
+from robodyn.export.mjcf import TIMESTEP, mjcf
+from robodyn.export.model_xml import contact_notes, vector
+from robodyn.export.urdf import urdf, urdf_notes
+from robodyn.loops.assembly import first_pose
 from robodyn.tables.output_file import write_text
 
 ModelFormat = Literal["urdf", "mjcf"]  # the language of a model file
@@ -35,28 +40,18 @@ def export(
     mechanism = model.load()
     if format == "urdf":
         refuse("is for mjcf, urdf has no word for it", q=q, timestep=timestep)
-        from robodyn.export.model_xml import vector
-        from robodyn.export.urdf import urdf, urdf_notes
-
         text, notes = urdf(mechanism), urdf_notes(mechanism)
         if mechanism.gamma:
             gravity = f"({', '.join(vector(mechanism.gamma).split())})"
             note(f"Note: URDF has no gravity: set {gravity} m/s^2 where it is loaded")
     else:
-        from robodyn.export.mjcf import TIMESTEP, mjcf
-        from robodyn.export.mujoco_laws import contact_notes
-
         step = TIMESTEP if timestep is None else timestep
         if not 0.0 < step < float("inf"):
             raise InputError("--timestep", value=step, limit="must be > 0 and finite, s")
         pose = None
         if q is not None:
-            from robodyn.cli.states import Quantity, single_state
-
             pose = single_state(mechanism, [Quantity("q", q, True)])[0].tolist()
         elif mechanism.rows:
-            from robodyn.loops.assembly import first_pose
-
             pose = first_pose(mechanism).tolist()
             note(f"Note: without --q it begins at q = {', '.join(f'{x:.6g}' for x in pose)}")
         text, notes = mjcf(mechanism, step, pose), contact_notes(mechanism)

@@ -12,13 +12,12 @@ import sys
 from collections.abc import Callable
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from robodyn.errors import InputError
 from robodyn.tables.csv_fields import DELIMITERS
-from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import Mechanism
@@ -138,7 +137,7 @@ def named(value: str | None) -> str | None:
     return value
 
 
-class _File(Record):
+class _File(NamedTuple):
     option: str  # --out, or MODEL
     name: str
     written: bool

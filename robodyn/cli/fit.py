@@ -31,18 +31,20 @@ from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source, remarks
+from robodyn.engines.expression import tangents
 from robodyn.errors import InputError, at_place, named_options
+from robodyn.mechanics.actuation import expressions
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.quantities import parse_quantity
+from robodyn.scene.rewrite import write_scene
 from robodyn.scene.scene_values import SceneValues
 from robodyn.tables.arrays import Array
-from robodyn.tables.csv_fields import shown
-from robodyn.tables.delimited import columns_told
+from robodyn.tables.csv_fields import columns_told, shown
 
 if TYPE_CHECKING:
-    from robodyn.parameters.column_formulas import ColumnFormulas
-    from robodyn.parameters.fitting import Fit
+    from robodyn.parameters.motion_fit import Fit
 
 
 KINDS = ("q", "qd", "qdd")
@@ -73,8 +75,6 @@ class FitTable:
     """
 
     def __init__(self, mechanism: Mechanism, options: FitOptions) -> None:
-        from robodyn.parameters.column_formulas import ColumnFormulas
-
         self.mechanism, self.moving = mechanism, options.simulate
         self.unwrap = options.unwrap
         self.match, named = options.match is not None, options.columns
@@ -187,8 +187,6 @@ def _missing(what: str, header: Sequence[str], column: str, name: str) -> InputE
 
 def _moves(formulas: ColumnFormulas, columns: Sequence[str]) -> bool:
     """Whether any of the columns depends on rates, accelerations or forces."""
-    from robodyn.engines.tangents import tangents
-
     nodes = [formulas.column(name) for name in columns]
     rates = [x for x in formulas.inputs[formulas.mechanism.n :] if x != "t"]
     return any(tangents(nodes, rates))
@@ -257,21 +255,18 @@ class FitOptions:
             "seed": self.seed,
             "tell": tell,
         }
+        if self.starts is not None:
+            common["starts"] = self.starts
         if self.simulate:
-            from robodyn.mechanics.actuation import expressions
-            from robodyn.parameters.motion_fit import STARTS as FEW
             from robodyn.parameters.motion_fit import fit_motion
 
             torques = expressions(mechanism, self.tau, "--tau") if self.tau else None
             motion = rows.columns, rows.t, rows.q[0], rows.qd[0], torques
-            starts = FEW if self.starts is None else self.starts
-            return fit_motion(mechanism, bounds, *motion, starts=starts, **common)
-        from robodyn.parameters.fitting import STARTS
-        from robodyn.parameters.fitting import fit as fitted
+            return fit_motion(mechanism, bounds, *motion, **common)
+        from robodyn.parameters.motion_fit import fit as fitted
 
         states = rows.columns, rows.q, rows.qd, rows.qdd, rows.t
-        starts = STARTS if self.starts is None else self.starts
-        return fitted(mechanism, bounds, *states, starts=starts, **common)
+        return fitted(mechanism, bounds, *states, **common)
 
 
 def fit(
@@ -319,8 +314,6 @@ def fit(
         text = "the columns do not tell, alone or beside the others"
         note(f"Note: {text}: {', '.join(found.untold)}")
     if out is not None:
-        from robodyn.scene.rewrite import write_scene
-
         write_scene(model.model, _scene_numbers(model, values, found), out)
     units = {**scene_units(mechanism), **{x: values.unit(x) for x in bounds if x in values}}
     if residuals:

@@ -16,9 +16,8 @@ from robodyn.cli.states import remarks
 from robodyn.dynamics.free_joints import balanced_joints
 from robodyn.errors import InputError, RobodynError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.parameters.identification import Identification, predicted
+from robodyn.parameters.identification import Identification, changes, numbers, predicted
 from robodyn.parameters.identification import identify as identified
-from robodyn.parameters.scene_numbers import changes, numbers
 from robodyn.pictures.column_units import scene_units
 from robodyn.scene.rewrite import write_scene
 

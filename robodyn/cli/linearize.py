@@ -27,6 +27,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.rest.linear_model import LinearModel
 from robodyn.rest.linear_model import linearize as linear_model
+from robodyn.rest.linear_model import lqr as gain_of
 from robodyn.scene.quantities import parse_vector
 from robodyn.tables.output_file import open_output
 
@@ -79,8 +80,6 @@ def linearize(
         found = linear_model(mechanism, pose, rates, torques)
         content = _content(mechanism, found)
         if lqr:  # before the notes: weights may be wrong
-            from robodyn.rest.regulator import lqr as gain_of
-
             content["gain"] = gain_of(found, *weights).tolist()
         held = ", ".join(f"tau{k + 1} = {found.tau[k]:.9g}" for k in mechanism.actuated)
         if tau is None and held:

@@ -16,6 +16,7 @@ import numpy as np
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, Source, complete, driver_of, table_source
+from robodyn.dynamics.free_joints import balanced_mechanism
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.zero_phase import how, rates
@@ -23,7 +24,7 @@ from robodyn.pictures.column_units import scene_units
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import finite, shown, split_fields, unquoted
 from robodyn.tables.table import Chunk, Reader
-from robodyn.trajectories.splines import FEWEST_ROWS, derivative, turns_between
+from robodyn.trajectories.joint_paths import FEWEST_ROWS, derivative, turns_between
 
 GAP = 5.0  # times the usual step: where t leaps by more, rows are missing
 
@@ -230,8 +231,6 @@ def read_motion(
     Raises InputError for gaps, for columns of another mechanism, for times that do not rise, for
     angles that jump unless `unwrap`, and for a cutoff where no rates are to be found.
     """
-    from robodyn.dynamics.free_joints import balanced_mechanism
-
     moving = balanced_mechanism(mechanism) if mechanism.rows else mechanism
     wanted = [Quantity("q", None, True), Quantity("qd", None), Quantity("qdd", None)]
     wanted += [Quantity("tau", None, True)] if torques else []

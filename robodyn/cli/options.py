@@ -12,13 +12,15 @@ from typer import Option
 from robodyn.cli.files import model_argument, output_file, read_scene, rows_argument
 from robodyn.cli.large_angles import tell_large_angles
 from robodyn.errors import DescriptionError, InputError
+from robodyn.kinematics.named_points import named_point
+from robodyn.scene import yaml_tree
 from robodyn.scene.quantities import parse_vector
+from robodyn.scene.scene import Description, Load
+from robodyn.scene.scene_values import SceneValues, read_numbers
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import Mechanism
-    from robodyn.scene.scene import Description
-    from robodyn.scene.scene_values import SceneValues
 
 Text = str | None  # of an option that may be left out
 Number = float | None
@@ -73,8 +75,6 @@ class Model:
 
     @cached_property
     def _values(self) -> SceneValues:
-        from robodyn.scene.scene_values import SceneValues, read_numbers
-
         written = self._read.written
         values = SceneValues(written, self.model)
         if not (names := [name for name, _ in self.given]):
@@ -100,8 +100,6 @@ class Model:
 
     def put(self) -> dict[str, float | tuple[float, ...]]:
         """What --set gives, by the names of numbers, as a scene is rewritten with it."""
-        from robodyn.scene import yaml_tree
-
         values, found = self.values(), {}
         for name, _ in self.given:
             node = values.place(name)[1]
@@ -185,9 +183,7 @@ def with_forces(mechanism: Mechanism, forces: Sequence[str] | None) -> Mechanism
     """The mechanism with these forces, POINT=FX,FY, at the end of its loads."""
     if not forces:
         return mechanism
-    from robodyn.kinematics.named_points import named_point
     from robodyn.mechanics.mechanism import build
-    from robodyn.scene.scene import Load
 
     loads = list(mechanism.description.loads)
     for text in forces:

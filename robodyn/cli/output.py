@@ -9,18 +9,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
 from robodyn.cli.options import Extremes, Format, Out, OutputFormat
 from robodyn.errors import InputError, printable, printable_lines
 from robodyn.pictures.column_units import TURNING, in_degrees, structure_in_degrees, with_unit
 from robodyn.tables.csv_fields import finite, shown, unquoted
 from robodyn.tables.output_file import on_terminal, open_output
-from robodyn.tables.records import Record
 from robodyn.tables.table_writer import WRITERS, ScaledWriter, Writer
 
 if TYPE_CHECKING:
-    from robodyn.tables.table import Array
+    from robodyn.tables.arrays import Array
 
 MakeWriter = Callable[..., Writer]
 Summary = Callable[[MakeWriter, Sequence[str], Sequence[str]], Writer]
@@ -175,7 +174,7 @@ class TableView(Writer):
                 self.close()
 
 
-class Grid(Record):
+class Grid(NamedTuple):
     """A table for people: numbers to the right; every text stands as it is, brackets too."""
 
     columns: Sequence[str]

@@ -13,7 +13,7 @@ from robodyn.cli.output import note
 from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError
 from robodyn.pictures import chart_figure
-from robodyn.pictures.chart import read_chart
+from robodyn.pictures.chart import chart_lines, read_chart
 from robodyn.pictures.column_units import ANY_SCENE, scene_units
 from robodyn.pictures.value_map import read_map
 from robodyn.tables.csv_fields import shown
@@ -87,8 +87,6 @@ def plot(
         return
 
     def lines(width: int, height: int, plain: bool, coloured: bool) -> list[str]:
-        from robodyn.pictures.characters import chart_lines
-
         panels = len(content.panels)
         rows = max(5, min(12 + 6 // panels, (height - 4) // panels - 1))
         above = [f"  {shown(title)}"] if title else []

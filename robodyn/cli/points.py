@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import numpy as np
 
 from robodyn.cli.options import Model, Qdd, option, switch
-from robodyn.cli.states import TableOptions, evaluate, option_source, overflow
-from robodyn.errors import InputError
-from robodyn.kinematics.named_points import (
-    NamedPoint,
-    named_points,
-    point_columns,
-    values_of_points,
+from robodyn.cli.states import TableOptions, evaluate
+from robodyn.dynamics.state_columns import (
+    Solved,
+    columns_of,
+    jacobian_columns,
+    link_columns,
+    transmission_columns,
 )
+from robodyn.errors import InputError
+from robodyn.kinematics.named_points import NamedPoint, named_points, point_columns
+from robodyn.kinematics.transmission import ratio_named
 from robodyn.mechanics.mechanism import Mechanism
-
-if TYPE_CHECKING:
-    import numpy as np
 
 POINTS = "[NAME=]POINT"
 OF = "A link (its tip), tip2, centre1, joint3, LINK@x,y, or a point of the scene; repeatable."
@@ -57,21 +57,6 @@ def points(
     named = named_points(mechanism, of or (), "--of")
     columns = point_columns(named)
     quantities = given.quantities(qdd=qdd)
-    more = jacobian or links or transmission or ratio or given.differentiate or given.unwrap
-    if given.states is None and not (more or mechanism.rows or mechanism.passive):
-        motion = [option_source(mechanism, quantity).values for quantity in quantities]
-        try:
-            row = values_of_points(mechanism, [point.point for point in named], *motion)
-        except ValueError:
-            raise overflow() from None
-        given.write_one(mechanism, columns, row)
-        return
-
-    import numpy as np
-
-    from robodyn.dynamics.state_columns import Solved, columns_of, jacobian_columns, link_columns
-    from robodyn.kinematics.transmission import ratio_named
-
     if jacobian:
         columns += jacobian_columns(mechanism, named)
     if links:
@@ -91,8 +76,6 @@ def points(
 
 def _loops(mechanism: Mechanism) -> list[str]:
     """The columns of --transmission; InputError where there are none."""
-    from robodyn.dynamics.state_columns import transmission_columns
-
     loops = transmission_columns(mechanism)
     if not loops:
         limit = "no loop of this scene is closed by three pairs in a row"

@@ -9,6 +9,7 @@ import numpy as np
 
 from robodyn.cli.options import Force, Model, Qdd, Text, load_with, option
 from robodyn.cli.states import Quantity, TableOptions, evaluate, overflow
+from robodyn.cli.turns import tell_shaking_orders
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.state_columns import reaction_columns, reaction_values
 from robodyn.errors import InputError, ResidualError
@@ -68,8 +69,6 @@ def reactions(
     if harmonics is None:
         evaluate(mechanism, given, quantities, columns, compute, either)
         return
-    from robodyn.cli.turns import tell_shaking_orders
-
     tell_shaking_orders(mechanism, given, quantities, either, compute, harmonics)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from robodyn.cli.motion_files import read_motion
 from robodyn.cli.options import Model, Qdd, switch
 from robodyn.cli.output import Grid, write_structure
 from robodyn.cli.states import Quantity, TableOptions, evaluate, remarks
@@ -11,7 +12,7 @@ from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.base_parameters import base_parameters, excited, structural
-from robodyn.parameters.linear_parameters import linear_parameters
+from robodyn.parameters.regression_matrix import linear_parameters
 from robodyn.parameters.regression_matrix import regressor as matrix
 
 
@@ -79,8 +80,6 @@ def _tell_base(mechanism: Mechanism, rows: TableOptions) -> None:
 
 
 def _tell_condition(mechanism: Mechanism, rows: TableOptions, quantities: list[Quantity]) -> None:
-    from robodyn.cli.motion_files import read_motion
-
     told = next((f"--{x.name}" for x in quantities if x.option is not None), None)
     if rows.states is None or told:
         raise InputError(told or "--condition", limit="--condition takes a motion from STATES")

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, BinaryIO, cast
 from robodyn.cli.files import delimiter
 from robodyn.cli.output import note
 from robodyn.errors import InputError
-from robodyn.tables.delimited import Delimited
+from robodyn.tables.csv_fields import Delimited
 from robodyn.tables.input_file import read_bounded, read_regular
+from robodyn.tables.table import Reader
 
 if TYPE_CHECKING:
-    from robodyn.tables.table import Array
+    from robodyn.tables.arrays import Array
 
 
 def read_columns(
@@ -29,8 +30,6 @@ def read_columns(
     angles in degrees.  A file without rows is an InputError.
     """
     import numpy as np
-
-    from robodyn.tables.table import Reader
 
     with open_input(file) as (stream, name):
         reader = Reader(stream, name, lengths)

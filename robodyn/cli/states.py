@@ -11,7 +11,9 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from robodyn.cli.options import Differentiate, Q, Qd, States, Unwrap
 from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_silence
@@ -19,14 +21,14 @@ from robodyn.errors import InputError, RobodynError, SignalError, SingularPoseEr
 from robodyn.mechanics.loop_rows import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, vector_of_joints
-from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
-    from robodyn.tables.table import Array, Chunk
+    from robodyn.tables.arrays import Array
+    from robodyn.tables.table import Chunk
     from robodyn.tables.table_writer import Writer
 
 
-class Quantity(Record):
+class Quantity(NamedTuple):
     """One vector of a state: its name, its option's value, and whether it may be left out."""
 
     name: str  # q, qd, qdd or tau
@@ -70,7 +72,7 @@ class TableOptions(StateOptions, RowOptions):
             writer.write_row(row)
 
 
-class Source(Record):
+class Source(NamedTuple):
     """Where a quantity comes from: an option's values, or columns; for all joints or actuated."""
 
     quantity: Quantity
@@ -133,7 +135,7 @@ def table_source(
     if driven and set(driven) == set(present):
         return Source(quantity, [], driven, False)
     missing = [name for name in everything if name not in present]
-    from robodyn.tables.delimited import columns_told  # only an error pays for the import
+    from robodyn.tables.csv_fields import columns_told  # only an error pays for the import
 
     there = columns_told(header, missing[0])
     either = "" if everything == driven else f", or only the actuated joints' {', '.join(driven)}"
@@ -151,8 +153,6 @@ def complete(
     branches: Sequence[str] | None = None,
 ) -> list[Array]:
     """q, qd and what else there is for all joints (..., n): assembled, or checked to be closed."""
-    import numpy as np
-
     driver = driver_of(mechanism)
     free = not mechanism.rows and len(driver.actuated) == mechanism.n  # a joint each
     if not free:
@@ -197,8 +197,6 @@ def single_state(
     mechanism: Mechanism, quantities: Sequence[Quantity], branches: Sequence[str] | None = None
 ) -> list[Array]:
     """The one state that the options give, completed and checked: each vector (n,)."""
-    import numpy as np
-
     sources = [option_source(mechanism, quantity) for quantity in quantities]
     return complete(mechanism, sources, [np.array(x.values) for x in sources], branches)
 
@@ -284,8 +282,6 @@ class _Computed:
 
     def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
         """The results (T, k) at rows (T, columns)."""
-        import numpy as np
-
         values, parts, begin = np.asarray(rows, float), [], 0
         for source in self.sources:
             end = begin + len(source.columns)
@@ -336,8 +332,6 @@ class _Computed:
 
     def _streamed(self, rows: Array) -> Array:
         """The results (T, k) at rows (T, columns) of a stream, each as if it came alone."""
-        import numpy as np
-
         from robodyn.engines.formulas import streams
 
         token = streams.set(True)

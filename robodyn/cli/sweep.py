@@ -19,7 +19,7 @@ from robodyn.cli.large_angles import tell_large_angles
 from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, option, refuse, switch
 from robodyn.cli.output import RowOptions, note, told
 from robodyn.cli.progress import progress
-from robodyn.cli.simulate_options import (
+from robodyn.cli.simulate import (
     EVENT,
     ControlOptions,
     check_no_control,
@@ -33,17 +33,17 @@ from robodyn.control.laws import controller
 from robodyn.errors import InputError, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
-from robodyn.simulation.even_times import DEFAULT_POINTS
-from robodyn.simulation.run_torques import check_span
+from robodyn.simulation.motion_columns import check_span
+from robodyn.simulation.settings import DEFAULT_POINTS
 from robodyn.sweeps import sweep_request
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.row_results import TAKEN
 from robodyn.sweeps.sweep_chunks import Rows
-from robodyn.sweeps.sweep_plan import EVENTS, RESULTS, Plan, check
+from robodyn.sweeps.sweep_plan import EVENTS, RESULTS, Axis, Plan, check
 from robodyn.sweeps.sweep_request import Acting, Kind, SweepRequest, lacks_machine_code
 from robodyn.sweeps.sweep_workers import PATIENCE, results, without_remarks
-from robodyn.sweeps.variation import Axis
 from robodyn.tables.output_file import on_terminal, open_output
+from robodyn.tables.summaries import KeptRows, correlations
 from robodyn.tables.table_writer import Writer
 
 _Q = "Angles, rad, or 30deg, of the joints that determine all others. Default: zero."
@@ -256,8 +256,6 @@ def sweep(
 
 def _tell_what_matters(plan: Plan, seen: list[Any]) -> None:
     """The numbers that each result of a sample goes with most, by rank correlations."""
-    from robodyn.tables.summaries import correlations
-
     names = [axis.name for axis in plan.variation.axes]
     for column, row in correlations(plan.columns()[:-1], len(names), seen).items():
         pairs = [(x, name) for x, name in zip(row, names, strict=True) if x is not None]
@@ -292,8 +290,6 @@ def _go_on(
 
 
 def _correlations(*given: Any, varied: int) -> Writer:
-    from robodyn.tables.summaries import KeptRows, correlations
-
     def told(header: Sequence[str], rows: Any, _: Any) -> tuple[Sequence[str], Any]:
         found = correlations(header, varied, [rows])
         return ["column", *header[:varied]], [[name, *row] for name, row in found.items()]

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from robodyn.cli.options import Force, Model, Number, Qdd, load_with, option, switch
 from robodyn.cli.states import TableOptions, evaluate
+from robodyn.cli.turns import tell_flywheel
+from robodyn.dynamics.dynamics import inverse_dynamics_and_forces
+from robodyn.dynamics.free_joints import free_joints
+from robodyn.dynamics.state_columns import power_values, torque_columns, torque_values
 from robodyn.errors import InputError, ResidualError
 
 
@@ -59,24 +65,15 @@ def torque(
     mechanism = load_with(model, force)
     quantities = given.quantities(qdd=qdd)
     if fluctuation is not None:
-        from robodyn.cli.turns import tell_flywheel
-
         for name, wanted in (("--power", power), ("--residual", residual)):
             if wanted:
                 raise InputError(f"{name} and --fluctuation", limit="exclude each other")
         tell_flywheel(mechanism, given, quantities, fluctuation)
         return
 
-    import numpy as np
-
-    from robodyn.dynamics.dynamics import inverse_dynamics_and_forces
-    from robodyn.dynamics.state_columns import power_values, torque_columns, torque_values
-
     powers = [f"power{k + 1}" for k in mechanism.actuated if power]
     free: list[int] = []
     if residual:
-        from robodyn.dynamics.free_joints import free_joints
-
         free = free_joints(mechanism)
         if not free:
             limit = "no joint is free: the mechanism has as many actuators as freedoms"

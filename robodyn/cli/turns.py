@@ -10,8 +10,7 @@ import numpy as np
 from robodyn.cli.output import degrees
 from robodyn.cli.states import Quantity, TableOptions, evaluate
 from robodyn.dynamics.dynamics import inverse_dynamics
-from robodyn.dynamics.flywheel import Flywheel, flywheel
-from robodyn.dynamics.harmonics import harmonics
+from robodyn.dynamics.flywheel import Flywheel, flywheel, harmonics
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array

@@ -26,31 +26,385 @@ The law state-feedback keeps to a pose (`state_feedback.py`).
 
 A law acts continuously, or is sampled: at times k/rate the torque is computed from the state that
 the run has reached, and held until the next; z grows by zd/rate from sample to sample.
+
+With the accelerations v of the actuated joints given, those of the others follow from the closures,
+
+    Psi_p qdd_p = -Psidot qd - Psi_a v,
+
+and the torques from the inverse dynamics.  A controller asks at every evaluation of a simulation,
+so both are written out as code on floats wherever the closures' system is no larger than 2 x 2.
 """
 
 from __future__ import annotations
 
 import math
+from array import array
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from itertools import product
+from typing import TYPE_CHECKING, Any
 
-from robodyn.control.controlled_run import Continuous, Sampled
-from robodyn.control.driven_torques import driving_torques, rest_torques
-from robodyn.control.recorded_law import RecordedLaw
+import numpy as np
+
 from robodyn.control.state_feedback import StateFeedback
 from robodyn.control.tracking import ReferenceTable
+from robodyn.dynamics import dynamics
+from robodyn.dynamics.dense_dynamics import check_actuators, required_load
+from robodyn.engines import formulas, straightline
 from robodyn.engines.expansion import horner
-from robodyn.engines.expression import Value, choose, greatest, least
+from robodyn.engines.expression import Expression, Graph, Value, choose, greatest, least
+from robodyn.engines.factors import small_system
+from robodyn.engines.formulas import Formula, Recorded
+from robodyn.engines.straightline import define, float_source
 from robodyn.errors import InputError
+from robodyn.loops import loop_rates
+from robodyn.loops.closing import regular_rank
+from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation, for_each_actuated
 from robodyn.mechanics.kinks import Pieces
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import rate_limits, torque_limits
+from robodyn.mechanics.run_control import JointTracking
+from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
     from robodyn.trajectories.reference import ReferenceMotion
+
+Floats = Callable[..., Sequence[float]]
+
+
+def rest_torques(mechanism: Mechanism) -> Floats:
+    """A function of q (n floats) to the torques (actuated) that hold the mechanism at rest, N m.
+
+    Of an open chain with passive joints, those of the actuated joints alone.  Raises RobodynError
+    where a closed mechanism has fewer actuators than freedoms; the function, SingularError.
+    """
+    mechanism = parts.untimed(mechanism)
+    if mechanism.rows:
+        check_actuators(mechanism, np.zeros(mechanism.n))
+    n, driven = mechanism.n, list(mechanism.actuated)
+    zero = np.zeros(n)
+
+    def otherwise(*values: float) -> Sequence[float]:
+        q = np.array(values)
+        if not mechanism.rows:
+            load = required_load(mechanism, q, zero, zero)
+        else:
+            load = dynamics.inverse_dynamics(mechanism, q, zero, zero)
+        torques: list[float] = load[driven].tolist()
+        return torques
+
+    return _compiled(mechanism, True, otherwise)
+
+
+def driving_torques(mechanism: Mechanism) -> Floats:
+    """A function of q, qd (n floats each), v (actuated) to the torques (actuated), N m.
+
+    v are the accelerations that the actuated joints get, rad/s^2.  Raises RobodynError where the
+    mechanism has fewer actuators than freedoms, InputError where it has more, as then v would
+    contradict the closures; the function raises SingularError at a dead centre.
+    """
+    mechanism = parts.untimed(mechanism)
+    check_actuators(mechanism, np.zeros(mechanism.n))
+    n, driven = mechanism.n, list(mechanism.actuated)
+    freedoms = n - (regular_rank(mechanism) if mechanism.rows else 0)
+    if len(driven) > freedoms:
+        limit = "needs as many actuators as freedoms: their accelerations follow from one another"
+        raise InputError(
+            "computed torque",
+            where=mechanism.source,
+            value=f"{len(driven)} actuators for a mobility of {freedoms}",
+            limit=limit,
+        )
+
+    def otherwise(*values: float) -> Sequence[float]:
+        q, qd, v = (np.array(x) for x in (values[:n], values[n : 2 * n], values[2 * n :]))
+        if not all(np.isfinite(x).all() for x in (q, qd, v)):
+            return [np.nan] * len(driven)
+        qdd = loop_rates.loop_accelerations(mechanism, q, qd, v)
+        torques: list[float] = dynamics.inverse_dynamics(mechanism, q, qd, qdd)[driven].tolist()
+        return torques
+
+    return _compiled(mechanism, False, otherwise)
+
+
+def _compiled(mechanism: Mechanism, rests: bool, otherwise: Floats) -> Floats:
+    """The formula as code; `otherwise` where there is none, or a closure's pivot is small."""
+    rows = len(mechanism.rows)
+    determined = not rows or (rows <= 2 and len(mechanism.passive) == rows)
+    if mechanism.n > formulas.MAX_GENERATED or not determined:
+        return otherwise
+
+    formula = formulas.written(mechanism, partial(_formula, mechanism, rests))
+    if formula is None:
+        return otherwise
+    code = straightline.compile_floats(formula, "torques")
+    if not rows:
+        return code
+    count = len(formula.outputs)
+
+    def guarded(*values: float) -> Sequence[float]:
+        try:
+            found = code(*values)
+        except ZeroDivisionError:
+            return otherwise(*values)
+        if min(found[count:]) > dynamics.PIVOT_CUT:
+            return found[:count]
+        return otherwise(*values)
+
+    return guarded
+
+
+def _formula(mechanism: Mechanism, rests: bool, by_direction: bool) -> Formula:
+    """Torques of the actuated joints from q, or from q, qd and the actuated joints' qdd."""
+    n, driven = mechanism.n, mechanism.actuated
+    state = Recorded(mechanism, ("qd", "qdd"), by_direction)
+    inputs = state.inputs[:n]
+    if rests:
+        state.relative["qd"] = state.relative["qdd"] = [0.0] * n
+    else:
+        inputs = state.inputs[: 2 * n] + tuple(f"qdd{k}" for k in driven)
+        if mechanism.rows:
+            _complete(state)
+    whole = formulas.inverse_of(state)
+    return Formula(inputs, tuple(whole.outputs[k] for k in driven), whole.pivots)
+
+
+def _complete(state: Recorded) -> None:
+    """Let the passive joints' qdd follow from the others'."""
+    mechanism = state.mechanism
+    qdd = state.relative["qdd"]
+    series = state.series([0.0] * mechanism.n)
+    opening = series.residuals(0)[mechanism.n :]  # Psidot qd
+    Psi = formulas.joint_jacobian(state, series)
+    right: list[Value] = []
+    for x, row in zip(opening, Psi, strict=True):
+        total = -x
+        for k in mechanism.actuated:
+            total = total - row[k] * qdd[k]
+        right.append(total)
+    columns = [[row[p] for p in mechanism.passive] for row in Psi]
+    found, _ = small_system(columns, right)
+    for p, value in zip(mechanism.passive, found, strict=True):
+        qdd[p] = value
+
+
+class RecordedLaw:
+    """Torques of `joints` and the rates of a law's own states, of t, q0.., qd0.. (n) and z0...
+
+    `lines` set further inputs.
+    """
+
+    def __init__(self, n: int, joints: int, states: int) -> None:
+        self.graph, self.n, self.joints, self.states = Graph(), n, joints, states
+        count = {"q": n, "qd": n, "z": states}
+        self.inputs = [f"{name}{i}" for name, most in count.items() for i in range(most)]
+        self.lines: list[str] = []
+        self.scope: dict[str, object] = {}
+        self.asked: list[Value] = []
+        self.outputs: list[Value] = []
+
+    def variables(self, name: str, count: int) -> list[Value]:
+        """The inputs called so: name0, name1, ..."""
+        return [self.graph.variable(f"{name}{i}") for i in range(count)]
+
+    def ask(self, model: Floats, asked: Sequence[Value]) -> list[Value]:
+        """What a model answers, a number for each joint."""
+        self.scope["model"], self.asked = model, [*asked]
+        return self.variables("g", self.joints)
+
+    def code(self) -> Callable[..., Any]:
+        """The law as a function of floats; the model is asked as soon as its inputs are known."""
+        lines, shown = float_source([*self.asked, *self.outputs])
+        last = max((x.index for x in self.asked if isinstance(x, Expression)), default=-1)
+        first = sum(int(line[1 : line.index(" ")]) <= last for line in lines)
+        calls = []
+        if self.asked:
+            given = ", ".join(shown[: len(self.asked)])
+            calls.append(f"{', '.join(f'g{j}' for j in range(self.joints))}, = model({given})")
+        result = f"return ({', '.join(shown[len(self.asked) :])},)"
+        body = "\n    ".join([*self.lines, *lines[:first], *calls, *lines[first:], result])
+        head = f"def control({', '.join(['t', *self.inputs])}):"
+        return define(f"{head}\n    {body}\n", "control", scope=self.scope)
+
+
+ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
+
+
+class Tracked:
+    """What the accepted steps of a run tell of the tracking error e and its rate ed.
+
+    Between the ends of a step e is taken for the cubic that has both there.
+    """
+
+    restarts = False
+
+    def __init__(self, mechanism: Mechanism, reference: ReferenceTable, law: RecordedLaw) -> None:
+        self.mechanism, self.reference = mechanism, reference
+        self.law, self.states = law.code(), law.states
+        self._forget()
+
+    def _forget(self) -> None:
+        joints = self.reference.joints
+        self._last: tuple[Array, Array, Array] | None = None  # t, e, ed where a batch ended
+        self._square = np.zeros(joints)  # integral of e^2
+        self._duration = 0.0
+        self._largest, self._at = np.full(joints, -1.0), np.zeros(joints)
+        self._torque = np.zeros(joints)
+        self.hardest: tuple[float, Array] | None = None
+
+    def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:
+        """Those that act at t, in the state y = (q, qd, ...)."""
+        found: Sequence[float] = self.law(t, *y[: 2 * self.mechanism.n + self.states])
+        return found[: self.reference.joints]
+
+    def errors(self, t: Array, y: Array) -> Array:
+        """q_ref - q (k, actuated) at times t (k,) and states y (k, n or more)."""
+        error: Array = self.reference.at(t)[0] - y[:, list(self.mechanism.actuated)]
+        return error
+
+    def observe(self, t: Array, y: Array) -> None:
+        """Take accepted steps: times (k,) and states (k, 2n or more)."""
+        n, driven = self.mechanism.n, list(self.mechanism.actuated)
+        rates = self.reference.at(t)[1]
+        e, ed = self.errors(t, y), rates - y[:, n : 2 * n][:, driven]
+        ended = ed  # as the step that ends there sees it
+        if self.reference.stops:
+            ended = ed + self.reference.at(t, "left")[1] - rates
+        for k in range(len(t)):
+            acting = np.abs(self.torques(float(t[k]), y[k].tolist()))
+            if self.hardest is None or np.fmax.reduce(acting) > self._torque.max():
+                self.hardest = float(t[k]), y[k]
+            self._torque = np.fmax(self._torque, acting)
+        self._compare(np.broadcast_to(t[:, None], e.shape), np.abs(e))
+        if self._last is not None:
+            t, e, ed = (np.concatenate(pair) for pair in zip(self._last, (t, e, ed), strict=True))
+        else:
+            ended = ended[1:]
+        self._last = t[-1:], e[-1:], ed[-1:]
+        h = np.diff(t)[:, None]
+        rise, slope, end = np.diff(e, axis=0), ed[:-1] * h, ended * h
+        # by the powers of u from 0 to 1 along each step
+        cubic = e[:-1], slope, 3.0 * rise - 2.0 * slope - end, slope + end - 2.0 * rise
+        for u, extreme in _extremes(cubic):
+            self._compare(t[:-1, None] + u * h, np.abs(extreme))
+        parts = [cubic[i] * cubic[j] / (i + j + 1) for i, j in product(range(4), repeat=2)]
+        self._square += np.abs((h * sum(parts)).sum(axis=0))
+        self._duration += abs(float(t[-1] - t[0]))
+
+    def _compare(self, t: Array, size: Array) -> None:
+        """Keep the largest of sizes (k, actuated) at times t (k, actuated), and its time."""
+        if len(size):
+            worst = size.argmax(axis=0), np.arange(size.shape[1])
+            larger = size[worst] > self._largest
+            self._largest = np.where(larger, size[worst], self._largest)
+            self._at = np.where(larger, t[worst], self._at)
+
+    def tracking(self) -> list[JointTracking]:
+        """Of each actuated joint."""
+        mean = self._square / self._duration if self._duration else self._largest**2
+        names = [self.mechanism.link_names[k] for k in self.mechanism.actuated]
+        columns = (np.sqrt(mean), self._largest, self._at, self._torque)
+        rows = zip(names, *(column.tolist() for column in columns), strict=True)
+        return [JointTracking(*row) for row in rows]
+
+
+def _extremes(cubic: tuple[Array, Array, Array, Array]) -> list[tuple[Array, Array]]:
+    """Where in each step its cubic has an extreme, and how large; zero where there is none."""
+    begin, slope, c2, c3 = cubic
+    with np.errstate(all="ignore"):  # slope + 2 c2 u + 3 c3 u^2 = 0 may have no root
+        q = -(c2 + np.copysign(np.sqrt(c2**2 - 3.0 * c3 * slope), c2))
+        found = []
+        for u in (q / (3.0 * c3), slope / q):
+            inside = (u > 0.0) & (u < 1.0)
+            u = np.where(inside, u, 0.0)
+            value = begin + u * (slope + u * (c2 + u * c3))
+            found.append((u, np.where(inside, value, 0.0)))
+    return found
+
+
+class Continuous(Tracked):
+    """A law that acts all the time."""
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        reference: ReferenceTable,
+        law: RecordedLaw,
+        pieces: Pieces,
+        jumps: bool,
+    ) -> None:
+        super().__init__(mechanism, reference, law)
+        self.restarts = jumps
+        self.pieces = pieces
+        self.forward = True
+
+    def begin(self, y: Sequence[float], t_end: float) -> None:
+        self._forget()
+        self.forward = t_end >= 0.0
+        self.pieces.reset()
+        self.reach(0.0, y)
+
+    def reach(self, t: float, y: Sequence[float]) -> None:
+        if self.restarts:
+            self.pieces.come_to(t, self.forward)
+
+
+class Sampled(Tracked):
+    """A law that is sampled, its torques held from one sample to the next.
+
+    Its own states are summed up: z + zd/rate at the next sample.
+    """
+
+    restarts = True
+
+    def __init__(
+        self, mechanism: Mechanism, reference: ReferenceTable, law: RecordedLaw, rate: float
+    ) -> None:
+        super().__init__(mechanism, reference, law)
+        self.rate = rate
+        self.times = array("d")
+        self.values = array("d")  # torques (actuated) of each sample in turn
+
+    def begin(self, y: Sequence[float], t_end: float) -> None:
+        if t_end < 0.0:
+            limit = "a torque is not held backwards: the time must not be negative"
+            raise InputError("control_rate", value=f"{self.rate:g}", limit=limit)
+        self._forget()
+        self.times, self.values = array("d"), array("d")
+        self.z = self.before = [0.0] * self.states
+        self.reach(0.0, y)
+
+    def reach(self, t: float, y: Sequence[float]) -> None:
+        joints = self.reference.joints
+        if self.times and t <= self.times[-1]:
+            if t < self.times[-1]:
+                return
+            # the run went back to an event before this sample, or sees the same again
+            self.times.pop()
+            del self.values[-joints:]
+            self.z = self.before
+        self.before = self.z  # the integrals that the last sample took
+        found = self.law(t, *y[: 2 * self.mechanism.n], *self.z)
+        self.values.extend(found[:joints])
+        self.z = [z + zd / self.rate for z, zd in zip(self.z, found[joints:], strict=True)]
+        self.times.append(t)
+
+    def sample(self, t: float) -> int:
+        """The last sample at t."""
+        return max(bisect_right(self.times, t * ROUNDED) - 1, 0)
+
+    def at(self, t: float) -> Sequence[float]:
+        """The torques held at t."""
+        joints = self.reference.joints
+        k = self.sample(t) * joints
+        return self.values[k : k + joints]
+
+    def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:
+        return self.at(t)
+
 
 LAWS = {  # what each needs, and what it takes besides
     "pd": (("kp", "kd"), ("control_model",)),

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError
 from robodyn.tables.arrays import Array
-from robodyn.trajectories.splines import hermite
+from robodyn.trajectories.joint_paths import hermite
 
 if TYPE_CHECKING:
     from robodyn.trajectories.reference import ReferenceMotion
@@ -79,10 +79,10 @@ class ReferenceTable:
         return self
 
     @classmethod
-    def set_point(cls, q: ArrayLike, t: float, where: str = "set-point") -> ReferenceTable:
+    def set_point(cls, q: ArrayLike, t: float) -> ReferenceTable:
         """The angles or displacements q (m,) from 0 to t (s; negative: from t to 0)."""
         coefficients = np.asarray(q, float)[None, :, None] * np.array([1.0, 0.0, 0.0])
-        return object.__new__(cls)._consist(where, [min(t, 0.0), max(t, 0.0)], coefficients)
+        return object.__new__(cls)._consist("set-point", [min(t, 0.0), max(t, 0.0)], coefficients)
 
     @classmethod
     def along(cls, motion: ReferenceMotion) -> ReferenceTable:

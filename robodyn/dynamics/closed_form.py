@@ -24,7 +24,7 @@ States are arrays (..., n); radians, SI units.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,12 +38,12 @@ from robodyn.dynamics.placed import (
     matvec,
     placed,
 )
+from robodyn.engines.row_values import rows_of
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.mechanics.modes import Mode, in_mode, moving_mode, pressed, pushes
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.tables.arrays import Array, Complex
-from robodyn.tables.records import Record
 
 BLOCK = 4  # rows, whose products need no new memory
 LONG = 100  # links, from which on products of whole matrices cost more than sums along the tree
@@ -122,8 +122,6 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     loads = -columns(mechanism, arrays.weights, at.X, at.E).real - arrays.moments
     G: Array = matvec(arrays.J.T, loads)
     if mechanism.springs or mechanism.joint_springs:
-        from robodyn.engines.row_values import rows_of
-
         rows = rows_of(parts.stored, mechanism)
         check_directions(rows.mechanism, np.asarray(q, float))
         G = G + rows("torques", q)
@@ -139,8 +137,6 @@ def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike
     (qd = 0) adds nothing: it holds any torque up to its static friction.  Raises InputError if q
     or qd is not finite or not n wide, SingularError if the ends of a damped spring coincide.
     """
-    from robodyn.engines.row_values import rows_of
-
     states = as_states(mechanism, "q", q), as_states(mechanism, "qd", qd)
     if mechanism.switches:
         return _forces_by_modes(mechanism, *states, t)
@@ -215,8 +211,6 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
     if any(mechanism.moments):
         PE = PE - (at.x * arrays.moments).sum(axis=-1)
     if mechanism.springs or mechanism.joint_springs:
-        from robodyn.engines.row_values import rows_of
-
         PE = PE + rows_of(parts.stored, mechanism)("PE", q)[..., 0]
     return KE, PE
 
@@ -317,7 +311,7 @@ def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
     return Psi
 
 
-class Points(Record):
+class Points(NamedTuple):
     """Points const + c X of a mechanism, p of them; they move as X does."""
 
     constant: Complex  # (p,) m

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,12 +36,13 @@ from robodyn.dynamics.placed import (
     placed,
     relative_matrix,
 )
-from robodyn.engines.singular_values import svd
+from robodyn.engines.factors import svd
+from robodyn.engines.row_values import rows_of
 from robodyn.errors import RobodynError, SingularError
 from robodyn.loops.closing import loop_size, singular_at
+from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
-from robodyn.tables.records import Record
 from robodyn.tables.short_repr import short_repr
 
 RANK_CUT = 1e-10  # singular values of Psi below this part of the loop's size count as zero
@@ -53,7 +55,7 @@ BALANCE = 1e-7  # part of the load that torques may miss by before the motion is
 
 
 @short_repr
-class Torques(Record):
+class Torques(NamedTuple):
     """tau (..., n) N m, zero at passive joints, and the multipliers lambda (..., r) N.
 
     `remark` says where they are right but not the only ones.
@@ -65,7 +67,7 @@ class Torques(Record):
 
 
 @short_repr
-class Accelerations(Record):
+class Accelerations(NamedTuple):
     """qdd (..., n) rad/s^2 and the multipliers lambda (..., r) N; `remark` as for Torques."""
 
     qdd: Array
@@ -100,9 +102,6 @@ def joint_loads(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) -> Arra
     """What acts at joints there."""
     loads: Array = mechanism.arrays.damping * qd
     if mechanism.has_state_forces:
-        from robodyn.engines.row_values import rows_of
-        from robodyn.mechanics import parts
-
         loads = loads + rows_of(parts.acting, mechanism)("torques", q, qd, t)
     return loads
 
@@ -251,7 +250,7 @@ def check_actuators(mechanism: Mechanism, q: Array) -> None:
         )
 
 
-class Decomposition(Record):
+class Decomposition(NamedTuple):
     """Psi = U diag(s) V^T: U and V, square, how many s count (...), and Psi's pseudo-inverse."""
 
     U: Array

@@ -21,7 +21,7 @@ from robodyn.dynamics.placed import absolute_rates, check_directions, finite, ti
 from robodyn.dynamics.sticking import modes_of
 from robodyn.engines import formulas, straightline
 from robodyn.engines.batches import FormulaBatches
-from robodyn.engines.derivative_formulas import (
+from robodyn.engines.formulas import (
     forward_derivatives_formula,
     residual_derivatives_formula,
 )
@@ -184,7 +184,7 @@ def _generated(mechanism: Mechanism) -> FormulaBatches | None:
     n = mechanism.n
     if n > formulas.MAX_GENERATED or not elimination_is_safe(mechanism):
         return None
-    formula = forward_derivatives_formula(mechanism, parameters=True)
+    formula = forward_derivatives_formula(mechanism)
     if formula is None:
         return None
     return FormulaBatches(formula, (n, n * n, n * n, n * n), PIVOT_CUT)

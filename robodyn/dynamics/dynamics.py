@@ -141,7 +141,7 @@ def _batch(
 
         solved = free_joints.balanced_mechanism(mechanism)
     if mechanism.switches:
-        from robodyn.dynamics.switching import by_modes  # which asks for accelerations itself
+        from robodyn.dynamics.sticking import by_modes  # which asks for accelerations itself
 
         joints, forces, remark = by_modes(solved, kind, states, times, _smooth)
     else:

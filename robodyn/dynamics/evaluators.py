@@ -15,9 +15,9 @@ import numpy as np
 
 from robodyn.dynamics import dynamics, identities
 from robodyn.engines import formulas, straightline
+from robodyn.engines.arithmetic import FLOATS, Arithmetic
 from robodyn.engines.expansion import MotionProgram
-from robodyn.engines.frames import relative
-from robodyn.engines.series import FLOATS, Arithmetic
+from robodyn.engines.series import relative
 from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism

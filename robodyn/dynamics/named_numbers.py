@@ -15,11 +15,9 @@ from functools import lru_cache
 from typing import Any
 
 from robodyn.engines import expression
-from robodyn.engines.derivative_formulas import KINDS, residuals
-from robodyn.engines.expression import Expression, Graph, Value
-from robodyn.engines.formulas import Formula, Recorded
+from robodyn.engines.expression import Expression, Graph, Value, slopes_by, substituted
+from robodyn.engines.formulas import KINDS, Formula, Recorded, residuals
 from robodyn.engines.planar_numbers import Planar
-from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import ClosureRow, Mechanism, constants, with_kept
 from robodyn.mechanics.modes import Mode, in_mode
@@ -100,8 +98,9 @@ def _turned(row: ClosureRow, by: Any) -> ClosureRow:
     if not isinstance(by, Expression):
         return row
     turn = Planar(expression.cos(by), -expression.sin(by))
-    ground, P = row.ground, tuple((d, turn * c) for d, c in row.P)
-    return row._replace(ground=turn * ground if ground else ground, P=P)
+    ground: Any = turn * row.ground if row.ground else row.ground
+    P: Any = tuple((d, turn * c) for d, c in row.P)
+    return row._replace(ground=ground, P=P)
 
 
 def named_values(mechanism: Mechanism, *names: str) -> SceneValues:

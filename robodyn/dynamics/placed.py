@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,6 @@ from robodyn.mechanics import parts
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.csv_fields import shown
-from robodyn.tables.records import Record
 
 FEW = 32  # numbers
 STATE = ("qd", "qdd", "tau", "q")  # what functions of a state are given
@@ -141,7 +140,7 @@ def matvec(matrix: NDArray[Any], vector: NDArray[Any]) -> NDArray[Any]:
     return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
-class Placed(Record):
+class Placed(NamedTuple):
     """Where a mechanism is: x = J q, X, and the direction E of the frame of each, (..., n)."""
 
     x: Array

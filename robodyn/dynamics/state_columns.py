@@ -14,8 +14,13 @@ from numpy.typing import ArrayLike
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.closed_form import energies, point_motion
 from robodyn.dynamics.placed import n_wide
-from robodyn.kinematics.named_points import NamedPoint, point_columns
-from robodyn.kinematics.point_motion import link_turns, point_jacobian, unit_rates
+from robodyn.kinematics.named_points import (
+    NamedPoint,
+    link_turns,
+    point_columns,
+    point_jacobian,
+    unit_rates,
+)
 from robodyn.kinematics.transmission import (
     rate_ratios,
     ratio_named,

@@ -3,8 +3,8 @@
 A `Word` is a value that an instruction left: numbers of W lanes, a mask over them, a whole number,
 an address.  `Instructions` are those of a function under way, one after the other.  A `Kernel` is
 such a function with its loops and branches; each method writes an instruction or a control
-structure, and returns the word it makes.  Recorded graphs go in by `segment.py`, sines by
-`sines.py`.
+structure, and returns the word it makes.  Recorded graphs and sines go in by
+`segment.py`.
 
     with kernel.loop(count) as i:              # i = 0 .. count - 1
         x = kernel.load(kernel.at(data, i))

@@ -2,26 +2,95 @@
 
 Products of directions are written with the cosines of angle differences, as textbooks do, or with
 the links' directions (c_k, s_k) alone.  The tree and its loops decide which (`by_directions`).
+
+Derivatives are tangents of the program's residuals.  These, R = r(q, qd, tau) + K(q) u, vanish at
+the unknowns u: the accelerations a of x, and mu = -lambda.  With u held,
+
+    du = -K^-1 dR
+
+so that what is eliminated once serves all directions.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
-from robodyn.engines.arithmetic import dot, entries, some
-from robodyn.engines.expression import Expression, Graph, Value
+from robodyn.engines import expression
+from robodyn.engines.arithmetic import (
+    Arithmetic,
+    Planar,
+    conjugate_times,
+    dot,
+    entries,
+    some,
+    weighted,
+)
+from robodyn.engines.expression import FUNCTIONS, Expression, Graph, Value, slopes_by, substituted
 from robodyn.engines.factors import Factors, small_system
-from robodyn.engines.frames import absolute as absolute
-from robodyn.engines.frames import relative, start
-from robodyn.engines.recorded_numbers import RECORDED as RECORDED
-from robodyn.engines.series import Arithmetic, Planar, Series, conjugate_times
+from robodyn.engines.series import Series, relative, start
+from robodyn.engines.series import absolute as absolute
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Given, Program
-from robodyn.tables.records import Record
+
+
+def _power(a: Value, exponent: float) -> Value:
+    """a to a constant exponent, by a square root where that serves."""
+    if abs(exponent) != 0.5:
+        return expression.power(a, exponent)
+    root = expression.call("sqrt", a)
+    return root if exponent > 0.0 else 1.0 / root
+
+
+def _or_nan(function: Callable[..., Value], *values: Value) -> Value:
+    """The function of the values; nan of constants where it is undefined, as at every state."""
+    try:
+        return function(*values)
+    except (ArithmeticError, ValueError):
+        return math.nan
+
+
+def _chosen(x: Value, knots: Sequence[float], values: Sequence[float]) -> Value:
+    """One of the values, by the interval between increasing knots in which x is: a tree."""
+    if len(values) == 1:
+        return values[0]
+    k = len(knots) // 2
+    below = _chosen(x, knots[:k], values[: k + 1])
+    above = _chosen(x, knots[k + 1 :], values[k + 1 :])
+    if not isinstance(below, Expression) and below == above:
+        return below
+    return expression.choose(x, knots[k], below, above)
+
+
+RECORDED = Arithmetic(
+    cos=expression.cos,
+    sin=expression.sin,
+    power=partial(_or_nan, _power),
+    divide=partial(_or_nan, operator.truediv),
+    weigh=partial(weighted, keep=expression.keep),
+    keep=expression.keep,
+    chosen=_chosen,
+    functions={name: partial(_or_nan, partial(expression.call, name)) for name in FUNCTIONS},
+)
+
+_WRITTEN: dict[str, object] = {
+    f"_{name}": partial(expression.call, name) for name in (*FUNCTIONS, "abs")
+}
+_WRITTEN |= {"_pow": expression.power, "_atan2": expression.arctangent, "__builtins__": {}}
+
+
+def evaluated(code: str, variables: Mapping[str, Value]) -> Any:
+    """What code of `scene.expressions.Written` is of recorded numbers.
+
+    NameError, TypeError, ValueError or AttributeError where it has what they have not.
+    """
+    return eval(code, {**_WRITTEN, **variables})
+
 
 # Links in a chain from which on the torques of a state take fewer operations by directions: a chain
 # of 3 takes 99 additions by angles and 101 by directions, of 4 177 and 142, of 12 1593 and 470.
@@ -38,7 +107,7 @@ def anything(i: int) -> float:
     return 1.5 + 0.4 * math.sin(37.0 * (i + 1) ** 2)
 
 
-class Formula(Record):
+class Formula(NamedTuple):
     """Inputs by name, outputs (n joint values, r multipliers, ...), and the closures' pivots.
 
     A pivot is relative to its size in a good configuration.  Where one is near zero the
@@ -95,7 +164,7 @@ class Recorded:
 
     def half_slopes(self, values: Sequence[Value]) -> list[list[Value]]:
         """Half of the derivatives of values by each absolute rate (n), row by row."""
-        from robodyn.engines.tangents import Tangents, tangents  # a state's torques start without
+        from robodyn.engines.expression import Tangents, tangents  # a state's torques start without
 
         rates = self.absolute("qd")
         own: list[Tangents] = [{str(k): 0.5} for k in range(len(rates))]
@@ -368,3 +437,56 @@ def energies(
     series.residuals(0)
     KE, PE = (series.real[slot][0] for slot in wanted)
     return KE, PE
+
+
+KINDS = ("q", "qd", "tau")
+
+
+def residuals(state: Recorded) -> tuple[Series, list[Value], list[dict[int, Value]], list[Value]]:
+    """The series, r, K and R of a state whose unknowns are the inputs u0, u1, .."""
+    series = state.series(None)
+    r = series.residuals(0)
+    K = series.matrix()
+    u = [state.graph.variable(f"u{i}") for i in range(len(r))]
+    R = [x + sum((k * u[i] for i, k in row.items()), 0.0) for x, row in zip(r, K, strict=True)]
+    return series, r, K, R
+
+
+def _directions(mechanism: Mechanism) -> list[str]:
+    return [f"{kind}{k}" for kind in KINDS for k in range(mechanism.n)]
+
+
+def forward_derivatives_formula(mechanism: Mechanism) -> Formula | None:
+    """qdd (n), then its derivatives by q, qd and tau, each (n, n), row by row.
+
+    None as by `forward_formula`.
+    """
+    return written(mechanism, lambda way: _qdd_tangents(Recorded(mechanism, KINDS[1:], way, True)))
+
+
+def _qdd_tangents(state: Recorded) -> Formula:
+    mechanism, n = state.mechanism, state.mechanism.n
+    names, (series, r, _, R) = _directions(mechanism), residuals(state)
+    factors = series.factorise()
+    assert isinstance(factors, Factors)
+    u = factors.solve([-x for x in r])
+    slopes = substituted(slopes_by(R, names), {f"u{i}": x for i, x in enumerate(u)})
+    every = (factors.solve([-x for x in slopes[j :: len(names)]]) for j in range(len(names)))
+    found = [relative(mechanism, du[:n]) for du in every]
+    outputs = relative(mechanism, u[:n])
+    for kind in range(len(KINDS)):
+        outputs += [found[kind * n + j][i] for i in range(n) for j in range(n)]
+    pivots = closure_pivots(state, factors)
+    return Formula(state.inputs + state.timed, tuple(outputs), pivots)
+
+
+def residual_derivatives_formula(mechanism: Mechanism) -> Formula:
+    """K (N, N), then dR by q, qd and tau (N, 3n), row by row, at given unknowns u (N)."""
+    state = Recorded(mechanism, KINDS[1:], True)
+    _, r, K, R = residuals(state)
+    size = len(r)
+    names = _directions(mechanism)
+    outputs = [row.get(j, 0.0) for row in K for j in range(size)]
+    outputs += slopes_by(R, names)
+    inputs = (*state.inputs, *(f"u{i}" for i in range(size)), *state.timed)
+    return Formula(inputs, tuple(outputs), ())

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import threading
 from collections.abc import Callable
+from enum import IntEnum
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -25,12 +26,22 @@ from robodyn.engines.machine_steps import ALIGNED, Items, Scene
 from robodyn.engines.segment import Segment
 from robodyn.loops.misses import SLOWEST, TURN, orientation
 from robodyn.loops.projection import PASSES
-from robodyn.taylor import PARTS, Status
 
+PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 RUNNING = -1.0
 KEPT = 128  # codes in a process
 SINGULAR = 1e-6  # relative pivot below which a Newton step is not trusted
 ULPS = 2.0**-50  # of a time: a step below this part is none
+
+
+class Status(IntEnum):
+    """Why an engine stopped."""
+
+    REACHED = 0  # the bound
+    FULL = 1  # as many steps as were asked for
+    SINGULAR = 2  # the next step would start too near a singular configuration
+    STUCK = 3  # the step is below the spacing of floats
+    NOT_FINITE = 4  # an acceleration or a torque is not finite
 
 
 class Observer:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from robodyn.engines import straightline
 from robodyn.engines.arithmetic import Planar, planar_times
 from robodyn.engines.array_blocks import ArrayFormula
-from robodyn.engines.expression import Graph, Value
+from robodyn.engines.expression import Graph, Value, slopes_by
 from robodyn.engines.formulas import Formula, Recorded, balance, energies
 from robodyn.engines.series import Series
 from robodyn.errors import SignalError
@@ -162,8 +162,6 @@ class RowValues:
                 q, qd = (self._recorded.relative[x] for x in ("q", "qd"))
                 return [energies(self.mechanism, float, q, qd)[1] + self.mechanism.energy_offset]
             case "PE rate":
-                from robodyn.engines.tangents import slopes_by  # only `check` asks for it
-
                 rates = enumerate(self._recorded.relative["qd"])
                 return slopes_by(self.nodes("PE"), {f"q{k}": {"t": x} for k, x in rates}, ["t"])
         real, named = self._series.real, self._series.program.named

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 
 from robodyn.engines.expression import FUNCTIONS, Expression, Value, needed
-from robodyn.engines.source_text import float_source
+from robodyn.engines.straightline import float_source
 from robodyn.equations.outline import Block, Equations
 from robodyn.equations.parameters import Parameter
 from robodyn.equations.text import table

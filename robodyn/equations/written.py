@@ -19,8 +19,8 @@ from itertools import combinations
 from math import inf
 from typing import Any
 
+from robodyn.engines.arithmetic import Arithmetic
 from robodyn.engines.formulas import Recorded
-from robodyn.engines.series import Arithmetic
 from robodyn.equations.entries import Entries, Matrix
 from robodyn.equations.factoring import (
     Key,

@@ -19,17 +19,25 @@ from collections.abc import Iterable, Mapping, Sequence
 from math import nextafter, pi
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
+from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError, printable
 from robodyn.export.model_xml import (
+    LIMIT,
     Names,
     comment,
     document,
+    is_slack,
+    joint_contacts,
+    joint_range,
     link_names,
     number,
+    polynomial,
     refuse_unsaid,
     vector,
 )
-from robodyn.export.mujoco_laws import LIMIT, is_slack, joint_contacts, joint_range, polynomial
+from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import Closure, Coupling, JointSpring, Load, Moment, Point, Signal, Spring
@@ -64,8 +72,6 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
                 place = f"links[{k}] ({link.name}).{key}"
                 raise InputError(place, where=description.source, value=value, limit=limit)
     if q is None and mechanism.rows:
-        from robodyn.loops.assembly import first_pose  # trees need no numpy
-
         q = first_pose(mechanism).tolist()
     model = _Elements(mechanism, timestep, q)
     root = Element("mujoco", model=printable(mechanism.name))
@@ -266,10 +272,6 @@ class _Elements:
 
     def _beginning(self, closure: Closure) -> tuple[complex, list[complex], complex]:
         """A slider's point in the frame of its line: pivot, arms to the point, where it begins."""
-        import numpy as np
-
-        from robodyn.dynamics.placed import placed
-
         slides, carrier = self.mechanism.slides, closure.second.link
         here, turned, turns = placed(self.mechanism, np.array(self.q)), 1.0 + 0j, 1.0 + 0j
         if carrier is None:

@@ -15,6 +15,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
 from robodyn.export.model_xml import (
+    FAR,
     Names,
     comment,
     document,
@@ -23,7 +24,6 @@ from robodyn.export.model_xml import (
     refuse_unsaid,
     vector,
 )
-from robodyn.export.mujoco_laws import FAR
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import DryFriction, Link
 

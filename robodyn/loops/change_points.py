@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
-from robodyn.engines.singular_values import svd
+from robodyn.engines.factors import svd
 from robodyn.loops.closing import (
     close_positions,
     closed_jacobians,

@@ -1,7 +1,7 @@
 """Closing loops by Newton's method, and the gap of a state to more digits than floats have.
 
 One loop serves whatever evaluates the gap and solves for a step: dense arrays of states here,
-extended precision (`extended.py`).  (Straight-line code of
+extended precision (`benchmark.py`).  (Straight-line code of
 `straightline.py` and the loops over lanes have it written out, and hand what is near singular
 over to this one.)
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
-from robodyn.engines.singular_values import least_solution, svd
+from robodyn.engines.factors import least_solution, svd
 from robodyn.errors import SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array

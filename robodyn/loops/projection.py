@@ -17,8 +17,8 @@ import numpy as np
 
 from robodyn.dynamics import closed_form
 from robodyn.engines import straightline
+from robodyn.engines.factors import svd
 from robodyn.engines.formulas import projection_formula
-from robodyn.engines.singular_values import svd
 from robodyn.loops.change_points import (
     EXACT,
     SUSPECT,

@@ -24,6 +24,7 @@ holds, or its power.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from robodyn.mechanics.link_rows import LinkRows
 from robodyn.mechanics.planar_model import Force, Mechanism, PlanarPoint, PointSpring, conserves
@@ -43,7 +44,6 @@ from robodyn.mechanics.program import (
     Sum,
 )
 from robodyn.scene.scene import JointSpring, Law, Signal, Table
-from robodyn.tables.records import Record
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]
@@ -53,7 +53,7 @@ class NoDirection(ZeroDivisionError):
     """The ends of the spring between points of this place coincide at every state."""
 
 
-class PointForce(Record):
+class PointForce(NamedTuple):
     """A force at points, N: `unit` times the planar slot `force`, or `unit` itself."""
 
     unit: complex

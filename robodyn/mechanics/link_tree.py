@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 from robodyn.mechanics.planar_model import PlanarPoint
 from robodyn.scene.scene import Closure, Link, Point
-from robodyn.tables.records import Record
 
 
 class Tree:
@@ -222,7 +221,7 @@ def places_of(tree: Tree, points: Sequence[Point] | None = None) -> tuple[Any, A
     return constant, c
 
 
-class Bodies(Record):
+class Bodies(NamedTuple):
     """Of each link with its payload: mass, kg, first moment, kg m, and J about its joint, kg m^2.
 
     Both about the link's own origin, in its frame.

@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from robodyn.scene.scene import Signal
-from robodyn.tables.records import Record
 
 T = TypeVar("T")
 Terms = Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
@@ -55,14 +54,14 @@ class Inertias(OnDemand[tuple[int, int, complex]]):
         return {"_recipe": self._recipe, "_whole": self._whole}
 
 
-class PlanarPoint(Record):
+class PlanarPoint(NamedTuple):
     """A point `constant + sum_k coefficient_k X_k` of the mechanism, m."""
 
     constant: complex
     terms: Terms
 
 
-class ClosureRow(Record):
+class ClosureRow(NamedTuple):
     """One real equation of the gap, m: with E_line = 1 where no link carries the line,
 
         Re(conj(E_line) (ground + sum_k P_k X_k)) + sum_k angles_k x_k + offset = 0
@@ -94,7 +93,7 @@ class ClosureRow(Record):
         return terms + abs(self.ground)
 
 
-class PointSpring(Record):
+class PointSpring(NamedTuple):
     """A spring between points of two links (None: the ground): `between`, first less second."""
 
     first: int | None
@@ -112,7 +111,7 @@ class PointSpring(Record):
         return bool((self.stiffness and self.length) or self.damping or self.law)
 
 
-class Force(Record):
+class Force(NamedTuple):
     """A force at a point of a link, N; one that turns with the link, or varies, has no potential.
 
     Where it varies it is `turned` times the `signals` of its x and y (a number: that for ever).
@@ -131,7 +130,7 @@ class Force(Record):
         return not self.turns and self.signals is None
 
 
-class VaryingMoment(Record):
+class VaryingMoment(NamedTuple):
     """A torque on a link, N m, that varies."""
 
     link: int
@@ -143,7 +142,7 @@ def conserves(law: Signal | None) -> bool:
     return law is None or law.names <= {"x"}
 
 
-class Rotor(Record):
+class Rotor(NamedTuple):
     """The rotor of the motor at a joint; it sits on the link that carries the joint.
 
     It spins with w_carrier + ratio qd, w_carrier the rate of what turns that link, if anything

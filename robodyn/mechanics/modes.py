@@ -11,12 +11,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robodyn.mechanics.loop_rows import coupling_rows
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Coupling, JointSpring, Limits, Link, Point
-from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,7 +25,7 @@ NEAR = 1e-12  # rad or m, or part of where it is: so near to an end a joint touc
 BELL = 6.0  # widths of a bell, beyond which it is zero to rounding
 
 
-class Mode(Record):
+class Mode(NamedTuple):
     """Which joints are held, which slip and which way, which press the stop of which side."""
 
     held: tuple[int, ...] = ()
@@ -73,7 +72,11 @@ def _standing(mechanism: Mechanism) -> Mechanism:
     joints = description._replace(
         gravity=0j,
         links=tuple(alone),
-        **dict.fromkeys(("closures", "branches", "springs", "loads", "points"), ()),
+        closures=(),
+        branches=(),
+        springs=(),
+        loads=(),
+        points=(),
         actuated=mechanism.actuated,
         start=None,
         couplings=tuple(Coupling(k, (), 0.0) for k in range(mechanism.n)),

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
@@ -33,7 +33,6 @@ from robodyn.scene.scene import (
     Signal,
     Table,
 )
-from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
     import numpy as np
@@ -224,7 +223,7 @@ class Mechanism:
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 
-class Arrays(Record):
+class Arrays(NamedTuple):
     """The constants of a mechanism as read-only dense arrays; n links, r closure rows."""
 
     A: NDArray[np.complex128]  # (n, n) Hermitian, kg m^2

@@ -17,14 +17,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import get_args
-
-from robodyn.tables.records import Record
+from typing import NamedTuple, get_args
 
 Slot = int
 
 
-class Number(Record):
+class Number(NamedTuple):
     """A number of the scene, by its place in `Program.numbers`, or its opposite."""
 
     place: int
@@ -38,98 +36,98 @@ Coefficient = float | Number
 PlanarCoefficient = tuple[Coefficient, Coefficient]  # real and imaginary part; 0.0: none
 
 
-class Given(Record):
+class Given(NamedTuple):
     """Real: what comes from outside: the time, a torque, an angle where a motion starts."""
 
     name: str
 
 
-class Unknown(Record):
+class Unknown(NamedTuple):
     """Real: an unknown that enters linearly, such as a multiplier of a closure."""
 
     name: str
 
 
-class Turn(Record):
+class Turn(NamedTuple):
     """Planar: the direction E = exp(i alpha) of a link; its angular acceleration is unknown."""
 
     link: int
 
 
-class Slide(Record):
+class Slide(NamedTuple):
     """Real: the displacement s of a joint; its acceleration is unknown."""
 
     joint: int
 
 
-class Rate(Record):
+class Rate(NamedTuple):
     """Real: w = Im(conj(E) E') of the direction `turn`."""
 
     turn: Slot
 
 
-class Integral(Record):
+class Integral(NamedTuple):
     """Real: the integral of x over time, from the given value `start`."""
 
     x: Slot
     start: str
 
 
-class Anchored(Record):
+class Anchored(NamedTuple):
     """Real: x, but its first coefficient is the given value `start`, not rounded as x is."""
 
     x: Slot
     start: str
 
 
-class Derivative(Record):
+class Derivative(NamedTuple):
     """Real or planar: dx/dt."""
 
     x: Slot
 
 
-class Sum(Record):
+class Sum(NamedTuple):
     """Real: constant + sum c x."""
 
     constant: Coefficient
     terms: tuple[tuple[Coefficient, Slot], ...]
 
 
-class PlanarSum(Record):
+class PlanarSum(NamedTuple):
     """Planar: constant + sum c z, the coefficients complex, the slots planar or real."""
 
     constant: PlanarCoefficient
     terms: tuple[tuple[PlanarCoefficient, Slot], ...]
 
 
-class RealPart(Record):
+class RealPart(NamedTuple):
     """Real: Re z."""
 
     z: Slot
 
 
-class Product(Record):
+class Product(NamedTuple):
     """Real: x y."""
 
     x: Slot
     y: Slot
 
 
-class Scaled(Record):
+class Scaled(NamedTuple):
     """Planar: x z, x real and z planar."""
 
     x: Slot
     z: Slot
 
 
-class Inner(Record):
+class Inner(NamedTuple):
     """Real: Re(conj(z) w)."""
 
     z: Slot
     w: Slot
 
 
-class Moment(Record):
+class Moment(NamedTuple):
     """Real: inertia a + Im(conj(E) F), what turns the link of `turn`; F is without P.
 
     `bend` is the slot of P = E''.  The link's own part is exact so: Im(conj(E) inertia P).
@@ -141,28 +139,28 @@ class Moment(Record):
     F: Slot
 
 
-class Quotient(Record):
+class Quotient(NamedTuple):
     """Real: x / y."""
 
     x: Slot
     y: Slot
 
 
-class Power(Record):
+class Power(NamedTuple):
     """Real: x to a constant exponent."""
 
     x: Slot
     exponent: float
 
 
-class Function(Record):
+class Function(NamedTuple):
     """Real: exp, tanh, sin, cos, sinh or cosh of x."""
 
     name: str
     x: Slot
 
 
-class Primitive(Record):
+class Primitive(NamedTuple):
     """Real: the function of x whose slope is 1/density: log, atan, asin or acos."""
 
     name: str
@@ -170,7 +168,7 @@ class Primitive(Record):
     density: Slot
 
 
-class Step(Record):
+class Step(NamedTuple):
     """Real: one of the values, by the interval between increasing knots in which x is.
 
     With a period x is brought into the one from `first` on, and the value gains `rise` for each.
@@ -191,7 +189,7 @@ Row = (
 )  # fmt: skip
 
 SLOTS: dict[type, list[str]] = {
-    row: [name for name, kind in row.__annotations__.items() if kind == "Slot"]
+    row: [name for name, kind in row.__annotations__.items() if kind.__forward_arg__ == "Slot"]
     for row in get_args(Row)
 }
 PLANAR = (Turn, PlanarSum, Scaled)
@@ -199,7 +197,7 @@ COORDINATES = (Turn, Slide)  # unknown in their second derivatives
 SHIFT: dict[type, int] = {Derivative: 1, Rate: 1, Integral: -1}  # orders that a row looks ahead
 
 
-class Schedule(Record):
+class Schedule(NamedTuple):
     """Slots in order; how many orders each is ahead of the unknowns; what the unknowns change.
 
     `live` maps a slot whose coefficient depends on the unknowns of its order to the slots through

@@ -19,12 +19,13 @@ from robodyn.loops.assembly import assemble, first_pose
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.notebook.inline import named_as_arguments, opened, own_settings
 from robodyn.pictures import animation_files
-from robodyn.pictures.animation_files import check_animation, check_programs
+from robodyn.pictures.animation_files import check_animation, check_programs, frames
 from robodyn.pictures.chart import read_chart
-from robodyn.pictures.chart_figure import chart_figure
+from robodyn.pictures.chart_figure import chart_figure, map_figure
 from robodyn.pictures.column_units import ANY_SCENE, scene_units
 from robodyn.pictures.drawing import drawing, even_rows, traced
-from robodyn.pictures.motion_frames import frames
+from robodyn.pictures.force_arrows import forces_at
+from robodyn.pictures.mechanism_picture import mechanism_figure
 from robodyn.pictures.value_map import read_map
 from robodyn.simulation.simulation import Motion
 from robodyn.tables.arrays import Array
@@ -74,8 +75,6 @@ def plot(
             content = read_chart(given, x, patterns, units, degrees, points=points)
             figure: Figure = chart_figure(content, size, shown(title))
             return figure
-        from robodyn.pictures.chart_figure import map_figure
-
         untold: list[str] = []
         mapped = read_map(
             given, x or "", patterns or [], colour, log, units, degrees, untold.append
@@ -133,8 +132,6 @@ def draw(
     rows = np.atleast_2d(first_pose(mechanism) if q is None else _closed(mechanism, q))
     found = []
     if forces:
-        from robodyn.pictures.force_arrows import forces_at
-
         if len(rows) > 1:
             raise InputError("q", limit="must be one pose, for forces")
         rates, moved, torques = (
@@ -148,8 +145,6 @@ def draw(
     if labels != "names":
         texts = [str(k + 1) for k in range(mechanism.n)] if labels else []
     with own_settings():
-        from robodyn.pictures.mechanism_picture import mechanism_figure
-
         traces = traced(mechanism, named, rows)
         figure: Figure = mechanism_figure(drawn, texts, traces, found, size)
         return figure

@@ -44,7 +44,7 @@ def mechanism_html(mechanism: Mechanism) -> str:
 
 def motion_html(motion: Motion) -> str:
     """Its one line, and below it q and tau over time; of characters without matplotlib."""
-    from robodyn.pictures.characters import chart_lines
+    from robodyn.pictures.chart import chart_lines
 
     states = {"t": motion.t, **{f"q{k + 1}": q for k, q in enumerate(motion.q.T)}}
     driven = {f"tau{k + 1}": motion.tau[:, k] for k in motion.mechanism.actuated}

@@ -28,8 +28,7 @@ from robodyn.loops.change_points import nearness
 from robodyn.loops.closing import close_positions, loop_size
 from robodyn.loops.loop_rates import nearest_velocities
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import regressor
+from robodyn.parameters.regression_matrix import linear_parameters, regressor
 from robodyn.scene.scene import Description, Motor, Point, Spring
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr

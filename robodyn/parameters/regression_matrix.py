@@ -1,15 +1,27 @@
 """Y(q, qd, qdd) with tau = Y pi + known: the regressor of inverse dynamics, open or closed.
 
-The torques are linear in the parameters pi (`linear_parameters.py`), so the columns of Y are the
+The torques are linear in the parameters pi, so the columns of Y are the
 tangents of the formula of inverse dynamics, exact; what is left at pi = 0 is known.  Where no
 formula eliminates the pins' forces, the columns are loads that actuators and pins must balance.
+
+Parameters are masses, moments, dampers, friction, springs.  Of link k, its payload included, with r
+its centre of gravity in its own frame:
+
+    m_k    mass                             mx_k, my_k    first moment m r
+    J_k    inertia about its own joint      d_k           damping at its joint, all of it
+    f_k    friction, fs_k its static one    Jr_k          inertia of the rotor at its joint
+    k_i    stiffness of spring i            ds_i          damping of spring i between points
+
+Damping of a rotor and of springs at joints is part of d_k.  Loads, laws of springs and stops have
+no parameter: what they do is known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,15 +32,114 @@ from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.dynamics.placed import check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
 from robodyn.engines.batches import FormulaBatches
-from robodyn.engines.expression import Graph, Value
+from robodyn.engines.expression import Graph, Value, slopes_by, substituted
 from robodyn.engines.formulas import Formula, Recorded, balance, inverse_of, written
-from robodyn.engines.tangents import slopes_by, substituted
+from robodyn.engines.planar_numbers import Planar
 from robodyn.errors import SingularError
-from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.link_tree import Bodies, bodies
+from robodyn.mechanics.mechanism import Mechanism, constants, joint_damping
 from robodyn.mechanics.modes import in_mode
-from robodyn.parameters.linear_parameters import linear_parameters, with_parameters
+from robodyn.scene.scene import Description, DryFriction, JointSpring, Spring
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
+
+INERTIAL = ("m", "mx", "my", "J")
+
+
+class Parameter(NamedTuple):
+    """One of what the torques are linear in."""
+
+    name: str  # m2, mx2, ..
+    value: float
+    unit: str
+
+
+def linear_parameters(description: Description) -> tuple[Parameter, ...]:
+    """Those of a scene, with their values there, link by link, then the springs'."""
+    found: list[Parameter] = []
+    links, damping = description.links, joint_damping(description)
+    for k, (m, first, J) in enumerate(zip(*bodies(links), strict=True)):
+        link, i = links[k], k + 1
+        force, rate = ("N", "s/m") if link.slides else ("N m", "s/rad")
+        found += [
+            Parameter(f"m{i}", m, "kg"),
+            Parameter(f"mx{i}", first.real, "kg m"),
+            Parameter(f"my{i}", first.imag, "kg m"),
+            Parameter(f"J{i}", J, "kg m²"),
+            Parameter(f"d{i}", damping[k], f"{force} {rate}"),
+        ]
+        if link.friction is not None:
+            found.append(Parameter(f"f{i}", link.friction.torque, force))
+        if isinstance(link.friction, DryFriction) and link.friction.stribeck is not None:
+            found.append(Parameter(f"fs{i}", link.friction.static, force))
+        if link.motor is not None:
+            found.append(Parameter(f"Jr{i}", link.motor.inertia, "kg m²"))
+    for i, spring in enumerate(description.springs, start=1):
+        if spring.law is None:
+            turns = isinstance(spring, JointSpring) and not links[spring.joint].slides
+            found.append(Parameter(f"k{i}", spring.stiffness, "N m/rad" if turns else "N/m"))
+        if isinstance(spring, Spring) and spring.damping:
+            found.append(Parameter(f"ds{i}", spring.damping, "N s/m"))
+    return tuple(found)
+
+
+def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanism:
+    """The mechanism with these values, formulas or numbers, for all of its parameters.
+
+    It serves for torques alone: its inertias and energies are not to be asked for.
+    """
+    base = mechanism.description
+
+    def damped(entry: Any, **others: Any) -> Any:
+        return entry and entry._replace(damping=0.0, **others)
+
+    links, springs, slips = [], [], []
+    for i, link in enumerate(base.links, start=1):
+        friction, motor = link.friction, link.motor
+        if friction is not None:
+            friction = friction._replace(torque=values[f"f{i}"])
+        if isinstance(friction, DryFriction):
+            static = values.get(f"fs{i}", friction.torque)
+            friction = friction._replace(static=static)
+            slips += [(k, friction, way) for k, _, way in mechanism.slips if k == i - 1]
+        motor = damped(motor, inertia=values.get(f"Jr{i}"))
+        links.append(link._replace(damping=values[f"d{i}"], friction=friction, motor=motor))
+    for i, spring in enumerate(base.springs, start=1):
+        stiffness = values.get(f"k{i}", 0.0)
+        springs.append(damped(spring, stiffness=stiffness))
+        if isinstance(spring, Spring):
+            springs[-1] = springs[-1]._replace(damping=values.get(f"ds{i}", 0.0))
+    m, mx, my, J = ([values[f"{x}{k + 1}"] for k in range(len(links))] for x in INERTIAL)
+    own = Bodies(m, [Planar(x, y) for x, y in zip(mx, my, strict=True)], J)  # type: ignore[misc]
+    scene = base._replace(links=tuple(links), springs=tuple(springs))
+    made = constants(with_formulas(scene), own)
+    stops = zip(made.damping, mechanism.damping, joint_damping(base), strict=True)
+    pressed = mechanism.joint_springs[_kept(base) :]
+    return replace(
+        made,
+        actuated=mechanism.actuated,
+        rows=mechanism.rows,
+        damping=tuple(d + (now - plain) for d, now, plain in stops),
+        joint_springs=(*made.joint_springs, *pressed),
+        slips=tuple(slips),
+        dry=(),
+        limits=(),
+    )
+
+
+def _kept(description: Description) -> int:
+    """How many springs at joints a mechanism has of its scene; those of stops follow."""
+    springs = (x for x in description.springs if isinstance(x, JointSpring))
+    return sum(bool(x.stiffness or x.law) for x in springs)
+
+
+def with_formulas(value: Any) -> Any:
+    """What a scene holds, with complex numbers that take formulas."""
+    if isinstance(value, tuple):
+        parts = map(with_formulas, value)
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    return Planar(value.real, value.imag) if isinstance(value, complex) else value
+
 
 RATES = ("qd", "qdd")
 BLOCK = 4096  # states whose pins are balanced at once

@@ -6,7 +6,7 @@ import numpy as np
 
 from robodyn.errors import InputError
 from robodyn.tables.arrays import Array
-from robodyn.trajectories.splines import FEWEST_ROWS, derivative, resampled
+from robodyn.trajectories.joint_paths import FEWEST_ROWS, derivative, resampled
 
 ORDER = 4  # of the Butterworth low-pass, which runs forward and backward
 EVEN = 1e-3  # part of the step by which times may be uneven where a filter runs over them

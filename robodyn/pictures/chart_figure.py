@@ -15,17 +15,17 @@ import numpy as np
 
 from robodyn.errors import InputError, RobodynError
 from robodyn.pictures.chart import Chart, Panel, limits, spread
-from robodyn.pictures.colour_scale import (
+from robodyn.pictures.column_units import unit_of, with_unit
+from robodyn.pictures.value_map import (
     COLOURS,
     LEVELS,
     NONE,
+    ValueMap,
     angle_ticks,
     painted,
     viridis,
     word_colours,
 )
-from robodyn.pictures.column_units import unit_of, with_unit
-from robodyn.pictures.value_map import ValueMap
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.output_file import open_output
 

@@ -21,7 +21,7 @@ from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.pictures.outlines import at, direction
+from robodyn.pictures.drawing import at, direction
 from robodyn.scene.scene import Load, Point, Spring
 from robodyn.tables.arrays import Array, Complex
 

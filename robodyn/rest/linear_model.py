@@ -9,6 +9,16 @@ for qdd,
 
 and (dz, dz')' = A (dz, dz') + B dtau, A = [[0, I], [A21, A22]], B = [0; B2].  The derivatives are
 tangents of the program.  Two choices of z agree about eigenvalues at rest alone, where qdd = 0.
+
+Natural modes: an eigenvalue s, |s| = w, has the frequency w/(2 pi) and the
+damping ratio -Re(s)/w, its eigenvector is (shape, s shape).  Where A22 = 0, s^2 are the eigenvalues
+of A21, and nothing is damped by rounding.
+
+The gain that keeps a mechanism at a pose at the least cost (LQR),
+
+    tau = tau0 - K [z - z0; z']      K = U^-1 B^T P      A^T P + P A - P B U^-1 B^T P + X = 0
+
+makes the integral of x^T X x + u^T U u the least, x = (dz, dz') and u = tau - tau0.
 """
 
 from __future__ import annotations
@@ -31,15 +41,83 @@ from robodyn.loops.loop_rates import check_closed, check_way_on
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word, in_mode, moving_mode
 from robodyn.rest.balance import bend, free_motions, single
-from robodyn.rest.natural_modes import (
-    NaturalMode,
-    controllable,
-    eigenvalues,
-    natural_modes,
-    stable_by,
-)
-from robodyn.tables.arrays import Array
+from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.short_repr import short_repr
+
+ZERO = 1e-7  # part of the largest eigenvalue below which one is zero: a double zero errs by this
+GROWS = 1e-10  # part of the largest eigenvalue above which a real part grows
+UNREACHED = 1e-9  # of [A - s I, B], scaled: a singular value below it is zero
+
+
+@short_repr
+class NaturalMode(NamedTuple):
+    """One pair of conjugate eigenvalues, by that with Im >= 0, or one real eigenvalue.
+
+    `frequency` |s|/(2 pi), Hz; `damping` -Re(s)/|s|, 1 for what dies away, -1 for what grows
+    without a swing, 0 where s = 0; `shape` (f,) how coordinates move, the largest at 1: where some
+    lag behind it is complex.
+    """
+
+    eigenvalue: complex
+    frequency: float
+    damping: float
+    shape: Complex
+
+
+def eigenvalues(A21: Array, A22: Array, rate: float = 0.0) -> tuple[Complex, Complex]:
+    """All 2f of A, and the shapes (f, 2f) of their eigenvectors; rounding of zeros is taken away.
+
+    It is a small part of the largest, or of a `rate` that what acts would have uncancelled, 1/s.
+    """
+    f = len(A21)
+    if not A22.any():
+        squares, V = np.linalg.eig(A21)
+        largest = max(float(np.abs(squares).max()), rate**2)
+        squares = np.where(np.abs(squares) <= ZERO**2 * largest, 0.0, squares)
+        roots = np.sqrt(squares.astype(complex))
+        return np.concatenate([roots, 0.0 - roots]), np.concatenate([V, V], axis=1).astype(complex)
+    A = np.block([[np.zeros((f, f)), np.eye(f)], [A21, A22]])
+    values, vectors = np.linalg.eig(A)
+    largest = max(float(np.abs(values).max()), rate)
+    values = np.where(np.abs(values) <= ZERO * largest, 0.0, values)
+    return values.astype(complex), vectors[:f].astype(complex)
+
+
+def natural_modes(values: Complex, shapes: Complex, units: Array) -> list[NaturalMode]:
+    """The modes of `eigenvalues`, the slowest first; displacements are told in units (f,)."""
+    found = []
+    for s, shape in zip(values, shapes.T, strict=True):
+        if s.imag < 0.0:
+            continue
+        w = abs(s)
+        most = int(np.argmax(np.abs(shape) / units))
+        shape = shape / shape[most] + 0.0  # no -0.0
+        shape[most] = 1.0
+        damping = float(-s.real / w) + 0.0 if w else 0.0
+        found.append(NaturalMode(complex(s), float(w) / (2.0 * np.pi), damping, shape))
+    return sorted(found, key=lambda mode: (mode.frequency, mode.eigenvalue.real))
+
+
+def stable_by(values: Complex) -> bool | None:
+    """Whether no motion grows; None where one neither grows nor returns: an eigenvalue is zero."""
+    if (values.real > GROWS * np.abs(values).max()).any():
+        return False
+    return None if (values == 0.0).any() else True
+
+
+def controllable(A: Array, B: Array) -> bool:
+    """Whether [A - s I, B] has full rank at each eigenvalue s (Popov, Belevitch and Hautus)."""
+    f = len(A) // 2
+    rate = float(np.sqrt(np.abs(A[f:, :f]).max())) or 1.0  # rates in units of it
+    scale = np.repeat([1.0, rate], f)
+    scaled = A * scale / scale[:, None] / rate
+    inputs = B / (np.abs(B).max(initial=0.0) or 1.0)
+    return all(
+        np.linalg.svd(np.hstack([scaled - s * np.eye(2 * f), inputs]), compute_uv=False)[-1]
+        > UNREACHED * max(1.0, abs(s))
+        for s in np.linalg.eigvals(scaled)
+    )
+
 
 TOLD = 1e-6  # of a joint's row in N, orthonormal: below it the joint tells no coordinate
 ASIDE = 1e-9  # rad, or lengths, to either side, where slopes are compared
@@ -238,3 +316,67 @@ def mode_motion(
             return turns * period, q
         part /= 2.0
     raise AssemblyError("the mode's poses do not close", where=mechanism.source)
+
+
+ROUNDING = 1e-12  # part of the largest weight that an eigenvalue may be below zero
+
+
+STANDS = 1e-9  # part of the fastest eigenvalue below which one is zero but for rounding
+
+
+def lqr(model: LinearModel, weights_x: ArrayLike = 1.0, weights_u: ArrayLike = 1.0) -> Array:
+    """K (m, 2f) of a linear model at rest.
+
+    Weights are one value, one a state or an actuated joint, or all of a symmetric matrix, row by
+    row; X must be positive semidefinite, U positive definite.  Raises InputError where they are
+    not, RobodynError away from rest and where no gain makes the pose stable.
+    """
+    if not model.B.shape[1]:
+        raise RobodynError("no gain", limit="no joint is actuated")
+    X = _weights("weights_x", weights_x, len(model.A), definite=False)
+    U = _weights("weights_u", weights_u, model.B.shape[1], definite=True)
+    if model.modes is None:
+        raise RobodynError("no gain", limit=model.remark)
+    from scipy.linalg import solve_continuous_are
+
+    try:
+        P = solve_continuous_are(model.A, model.B, X, U)
+        K = np.asarray(np.linalg.solve(U, model.B.T @ P), float)
+        ways = np.linalg.eigvals(model.A - model.B @ K)
+        settles = bool((ways.real < -STANDS * np.abs(ways).max()).all())
+    except (np.linalg.LinAlgError, ValueError):
+        settles = False
+    if not settles:
+        none = "no gain brings it to rest there"
+        if not model.controllable:
+            raise RobodynError(none, limit="it is not controllable")
+        limit = f"{none}: weigh all that moves by itself"
+        raise RobodynError("weights_x", value=_shown(np.ravel(weights_x)), limit=limit)
+    return K
+
+
+def _weights(name: str, given: ArrayLike, size: int, definite: bool) -> Array:
+    values = np.asarray(given, float)
+    if values.size not in (1, size, size * size):
+        limit = f"needs 1, {size} or, for a matrix, {size * size} values"
+        limit = limit if size > 1 else "needs 1 value"
+        raise InputError(name, value=f"{values.size} values", limit=limit)
+    flat = values.ravel()
+    weights = (
+        flat.reshape(size, size) if flat.size == size * size else np.diag(flat * np.ones(size))
+    )
+    if not np.isfinite(weights).all():
+        raise InputError(name, limit="must be finite")
+    largest = float(np.abs(weights).max(initial=0.0))
+    if np.abs(weights - weights.T).max(initial=0.0) > ROUNDING * largest:
+        raise InputError(name, value=_shown(flat), limit="must be a symmetric matrix")
+    least = float(np.linalg.eigvalsh(weights).min(initial=np.inf))
+    if least < -ROUNDING * largest or (definite and least <= ROUNDING * largest):
+        word = "definite" if definite else "semidefinite"
+        limit = f"must be positive {word}; its least eigenvalue is {least:.6g}"
+        raise InputError(name, value=_shown(flat), limit=limit)
+    return weights
+
+
+def _shown(values: Array) -> str:
+    return ", ".join(f"{x:g}" for x in values)

@@ -27,7 +27,7 @@ from robodyn.dynamics.closed_form import (
 )
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.sticking import held_forces
-from robodyn.engines.singular_values import damped
+from robodyn.engines.factors import damped
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
 from robodyn.loops.assembly import assemble, attempt
 from robodyn.loops.closing import close_positions, half_turn, loop_size, random_states
@@ -35,7 +35,7 @@ from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.mechanism import Mechanism, joint_index
 from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
 from robodyn.rest.balance import Balance, balance, balances, free_motions, single
-from robodyn.rest.natural_modes import eigenvalues, stable_by
+from robodyn.rest.linear_model import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container
+from typing import NamedTuple
 
 from robodyn.scene.scene import BRANCHES, FRAMES, JOINTS
-from robodyn.tables.records import Record
 
 ONE = "one of the three"  # what stands for a key of several that exclude one another
 
 
-class Key(Record):
+class Key(NamedTuple):
     """A key of a mapping: the kind of its value, what it is, its unit, and what stands for it."""
 
     kind: str
@@ -41,7 +41,7 @@ class Key(Record):
         return self.default in ("none", "the ground", ONE)
 
 
-class Form(Record):
+class Form(NamedTuple):
     """A mapping with known keys."""
 
     help: str

@@ -5,23 +5,21 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any
-
-from robodyn.tables.records import Record
+from typing import Any, NamedTuple
 
 BRANCHES = ("open", "crossed")
 FRAMES = ("ground", "link")  # in which a load's force stays
 JOINTS = ("revolute", "prismatic")
 
 
-class Point(Record):
+class Point(NamedTuple):
     """A point of a link (its index; `at` in the link's frame) or of the ground (link None), m."""
 
     link: int | None
     at: complex
 
 
-class Friction(Record):
+class Friction(NamedTuple):
     """Coulomb friction of a joint, -torque tanh(qd/speed): N m, and rad/s that smooth it.
 
     Of a prismatic joint N and m/s.
@@ -31,7 +29,7 @@ class Friction(Record):
     speed: float
 
 
-class DryFriction(Record):
+class DryFriction(NamedTuple):
     """Coulomb friction with true sticking: N m, and rad/s; of a prismatic joint N and m/s.
 
     A joint at rest holds up to `static`; one that moves at the rate v is held back by
@@ -43,7 +41,7 @@ class DryFriction(Record):
     stribeck: float | None = None
 
 
-class Limits(Record):
+class Limits(NamedTuple):
     """Where a joint ends, rad or m: at compliant stops, at hard ones, or at no more than a limit.
 
     A compliant stop, of a stiffness (N m/rad) and a damping (N m s/rad), pushes and never pulls;
@@ -63,7 +61,7 @@ class Limits(Record):
         return [(side, end) for side, end in sides if end is not None]
 
 
-class Motor(Record):
+class Motor(NamedTuple):
     """A motor and its gear at a joint: the rotor turns `ratio` times as far as the joint.
 
     It sits on the link that carries the joint, and turns relative to it.  Of the rotor: inertia
@@ -79,7 +77,7 @@ class Motor(Record):
     resistance: float | None = None
 
 
-class Link(Record):
+class Link(NamedTuple):
     """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs.
 
     A link on a prismatic joint has an `axis`: the unit vector along which it slides, and along
@@ -105,7 +103,7 @@ class Link(Record):
         return self.axis is not None
 
 
-class Law(Record):
+class Law(NamedTuple):
     """A smooth expression: as its file has it, as code over `names`, and these."""
 
     text: str
@@ -113,7 +111,7 @@ class Law(Record):
     names: frozenset[str]  # t, q0.., qd0..; of a spring x, its extension, and v, its rate
 
 
-class Table(Record):
+class Table(NamedTuple):
     """A function of one variable that is linear between its rows, x increasing."""
 
     file: str
@@ -136,7 +134,7 @@ Signal = Law | Table
 Tables = dict[tuple[str, str, str, bool], tuple[tuple[float, ...], tuple[float, ...]]]
 
 
-class Spring(Record):
+class Spring(NamedTuple):
     """A spring (N/m, free length m) and damper (N s/m) between two points.
 
     A `law` in place of the stiffness gives its pull, N, by the extension, m, and its rate.
@@ -150,7 +148,7 @@ class Spring(Record):
     law: Signal | None = None
 
 
-class JointSpring(Record):
+class JointSpring(NamedTuple):
     """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint.
 
     At a prismatic one N/m, its free displacement m, and N s/m.  For a `law` see `Spring`.
@@ -163,7 +161,7 @@ class JointSpring(Record):
     law: Signal | None = None
 
 
-class Load(Record):
+class Load(NamedTuple):
     """A force, N, at a point of a link, in the ground's frame or turning with the link.
 
     Where x or y is a signal it is in `varying`, and zero in `force`.
@@ -180,7 +178,7 @@ class Load(Record):
         return self.varying != (None, None)
 
 
-class Moment(Record):
+class Moment(NamedTuple):
     """A torque on a link, N m; where it varies zero, and `varying`."""
 
     link: int
@@ -188,7 +186,7 @@ class Moment(Record):
     varying: Signal | None = None
 
 
-class Closure(Record):
+class Closure(NamedTuple):
     """Two points that coincide, or, with `along`, a point held on the line through `second`.
 
     `along` is a unit vector in the frame of the link of `second`, which carries the line.  With
@@ -201,7 +199,7 @@ class Closure(Record):
     aligned: float | None = None
 
 
-class Coupling(Record):
+class Coupling(NamedTuple):
     """A gear, rack or belt between joints: q_joint = sum of ratio q_k over `terms`, plus `angle`.
 
     All in rad, or in m where a joint slides.
@@ -240,7 +238,7 @@ class Written:
         return "Written()"
 
 
-class Description(Record):
+class Description(NamedTuple):
     """What a scene file says; `source` is the file's name for messages.
 
     `branches` has a word for each closure, or none where the `start` picks them.

@@ -13,8 +13,7 @@ from typing import Any, BinaryIO, cast
 
 from robodyn.errors import InputError
 from robodyn.scene.scene import Table, Tables
-from robodyn.tables.csv_fields import DELIMITERS, unquoted
-from robodyn.tables.delimited import Delimited
+from robodyn.tables.csv_fields import DELIMITERS, Delimited, unquoted
 from robodyn.tables.input_file import read_regular
 from robodyn.tables.table import Reader
 

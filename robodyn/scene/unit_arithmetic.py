@@ -8,10 +8,10 @@ from __future__ import annotations
 import ast
 import math
 import re
+from typing import NamedTuple
 
 from robodyn.scene.syntax import ARGUMENTS, FUNCTIONS, MARK, MISSING, Token, parsed, tokens_of
 from robodyn.scene.units import PLAIN, UNITS, Dimension, shown_dimension, times
-from robodyn.tables.records import Record
 
 LONGEST, DEEPEST = 300, 30  # characters of one value, parentheses within one another
 CONSTANTS = {"pi": math.pi}
@@ -20,7 +20,7 @@ ALIKE = ("abs", "min", "max", "hypot", "floor")  # of what they are of
 _JOINT = re.compile(r"q\d{1,18}", re.ASCII)
 
 
-class Value(Record):
+class Value(NamedTuple):
     """number 10^ten of a dimension, and the multiples of q1.. that an equation adds to it."""
 
     number: float

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-
-from robodyn.tables.records import Record
+from typing import NamedTuple
 
 # exponents of metre, kilogram, second, ampere, radian and cycle; none where a number is plain
 Dimension = Mapping[str, float]
@@ -40,7 +39,7 @@ _SIZES: tuple[tuple[Dimension, str, Mapping[str, float]], ...] = (
 _PREFIXES = {"k": 3, "c": -2, "m": -3, "u": -6}
 
 
-class Unit(Record):
+class Unit(NamedTuple):
     """size 10^ten in SI units; ten apart, so that `350 mm` is the float 0.35."""
 
     size: float

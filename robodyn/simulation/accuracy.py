@@ -28,6 +28,7 @@ from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
 from robodyn.tables.arrays import Array
+from robodyn.taylor.compiled import check_served
 
 AUTO = "auto"
 SAMPLES = 200  # times at which runs are compared, besides those of the steps
@@ -108,8 +109,6 @@ def settings_for(
 
 def best_method(mechanism: Mechanism, actuation: Actuation) -> str:
     """Return "taylor", the cheapest at every accuracy, or DOP853 if no machine code serves."""
-    from robodyn.taylor.compiled import check_served
-
     try:
         check_served(mechanism, actuation)
     except InputError:

@@ -1,28 +1,263 @@
 """Speed against error of every method on one motion, and of the evaluators on single states.
 
-Errors are measured against `extended.py`; no error below its uncertainty is claimed.  Seconds are
-those of whole runs, statistics included, taken in turn: the median and the least.
+Errors are measured against motions in extended precision; no error below its uncertainty is
+claimed.  Seconds are those of whole runs, statistics included, taken in turn: the median and the
+least.
+
+Taylor series of two orders and steps run over numpy's longdouble (64 bits of mantissa where the
+platform has them).  What the two differ by is the uncertainty of the reference: no error below it
+can be claimed.  Rounding of the constants themselves, which every run shares, is no part of it.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from robodyn.errors import RobodynError
+from robodyn.dynamics.closed_form import jacobian_at, scaled_jacobian
+from robodyn.dynamics.placed import joint_ways, placed_at
+from robodyn.engines.arithmetic import FLOATS, Arithmetic
+from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step, strays
+from robodyn.engines.factors import svd
+from robodyn.errors import InputError, RobodynError
+from robodyn.loops.closing import exact_gap, loop_size, newton
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.kinks import next_stop
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.planar_model import Arrays
+from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanics.torque_times import over_a_scene_run
-from robodyn.simulation.extended import Reference, reference
 from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.settings import METHODS, Settings
 from robodyn.simulation.simulation import run
 from robodyn.tables.arrays import Array
 from robodyn.taylor.compiled import check_served
+from robodyn.taylor.run import reach
+
+Long = NDArray[Any]  # longdouble
+
+LONG, COMPLEX = np.longdouble, np.clongdouble
+NUMPY = {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}  # what numpy calls them
+ORDER = 30
+TOLERANCE = 0.1  # of the series, in units of rounding
+SMALLEST_STEP = 1e-12  # s
+ROUNDING = 100.0 * float(np.finfo(np.longdouble).eps)  # part of a rate
+AGREE = 1e-9  # part of a torque's terms by which its series may miss it, where it does not bend
+TOO_NEAR = 1e-8  # s/L below which nothing is closed
+PASSES = 4  # of rates, each of which leaves a part of 1e-8 at most
+
+
+class Reference(NamedTuple):
+    """States (T, 2n) at the times asked for, and what two computations of them differ by."""
+
+    y: Array
+    uncertainty: float
+
+
+def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actuation) -> Reference:
+    """The motion from `state` (2n,) at t = 0, at increasing `times` > 0.
+
+    Raises InputError if a torque has no series, RobodynError if the motion cannot be followed.
+    """
+    if mechanism.switches:
+        raise _lost(mechanism, "has joints that stick or end: the reference is of smooth motions")
+    if actuation.states:
+        raise _lost(mechanism, "has a controller that integrates: the reference is of q and qd")
+    actuation = over_a_scene_run(mechanism, actuation, state.tolist(), float(times[-1]))
+    with np.errstate(all="ignore"):
+        try:
+            task = _Task(mechanism, state, times, actuation)
+            first = _followed(task, _Series(task, ORDER, TOLERANCE))
+            second = _followed(task, _Series(task, ORDER - 9, 100.0 * TOLERANCE))
+        except InputError as error:
+            limit = "errors are measured against one: give arithmetic and smooth functions"
+            raise InputError(error.what, limit=limit) from None
+        except (ArithmeticError, ValueError) as error:  # of torques; a singular matrix
+            raise _lost(mechanism, f"is not defined: {error}") from None
+    apart = float(np.abs(first - second).max())
+    eps = float(np.finfo(float).eps)
+    return Reference(first.astype(float), max(apart, eps))
+
+
+class _Task(NamedTuple):
+    """See `reference`."""
+
+    mechanism: Mechanism
+    state: Array
+    times: Array
+    actuation: Actuation
+
+
+def _followed(task: _Task, step: _Series) -> Long:
+    """Return the states (T, 2n) at the times of the task, by steps of a series."""
+    mechanism, state, times, actuation = task
+    closing = _Closing(mechanism)
+    y, t, rows = closing(state.astype(LONG)), LONG(0.0), []
+    if actuation.told is not None:
+        actuation.told.begin(y.tolist(), float(times[-1]))
+    for end in times.astype(LONG):
+        while t < end:
+            stop = LONG(next_stop(actuation.kinks, actuation.leaves, float(t), float(end)))
+            stop = min(end, stop) if stop > t else end
+            taken = step(t, y, stop)
+            if taken is None:
+                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
+            h, new = taken
+            y = closing(new)
+            t = stop if t + h >= stop else t + h
+            reach(actuation, float(t), y)
+        rows.append(y)
+    return np.array(rows)
+
+
+def _lost(mechanism: Mechanism, why: str) -> RobodynError:
+    return RobodynError("the motion", where=mechanism.source, limit=why)
+
+
+def _convolve(x: Long, y: Long, m: int, first: int, last: int) -> Any:
+    """Sum of x_j y_{m-j} for j from first to last."""
+    return np.dot(x[first : last + 1], y[m - last : m - first + 1][::-1])
+
+
+LONGS = Arithmetic(
+    cos=np.cos,
+    sin=np.sin,
+    power=lambda x, exponent: x ** LONG(exponent),
+    functions={name: getattr(np, NUMPY.get(name, name)) for name in FLOATS.functions},
+    convolve=_convolve,
+    room=lambda orders: np.zeros(orders, LONG),
+)
+
+
+class _Series:
+    """The series of a motion in extended precision, by how the switches of its torques stand."""
+
+    def __init__(self, task: _Task, order: int, tolerance: float) -> None:
+        mechanism, _, _, actuation = task
+        self.mechanism, self.actuation = mechanism, actuation
+        self.order, self.tolerance = order, tolerance * float(np.finfo(LONG).eps)
+        self.torques = actuation.function(mechanism.n)
+        self.made: dict[tuple[float, ...] | None, MotionProgram] = {}
+        MotionProgram(mechanism, actuation, False)  # every branch must have a series
+        self.lightest = min(mechanism.inertias.values())
+
+    def __call__(self, t: Any, y: Long, stop: Any) -> tuple[Any, Long] | None:
+        """Return a step's length from t and y, at most to `stop`, and the state after it.
+
+        None if no step leads on.
+        """
+        held = None if self.actuation.pieces is None else self.actuation.pieces.at(float(t))
+        if held not in self.made:
+            self.made[held] = MotionProgram(self.mechanism, self.actuation, False, held)
+        series, w, arms = self.expanded(self.made[held], t, y, self.order)
+        both, steady = (self.tolerance, self.tolerance), self.made[held].steady
+        longest = longest_step(series, w, *both, slides=self.mechanism.slides, steady=steady)
+        if not longest > SMALLEST_STEP:
+            return None
+        h = min(stop - t, LONG(longest))
+        while h > SMALLEST_STEP:
+            new = _along(self.mechanism, series, y, h)
+            if not arms or self.agrees(series, held, h, t + h, new):
+                return h, new
+            h = h / 2
+        return None
+
+    def expanded(
+        self, motion: MotionProgram, t: Any, y: Long, order: int
+    ) -> tuple[Coefficients, list[Any], list[float]]:
+        given: tuple[Sequence[float], Sequence[float]] = ((), ())
+        if self.actuation.constants is None and self.actuation.linear:
+            floats = y.astype(float).tolist()
+            given = linear_piece(self.actuation, self.torques, float(t), floats, 1.0)
+        start = motion.state(LONGS, t, list(y), given)
+        numbers = [LONG(x) for x in motion.program.numbers]
+        return motion.expand(LONGS, numbers, order, start), list(start.w), motion.arms
+
+    def agrees(self, series: Coefficients, held: Any, x: Any, t: Any, y: Long) -> bool:
+        """Whether what may bend, x after the series began, is at t and y what the series say.
+
+        A difference that changes no rate by more than its rounding counts as none; and nothing
+        strays on the way.
+        """
+        try:
+            found, _, arms = self.expanded(self.made[held], t, y, 1)
+        except (ArithmeticError, ValueError):  # outside the domain
+            return False
+        rates = y[self.mechanism.n : 2 * self.mechanism.n]
+        small = ROUNDING * np.abs(rates).max() * self.lightest / x  # N m
+        if strays(self.made[held].spans, arms, series.spanned, x, small, AGREE) > 0.0:
+            return False
+        for each, known, arm in zip(series.watched, found.watched, arms, strict=True):
+            terms = np.array(each) * x ** np.arange(len(each))
+            if not abs(terms.sum() - known[0]) <= AGREE * np.abs(terms).max() + small / arm:
+                return False
+        return True
+
+
+def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
+    """The state at h after y, where the series begin."""
+    n = mechanism.n
+    z = np.array(series.rho, LONG) + 1j * np.array(series.theta, LONG)
+    orders = np.arange(z.shape[1]).astype(LONG)
+    powers = h**orders
+    turn = (z * powers).sum(axis=1)
+    slope = (z[:, 1:] * (orders[1:] * powers[:-1])).sum(axis=1)
+    way, rates = joint_ways(mechanism, y, turn, slope)
+    return np.concatenate([y[:n] + way, rates])
+
+
+def _constants(mechanism: Mechanism) -> Any:
+    """The arrays of the mechanism in extended precision."""
+    given: Iterable[Any] = mechanism.arrays
+    return Arrays(*(x.astype(COMPLEX if np.iscomplexobj(x) else LONG) for x in given))
+
+
+class _Closing:
+    """The nearest closed state, by Newton steps: what a step in floats leaves, the next removes."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, self.n, self.x = mechanism, mechanism.n, _constants(mechanism)
+
+    def __call__(self, y: Long) -> Long:
+        if not len(self.x.P):
+            return y
+        n = self.n
+        try:
+            q = newton(y[:n], self._step)
+            inverse = self._inverse(q)
+        except _TooNear:
+            return y  # next to a change point: the two computations will tell
+        at = placed_at(self.mechanism, self.x.J @ q)
+        Psi = jacobian_at(self.mechanism, self.x, at) @ self.x.J * self.x.units
+        rates = y[n:] / self.x.units
+        for _ in range(PASSES):
+            rates = rates - inverse @ (Psi @ rates)
+        return np.concatenate([q, rates * self.x.units])
+
+    def _inverse(self, q: Long) -> Array:
+        """That of Psi, in floats."""
+        U, s, Vt = svd(scaled_jacobian(self.mechanism, q.astype(float)))
+        if s[-1] < TOO_NEAR * loop_size(self.mechanism):
+            raise _TooNear
+        return np.asarray((Vt.T / s) @ U.T)
+
+    def _step(self, states: Long) -> tuple[Any, Long]:
+        """Whether the one state (1, n) is closed, and its step."""
+        (q,) = states
+        step: Long = self.x.units * (self._inverse(q) @ exact_gap(self.mechanism, q))
+        closed = np.abs(step).max() < 10.0 * np.finfo(LONG).eps
+        return np.array([closed]), step[None]
+
+
+class _TooNear(Exception):
+    """Psi is singular."""
+
 
 Watch = Callable[[float], object]  # the part that is done
 

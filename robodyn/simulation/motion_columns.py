@@ -1,13 +1,27 @@
-"""The columns of a simulated motion, as `robodyn simulate` writes them."""
+"""The columns of a simulated motion, as `robodyn simulate` writes them, and the torques of a
+run."""
 
 from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import lru_cache
 
 import numpy as np
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.dynamics import loop_forces, motion_dynamics
+from robodyn.dynamics.placed import finite, numbers
+from robodyn.errors import InputError, RobodynError
+from robodyn.loops.loop_rates import near_dead_centre
+from robodyn.mechanics import actuation as torque_sources
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.run_control import Control
+from robodyn.mechanics.torque_times import harmless_torque, over_a_scene_run
 from robodyn.tables.arrays import Array
 
 
@@ -37,3 +51,120 @@ def motion_values(
         gap = np.linalg.norm(closed_form.closure_gap(mechanism, q), axis=-1)
         parts.append(gap[:, None])
     return np.concatenate(parts, axis=-1)
+
+
+def as_actuation(
+    mechanism: Mechanism,
+    tau: Sequence[float]
+    | str
+    | Callable[[float, list[float], list[float]], Sequence[float]]
+    | Actuation
+    | None,
+) -> Actuation:
+    """Torques as constants, an expression, a function tau(t, q, qd), or none."""
+    if tau is None:
+        return _none(mechanism.n)
+    if isinstance(tau, Actuation):
+        return tau
+    if isinstance(tau, str):
+        return torque_sources.expressions(mechanism, tau, "tau")
+    if callable(tau):
+        return torque_sources.callback(mechanism, tau)
+    return torque_sources.constant(mechanism, finite("tau", numbers("tau", tau)).tolist())
+
+
+TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
+
+
+@lru_cache
+def _none(n: int) -> Actuation:
+    return Actuation((0.0,) * n)
+
+
+def over_run(
+    mechanism: Mechanism, actuation: Actuation, state: Array, t_end: float, atol: float
+) -> Actuation:
+    """The torques of a run from `state` (2n) to t_end; see `torque_times.over_a_scene_run`."""
+    if not actuation.lines and not mechanism.timed:
+        return actuation
+    small = harmless_torque(mechanism, atol, t_end)
+    return over_a_scene_run(mechanism, actuation, state.tolist(), float(t_end), small)
+
+
+def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:
+    """The joint torques (T, n) of an actuation at times (T,) and states (T, 2n or more)."""
+    if actuation.constants is not None:
+        steady = np.empty((len(t), mechanism.n))
+        steady[:] = actuation.constants
+        return steady
+    torques = at = actuation.function(mechanism.n)
+    if actuation.given is not None:
+        given = actuation.given.function(mechanism.n)
+
+        def at(t: float, y: Sequence[float]) -> list[float]:
+            for function in (given, torques):  # which knows what sin(t)/t is at 0
+                with suppress(ArithmeticError, ValueError):
+                    return function(t, y)
+            return [np.nan] * mechanism.n  # where the run could not go on
+
+    rows = [at(*row) for row in zip(t.tolist(), y.tolist(), strict=True)]
+    count = mechanism.n + actuation.states
+    return np.array(rows, float).reshape(len(t), count)[:, : mechanism.n]
+
+
+def check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) -> None:
+    """Raise RobodynError, naming the torque, where one at t is not finite."""
+    try:
+        torques = actuation.constants or actuation.function(mechanism.n)(t, y.tolist())
+        if all(map(math.isfinite, torques)):
+            return
+    except (ArithmeticError, ValueError):
+        pass
+    limit = f"{_not_finite(actuation, mechanism.n, t, y)} is not finite at t = {t:g} s"
+    raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+
+
+def _not_finite(actuation: Actuation, n: int, t: float, y: Array) -> str:
+    """The first torque without a finite value, with its formula."""
+    names = [*(f"{name}{k}" for name in ("q", "qd") for k in range(n)), *actuation.own("z")]
+    values = {"__builtins__": {}, "t": t, **actuation.scope, **dict(zip(names, y, strict=False))}
+    for line in actuation.lines:
+        name, _, text = line.partition(" = ")
+        try:
+            exec(line, values)
+            if not re.fullmatch(r"tau\d+", name) or math.isfinite(values[name]):
+                continue
+        except (ArithmeticError, ValueError):
+            pass
+        except SyntaxError:  # a part of a statement
+            break
+        name, text = (re.sub(r"\b(q|qd|tau)(\d+)\b", _from_one, x) for x in (name, text))
+        return f"{name} = " + re.sub(r"\b_(\w+)\(", r"\1(", text)
+    return "the torque"
+
+
+def _from_one(name: re.Match[str]) -> str:
+    return f"{name[1]}{int(name[2]) + 1}"
+
+
+def check_span(actuation: Actuation, t_end: float) -> None:
+    """Raise InputError where the torques do not reach over a run to t_end."""
+    if actuation.span is not None:
+        what, first, last = actuation.span
+        if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
+            span = f"{first:g} to {last:g} s"
+            raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
+
+
+def no_hold(mechanism: Mechanism, control: Control) -> str:
+    """What to do about a controlled run that fails beside a dead centre, else nothing."""
+    if control.hardest is None or not near_dead_centre(mechanism, control.hardest[1]):
+        return ""
+    most = max(control.tracking(), key=lambda joint: joint.largest_torque)
+    unit = "N" if mechanism.link_names.index(most.joint) in mechanism.slides else "N m"
+    return (
+        f"the controller asked {most.largest_torque:.3g} {unit} of {most.joint} at t = "
+        f"{control.hardest[0]:.6g} s, beside a dead centre, where no finite torque of the actuated "
+        "joints moves the others: keep the reference away from there, or cut torques off "
+        "(--tau-max)"
+    )

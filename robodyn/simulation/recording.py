@@ -2,6 +2,11 @@
 
 The recorder sees every accepted step; rows and steps are taken in batches, so that numpy works on
 many at once and memory does not grow with the length of a run.
+
+The work of a torque that the steps may have passed over counts too.  Along each long step the
+torque is sampled, on the cubics that meet the step's ends, and its work taken twice: at the eight
+times of a Gauss-Legendre rule, as a step of its length sees it, and at many more.  Where the torque
+is smooth the two agree; their difference is work that was missed.
 """
 
 from __future__ import annotations
@@ -14,20 +19,160 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
+from robodyn.dynamics import closed_form
+from robodyn.dynamics.placed import matvec
+from robodyn.events.pieces import KeptStep, Step
+from robodyn.loops.change_points import miss_remark
+from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.report import Outcome, Report, StopRun
-from robodyn.simulation.run_statistics import RunStatistics
+from robodyn.simulation.settings import EvenTimes
 from robodyn.tables.arrays import Array
-from robodyn.taylor import Chunk
+from robodyn.taylor.compiled import Chunk
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolver
 
     from robodyn.events.functions import EventFunction
-    from robodyn.events.told import Event, Stop
-    from robodyn.events.watch import EventWatch
+    from robodyn.events.watch import Event, EventWatch, Stop
+
+Torques = Callable[[float, Sequence[float]], Sequence[float]]
+
+SAMPLES = 1000  # of a run, at least
+POINTS = 8  # of a Gauss-Legendre rule
+SHORT = 1e-4  # of a run: in shorter steps the way may be what moves a joint onto its end
+FEW = 100  # steps: more tell by their ends alone how fast the joints are on the way
+LONG = 2  # samples that a step must span to be looked at: shorter ones are samples themselves
+
+
+class RunStatistics:
+    """Takes steps in batches, and keeps the report's statistics."""
+
+    def __init__(self, report: Report, actuation: Actuation, n: int, closes: bool) -> None:
+        self.report, self.actuation, self.closes = report, actuation, closes
+        self.mechanism: Mechanism | None = None  # of the steps before
+        self.rank = 0  # of its closures, where it is known
+        self.last: tuple[Array, Array] | None = None  # t (1,) and q (1, n) of the last step
+        self.missed = 0.0  # J
+        self.last_singular: float | None = None
+        self.unseen: UnseenWork | None = None
+        if actuation.constants is None and not actuation.linear and actuation.control is None:
+            self.unseen = UnseenWork(actuation.function(n), report.t_end)
+
+    @np.errstate(all="ignore")  # what leaves the floats is told by the outcome
+    def take(self, mechanism: Mechanism, t: Array, y: Array) -> None:
+        """Steps to the states y (k, 2n or more) at times t (k,), of what moves there."""
+        if mechanism is not self.mechanism:
+            self.mechanism, self.rank = mechanism, 0
+        finite = np.isfinite(y).all(axis=1)
+        t, y = t[finite], y[finite]
+        if not len(t):
+            return
+        if self.actuation.control is not None:
+            self.actuation.control.observe(t, y)
+        report, n = self.report, mechanism.n
+        q, qd = y[:, :n], y[:, n : 2 * n]
+        KE, PE = closed_form.energies(mechanism, q, qd)
+        work = y[:, -1] if y.shape[1] > 2 * n + self.actuation.states else np.zeros(len(t))
+        if self.unseen is not None:
+            unseen = self.unseen(t, q, qd)
+            work, self.missed = work + unseen, max(self.missed, float(np.abs(unseen).max()))
+        if self.last is None:
+            report.energy_start, self.last = float(KE[0] + PE[0]), (t[:1], q[:1])
+        fastest = float(KE.max())
+        if len(t) < FEW:  # they may all end at rest
+            width = t - np.concatenate([self.last[0], t[:-1]])
+            way = q - np.concatenate([self.last[1], q[:-1]])
+            width[np.abs(width) <= SHORT * abs(report.t_end)] = np.inf
+            mean = way / width[:, None]
+            fastest = max(fastest, float(closed_form.energies(mechanism, q, mean)[0].max()))
+        self.last = t[-1:], q[-1:]
+        error = float(np.abs(KE + PE - work - report.energy_start).max())
+        before = report.energy_drift * report.energy_in_motion
+        moving = max(fastest, float(np.ptp(PE)), report.energy_in_motion)
+        report.energy_in_motion = moving
+        report.energy_drift = max(error, before) / moving if moving > 0.0 else 0.0
+        report.work_missed = self.missed / moving if moving > 0.0 else 0.0
+        report.work = float(work[-1])
+        if self.closes:
+            self._take_loops(mechanism, t, q, qd)
+
+    def _take_loops(self, mechanism: Mechanism, t: Array, q: Array, qd: Array) -> None:
+        report = self.report
+        gap = closed_form.closure_gap(mechanism, q)
+        report.largest_gap = max(report.largest_gap, float(np.abs(gap).max()))
+        stride = 1 + mechanism.n * len(mechanism.rows) // 2000
+        Psi = closed_form.scaled_jacobian(mechanism, q[::stride])
+        rate = matvec(Psi, qd[::stride] / mechanism.arrays.units)
+        report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
+        least = self.least_singular(mechanism, Psi)
+        worst = int(np.argmin(least))
+        self.last_singular = float(least[-1])
+        if report.nearest_singular is None or least[worst] < report.nearest_singular:
+            report.nearest_singular = float(least[worst])
+            report.nearest_singular_time = float(t[::stride][worst])
+            report.missed = miss_remark(mechanism, q[::stride][worst])
+
+    def least_singular(self, mechanism: Mechanism, Psi: Array) -> Array:
+        """The least singular values (k,) of Psi (k, r, n), of those that can be other than 0."""
+        size = loop_size(mechanism)
+        if not self.rank:  # of closures that depend on one another not all count
+            s = np.linalg.svd(Psi[:: max(1, len(Psi) // 8)], compute_uv=False)
+            self.rank = max(1, int((s > 1e-9 * size).sum(axis=-1).max()))
+        s = np.linalg.svd(Psi, compute_uv=False)
+        return np.asarray(s[:, self.rank - 1] / size)
+
+
+class UnseenWork:
+    """Sums up what the steps of a run have missed, J."""
+
+    def __init__(self, torques: Torques, t_end: float) -> None:
+        self._torques, self._apart = torques, abs(t_end) / SAMPLES
+        self._before: tuple[Array, Array, Array] | None = None
+        self._sum = 0.0
+
+    def __call__(self, t: Array, q: Array, qd: Array) -> Array:
+        """What was missed from the start until each of the times t (k,), in states q, qd (k, n)."""
+        if self._before is not None:
+            t, q, qd = (
+                np.concatenate([a, b]) for a, b in zip(self._before, (t, q, qd), strict=True)
+            )
+        missed = [
+            self._missed(t[k : k + 2], q[k : k + 2], qd[k : k + 2]) for k in range(len(t) - 1)
+        ]
+        sums = self._sum + np.concatenate([[0.0], np.cumsum(missed)])
+        result = sums if self._before is None else sums[1:]
+        self._before, self._sum = (t[-1:], q[-1:], qd[-1:]), float(sums[-1])
+        return np.asarray(result)
+
+    def _missed(self, t: Array, q: Array, qd: Array) -> float:
+        """The work over one step, closely sampled, less that by one rule."""
+        h = float(t[1] - t[0])
+        if not abs(h) > LONG * self._apart:
+            return 0.0
+        panels = max(2, int(abs(h) / (POINTS * self._apart)) + 1)
+        u, weights = np.polynomial.legendre.leggauss(POINTS)
+        u, weights = 0.5 * (u + 1.0), 0.5 * weights
+        part = ((np.arange(panels)[:, None] + u) / panels).ravel()
+        x = np.concatenate([u, part])[:, None]
+        rise = (q[1] - q[0]) / h
+        bend = x * (1.0 - x)
+        states = q[0] + h * (x * rise + bend * ((1.0 - x) * (qd[0] - rise) - x * (qd[1] - rise)))
+        rates = qd[0] + x * (qd[1] - qd[0]) + 6.0 * bend * (rise - 0.5 * (qd[0] + qd[1]))
+        times = t[0] + h * x[:, 0]
+        y = np.concatenate([states, rates], axis=1)
+        try:
+            torques = [
+                self._torques(*each) for each in zip(times.tolist(), y.tolist(), strict=True)
+            ]
+        except (ArithmeticError, ValueError):  # beside the motion the torque may be undefined
+            return 0.0
+        power = (np.array(torques) * rates).sum(axis=1)
+        close = weights @ power[POINTS:].reshape(panels, POINTS).sum(axis=0) / panels
+        missed = float(h * (close - weights @ power[:POINTS]))
+        return missed if np.isfinite(missed) else 0.0
+
 
 Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n or more)
 
@@ -98,8 +243,6 @@ class Recorder:
         ):  # what goes on with the run, or a phase of it that may end
             self._together([solver])
         else:
-            from robodyn.events.explicit_steps import KeptStep
-
             self.kept.append(KeptStep(solver))
             most = max(1, min(MOST_KEPT, KEPT // self.mechanism.n))
             if self.events.stops:
@@ -127,8 +270,6 @@ class Recorder:
         between = cache(solver.dense_output)  # made where a row or an event asks for it
         stop = None
         if self.events is not None and len(places):
-            from robodyn.events.pieces import Step
-
             step = Step(float(solver.t_old), t, y, lambda times: between()(times).T)
             stop = self.events.step(step, places)
             if stop is not None:

@@ -17,38 +17,185 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics import dynamics
+from robodyn.dynamics import dense_dynamics, dynamics
 from robodyn.dynamics.placed import as_states
-from robodyn.errors import InputError, SingularError, printable
+from robodyn.engines.row_values import near_table_end, rows_of
+from robodyn.errors import InputError, RobodynError, SingularError, printable
+from robodyn.events.functions import event_function, event_functions, must_be_text
+from robodyn.events.watch import Event, EventWatch
+from robodyn.loops import loop_rates
+from robodyn.loops.misses import Misses
+from robodyn.loops.projection import Projection, best_closing
+from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation, CallerError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.simulation.even_times import EvenTimes
-from robodyn.simulation.recording import Recorder, Sink, joined
-from robodyn.simulation.report import Outcome, Report, StopRun
-from robodyn.simulation.run_statistics import RunStatistics
-from robodyn.simulation.run_torques import (
+from robodyn.mechanics.modes import in_mode
+from robodyn.simulation.differences import Numbers, columns, sensitivities, tell
+from robodyn.simulation.motion_columns import (
     TOO_FAST,
     applied_torques,
     as_actuation,
     check_span,
+    check_start,
+    motion_columns,
+    motion_values,
     no_hold,
     over_run,
 )
+from robodyn.simulation.phases import Phases
+from robodyn.simulation.recording import Recorder, RunStatistics, Sink, joined
+from robodyn.simulation.report import Outcome, Report, StopRun
+from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
 from robodyn.simulation.settings import (
     BAUMGARTE,
     MAX_EVALUATIONS,
     NO_ENGINE,
+    EvenTimes,
     Settings,
     check_run,
 )
-from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
 from robodyn.tables.arrays import Array
 from robodyn.tables.columns import Columns
+from robodyn.taylor.compiled import check_served
+from robodyn.taylor.run import TaylorRun
 
 if TYPE_CHECKING:
-    from robodyn.events.told import Event
-    from robodyn.events.watch import EventWatch
-    from robodyn.simulation.differences import Numbers
+    from robodyn.simulation.phases import Phases
+    from robodyn.taylor.compiled import CompiledEngine
+
+NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
+MOST_AT_ONCE = 100  # phases in a row that take no time, after which none will
+
+
+class SmoothMotions:
+    """Integrates smooth motions of mechanisms, one after the other; what it makes it keeps."""
+
+    def __init__(self, actuation: Actuation, settings: Settings, t_end: float, work: bool) -> None:
+        self.actuation, self.settings, self.t_end, self.work = actuation, settings, t_end, work
+        self._sides: dict[Mechanism, RightHandSide] = {}
+        self._engines: dict[Mechanism, CompiledEngine | None] = {}  # of the Taylor series
+        self._misses: dict[Mechanism, Misses] = {}  # the change points that the run has met
+
+    def misses(self, mechanism: Mechanism) -> Misses | None:
+        """The change points of the mechanism that the run has met; None: it has no closures."""
+        if mechanism.rows and mechanism not in self._misses:
+            self._misses[mechanism] = Misses(mechanism)
+        return self._misses.get(mechanism)
+
+    def side(self, mechanism: Mechanism) -> RightHandSide:
+        """The rates of the mechanism."""
+        if mechanism not in self._sides:
+            baumgarte = self.settings.stabilize == "baumgarte" and mechanism.rows
+            self._sides[mechanism] = right_hand_side(
+                mechanism,
+                self.actuation,
+                work=self.work,
+                baumgarte=self.settings.baumgarte if baumgarte else 0.0,
+                misses=self.misses(mechanism),
+            )
+        return self._sides[mechanism]
+
+    def check_start(self, mechanism: Mechanism, y: Array, report: Report) -> None:
+        """Raise RobodynError, now, where no motion is defined."""
+        n, by_series = mechanism.n, self.settings.method == "taylor"
+        if by_series:
+            report.evaluator = "compiled"
+        if by_series and not mechanism.springs and dense_dynamics.elimination_is_safe(mechanism):
+            return
+        with np.errstate(all="ignore"):  # rates that leave the floats end the run
+            if by_series:
+                dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
+                return
+            side = self.side(mechanism)
+            report.evaluator = side.kind
+            if not np.isfinite(side.rates(0.0, y)).all():
+                check_start(mechanism, self.actuation, 0.0, y)
+                limit = "the acceleration is not finite there"
+                raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+
+    def run(self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder) -> Outcome:
+        """From (t, y) to the end, or to an event."""
+        settings = self.settings
+        projects = settings.stabilize == "projection" and bool(mechanism.rows)
+        try:
+            if settings.method != "taylor":
+                return self._by_scipy(mechanism, t, y, recorder, projects)
+            return TaylorRun(
+                mechanism,
+                self.actuation,
+                y,
+                self.t_end,
+                recorder,
+                rtol=float(settings.rtol),
+                atol=float(settings.atol),
+                order=settings.order,
+                project=projects,
+                max_step=float(settings.max_step),
+                side=lambda: self.side(mechanism),
+                engines=self._engines,
+                met=self.misses(mechanism),
+                t=t,
+            ).run()
+        except StopRun as stop:
+            if stop.outcome is not Outcome.EVENT:
+                raise
+            return stop.outcome
+
+    def _by_scipy(
+        self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder, projects: bool
+    ) -> Outcome:
+        from robodyn.simulation.solvers import StiffError, solver_of
+
+        tolerances = self.settings.rtol, self.settings.atol
+        with warnings.catch_warnings():
+            # what scipy and numpy warn of, the outcome says
+            warnings.simplefilter("ignore", RuntimeWarning)
+            warnings.filterwarnings("ignore", module="scipy")
+            solver = solver_of(
+                self.settings.method,
+                self.side(mechanism),
+                (t, y, self.t_end),
+                tolerances,
+                recorder,
+                self.actuation,
+                projects,
+                self.settings.max_step,
+            )
+            try:
+                while solver.status == "running":
+                    solver.step()
+            except StiffError:
+                return Outcome.STIFF
+            finally:
+                recorder.end_solver(solver)
+        if solver.status == "finished":
+            return Outcome.FINISHED
+        recorder.flush_steps()
+        near = recorder.statistics.last_singular
+        singular = near is not None and near < NEARLY_SINGULAR
+        return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
+
+
+def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorder) -> Outcome:
+    """From the state y at t = 0, phase by phase."""
+    t = 0.0
+    while True:
+        recorder.begin_phase(phases.moving, phases.functions)
+        outcome = smooth.run(in_mode(phases.mechanism, phases.integrated), t, y, recorder)
+        place, stopped = recorder.guard, recorder.stopped
+        if outcome is not Outcome.EVENT or place is None or stopped is None:
+            return outcome
+        if why := phases.ends_run(place):
+            recorder.report.ended_by = why
+            recorder.end_row()
+            return Outcome.LIMIT
+        t = stopped.t
+        y = phases.next(t, stopped.y, place)
+        if phases.idle == MOST_AT_ONCE:
+            return Outcome.CHATTERING
+        if t == smooth.t_end:
+            return Outcome.FINISHED
+
 
 UNTIL = "until"  # the name of the event that ends a run
 NONE: frozenset[int] = frozenset()
@@ -104,8 +251,6 @@ class Motion:
 
         A dict that pandas.DataFrame and polars.DataFrame take as it is.
         """
-        from robodyn.simulation.motion_columns import motion_columns, motion_values
-
         states = self.in_phases(self.t, self.q, self.qd, self.tau)
         with np.errstate(all="ignore"):
             parts = [motion_values(self.mechanism, moving, *x) for moving, *x in states]
@@ -171,8 +316,6 @@ def simulate(
         shapes = f"{q.shape} and {qd.shape}"
         raise InputError("shapes of q and qd", value=shapes, limit="must be those of one state")
     if mechanism.rows:
-        from robodyn.loops import loop_rates
-
         fault = loop_rates.check_closed(mechanism, q, qd)
         if fault is not None:
             raise fault[1]
@@ -182,8 +325,6 @@ def simulate(
     watch = watched_events(mechanism, events or {}, until, float(t_end))
     numbers = None
     if sensitivity:
-        from robodyn.simulation.differences import Numbers
-
         numbers = Numbers(mechanism, sensitivity, state)
     most: Any = max_evals  # which settings make whole
     settings = Settings(method, rtol, atol, stabilize, BAUMGARTE, most, order, max_step)
@@ -240,8 +381,6 @@ def _differentiate(
     watch: EventWatch | None,
 ) -> None:
     """Give a motion its derivatives by the numbers, and its report what is told of them."""
-    from robodyn.simulation.differences import columns, sensitivities, tell
-
     report = motion.report  # of a controller before it leads other runs
     found = sensitivities(numbers, actuation, settings, motion.t)
     motion.sensitivity = found.values
@@ -274,9 +413,6 @@ def watched_events(
 @cache
 def _events() -> tuple[Any, ...]:
     """What finds events: runs without any do not import it."""
-    from robodyn.events.functions import event_function, event_functions, must_be_text
-    from robodyn.events.watch import EventWatch
-
     return event_function, event_functions, must_be_text, EventWatch
 
 
@@ -310,17 +446,12 @@ def run(
     y = _begun(mechanism, actuation, y, t_end, report.stabilize == "projection")
     phases, moving = None, mechanism
     if mechanism.switches:
-        from robodyn.events.watch import EventWatch
-        from robodyn.simulation.phases import Phases
-
         events = events or EventWatch([], t_end)
         phases = Phases(mechanism, actuation, y, t_end, settings.atol)
         y, moving = phases.y, phases.moving
     smooth = SmoothMotions(actuation, settings, t_end, work)
     smooth.check_start(moving, y, report)
     if settings.method == "taylor":
-        from robodyn.taylor.compiled import check_served
-
         check_served(mechanism, actuation)
     statistics = RunStatistics(report, actuation, mechanism.n, bool(mechanism.rows))
     most = settings.max_evaluations
@@ -346,8 +477,6 @@ def run(
     report.seconds = time.perf_counter() - begun
     report.outcome, report.advice = outcome.label, outcome.advice
     if mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL and recorder.last is not None:
-        from robodyn.engines.row_values import near_table_end
-
         report.advice = near_table_end(mechanism, *recorder.last) or report.advice
     if actuation.control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
         report.advice = no_hold(mechanism, actuation.control) or report.advice
@@ -360,18 +489,11 @@ def _begun(
     """The state y from which a run starts, closed where it `projects`; torques are told of it."""
     n = mechanism.n
     if t_end != 0.0 and mechanism.rows:
-        from robodyn.loops import loop_rates
-
         loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
     if projects:
-        from robodyn.loops.projection import Projection, best_closing
-
         y = Projection(mechanism, best_closing(mechanism))(y)
     if actuation.told is not None:
         actuation.told.begin(y.tolist(), float(t_end))
     if mechanism.signals:
-        from robodyn.engines.row_values import rows_of
-        from robodyn.mechanics import parts
-
         rows_of(parts.acting, mechanism).check_signals(y[:n], y[n : 2 * n])
     return y

@@ -18,18 +18,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.engines import machine_motion
-from robodyn.engines.machine_motion import RUNNING, Loaded
+from robodyn.engines.machine_motion import RUNNING, Loaded, Status
 from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.sweeps.lane_observer import LaneObserver, Notes, kept
 from robodyn.tables.arrays import Array
-from robodyn.taylor import Status, order_where_series_cost
 from robodyn.taylor.compiled import serves
 
 KEPT = 64  # codes in a process
 PIECE = 128  # lanes of one call of machine code, and
 BUDGET = 512  # steps of each: some 10 ms, which Ctrl-C does not end
+
+
+def order_where_series_cost(tolerance: float) -> int:
+    """The order that measured cheapest for many side by side: the series is most of a step."""
+    return 2 * max(3, round((4.0 - 0.5 * math.log(tolerance)) / 2.0))
 
 
 class Aims(NamedTuple):

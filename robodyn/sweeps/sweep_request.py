@@ -19,13 +19,21 @@ from robodyn.scene.quantities import value_from
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_values import nearest
-from robodyn.simulation.even_times import DEFAULT_DURATION, DEFAULT_POINTS
-from robodyn.simulation.settings import Settings
+from robodyn.simulation.settings import DEFAULT_DURATION, DEFAULT_POINTS, Settings
 from robodyn.simulation.simulation import UNTIL
 from robodyn.sweeps.lanes import served
 from robodyn.sweeps.row_results import check_results
-from robodyn.sweeps.sweep_plan import CHUNKS, EVENTS, RESULTS, STATES, Plan
-from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
+from robodyn.sweeps.sweep_plan import (
+    CHUNKS,
+    EVENTS,
+    RESULTS,
+    STATES,
+    Axis,
+    Plan,
+    Variation,
+    spaced,
+    stepped,
+)
 from robodyn.tables.csv_fields import shown
 
 MOST_VALUES = 10_000_000  # of one --vary

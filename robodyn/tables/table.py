@@ -22,11 +22,18 @@ import math
 from collections.abc import Callable, Container, Iterator, Sequence
 from itertools import chain, compress, repeat
 from operator import contains
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
 
 from robodyn.errors import InputError
+from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import (
     IN_DEGREES,
+    LONGEST_ROW,
+    READ_BYTES,
+    columns_told,
+    delimiter_hint,
     ends_open,
     finite,
     is_missing,
@@ -34,13 +41,7 @@ from robodyn.tables.csv_fields import (
     split_fields,
     unquoted,
 )
-from robodyn.tables.delimited import LONGEST_ROW, READ_BYTES, columns_told, delimiter_hint
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+from robodyn.tables.shortest import decimals
 
 FEW = 50  # lines that loadtxt reads in less time
 
@@ -63,10 +64,6 @@ class _Rows(NamedTuple):
 
 def plain_numbers(rows: Sequence[str], width: int, places: Sequence[int]) -> Array | None:
     """The columns `places` (n, k) of n rows of `width` fields, none quoted; all finite, or None."""
-    import numpy as np  # here, so that a command that writes one row starts without it
-
-    from robodyn.tables.decimals import decimals
-
     powers = np.fromiter(map(contains, rows, repeat("e")), bool, len(rows))
     values = np.empty((len(powers), len(places)))
     for chosen in (powers, ~powers):
@@ -157,8 +154,6 @@ class Reader:
         self, rows: _Rows, names: Sequence[str], places: list[int]
     ) -> tuple[Array, InputError | None]:
         """The values (n, k) of the rows before the first faulty one, and its fault."""
-        import numpy as np
-
         values: list[list[float | None]] = []
         fault = None
         try:

@@ -9,10 +9,13 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, BinaryIO
 
+import numpy as np
+
 from robodyn.tables.csv_fields import finite, quoted, split_fields, unquoted
+from robodyn.tables.shortest import shortest
 
 if TYPE_CHECKING:
-    from robodyn.tables.table import Array
+    from robodyn.tables.arrays import Array
 
 HELD = 1 << 21  # bytes; more than what is read or written at once takes in any one piece
 Told = Callable[[str], tuple[str, float]]  # of a column: its name there, and what its values are
@@ -101,8 +104,6 @@ class Writer:
         """Return the values (n, k) as text, a row each, with nothing in place of NaN."""
         known = values == values
         if not known.all():
-            import numpy as np  # here, so that a command that writes one row starts without it
-
             lines = self._repr(np.where(known, values, 0.0))
             for k in np.flatnonzero(~known.all(axis=1)):
                 fields = zip(lines[k].split(","), known[k], strict=True)
@@ -110,8 +111,6 @@ class Writer:
             return lines
         if values.size < FEW:
             return [",".join(map(repr, row)) for row in values.tolist()]
-        from robodyn.tables.shortest import shortest
-
         return shortest(values).split("\n")[:-1]
 
     def _texts(self, values: Array) -> Iterable[Sequence[str]]:

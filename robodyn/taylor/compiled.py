@@ -1,4 +1,19 @@
-"""The Taylor-series engine in machine code: many steps of one motion in one call."""
+"""The Taylor-series engine in machine code: many steps of one motion in one call.
+
+The series of a motion costs a few convolutions an order and a link for any planar linkage, as
+`engines/series.py` says.
+
+A step's series tells a box that the state stays in.  z = rho + i theta turns a direction at the
+rate w = Im(z'/z).  With the rate w0 at the start and D = z' - i w0 z, which is zero there, z =
+exp(i w0 x) (1 + integral of exp(-i w0 x) D), so that
+
+    |D| <= far = sum_{k>0} |(k + 1) z_{k+1} - i w0 z_k| h^k,      |z| >= 1 - h far,
+    |w - w0| = |Im(D/z)| <= far / (1 - h far),
+
+and the angle goes away from alpha_0 + w0 x by h times that at most.  Of a displacement z' - z'(0)
+is D, and far is all.  Sizes |z| are |rho| + |theta|, and a joint's box is that of its own
+coordinate and the one below.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +28,170 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
+from robodyn.dynamics.placed import relative_matrix
 from robodyn.engines import machine, machine_motion
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.expansion import MotionProgram
-from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
+from robodyn.engines.machine_motion import RUNNING, Loaded, Observer, Status
 from robodyn.engines.machine_steps import Scene
-from robodyn.errors import InputError
+from robodyn.errors import InputError, RobodynError
+from robodyn.events.single_zeros import MISSED
 from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.torque_rows import linear_piece
-from robodyn.tables.arrays import Array
-from robodyn.taylor import STEPS, Chunk, NoCodeError, Status, order_where_steps_cost
-from robodyn.taylor.step_boxes import Kept, boxes_along, terms_of
+from robodyn.tables.arrays import Array, Complex
 
+SLACK = 1e-12  # of the sizes of what is added: more than rounding adds
+BLOCK = 256  # steps of one link whose strays are summed at a time: memory near at hand is fast
+END: Array = np.ones(1)  # of a step, the part that is all
+
+
+class Kept(NamedTuple):
+    """What an engine keeps of m steps h.
+
+    `boxes` (m, 2, 2n) are the middles of q and qd, and how far they go from there; `terms`
+    (n, p, m) are z_k h^k, k > 0.
+    """
+
+    boxes: Array
+    terms: Complex
+
+
+def terms_of(parts: Array, h: Array) -> Complex:
+    """z_k h^k, k > 0, (n, p, m) of rho and theta in `parts` (2, n, p + 1, m) of steps h (m)."""
+    most, k = parts.shape[2] - 1, 1
+    powers = np.empty((most, len(h)))
+    powers[0] = h
+    while k < most:
+        upto = min(2 * k, most)
+        np.multiply(powers[: upto - k], powers[k - 1], out=powers[k:upto])
+        k = upto
+    terms = np.empty((len(parts[0]), *powers.shape), complex)  # steps side by side: that is fast
+    np.multiply(parts[0, :, 1:], powers, out=terms.real)
+    np.multiply(parts[1, :, 1:], powers, out=terms.imag)
+    return terms
+
+
+@np.errstate(all="ignore")
+def boxes_along(mechanism: Mechanism, y: Array, terms: Complex, h: Array) -> Array:
+    """The boxes (m, 2, 2n) of steps h (m) between y (m + 1, 2n or more), by their `terms`."""
+    n, slides = mechanism.n, list(mechanism.slides)
+    turned = terms[:, 0].imag  # w0 h
+    if slides:
+        turned = turned.copy()
+        turned[slides] = 0.0
+    far, some = np.empty(turned.shape), max(1, BLOCK // n)
+    for first in range(0, len(h), some):
+        block = slice(first, first + some)
+        far[:, block] = _strays(terms[..., block], turned[:, block])
+    far *= 1.0 + SLACK
+    left = np.maximum(1.0 - far, 0.0)
+    if slides:
+        left[slides] = 1.0
+    own = far / left
+    own += SLACK * np.abs(turned)
+    if n > 1:
+        apart = own.copy()
+        for k, above in enumerate(mechanism.above):
+            if above is not None:
+                own[k] += apart[above]
+    start = y[:-1, : 2 * n].T
+    box = np.empty((2, 2 * n, len(h)))
+    middle, reach = box
+    way = start[n:] * (0.5 * h)
+    middle[:] = start
+    middle[:n] += way
+    np.abs(start, out=reach)
+    reach *= SLACK
+    reach[:n] += np.abs(way)
+    reach[:n] += own
+    reach[n:] += own / np.abs(h)
+    if mechanism.rows:
+        there = states_along(mechanism, y[:-1], terms, h, END)[:, 0]
+        reach += MISSED * np.abs(there - y[1:, : 2 * n]).T
+    return box.transpose(2, 0, 1)
+
+
+def _strays(terms: Complex, turned: Array) -> Array:
+    """The sums (n, m) of |D_k| h^k of steps that turn by w0 h (n, m), k > 0."""
+    stray = terms * (turned * -1j)[:, None]
+    stray[:, :-1] += terms[:, 1:] * _orders(terms.shape[1])[1:]
+    sizes = stray.view(float)
+    sums = np.add.reduce(np.abs(sizes, out=sizes), axis=1)
+    return np.asarray(sums[:, ::2] + sums[:, 1::2])
+
+
+def states_along(mechanism: Mechanism, y: Array, terms: Complex, h: Array, parts: Array) -> Array:
+    """q and qd (m, k, 2n) at `parts` (k) of steps h (m) from y (m, 2n or more), by their terms.
+
+    Closures are kept as far as these do.  See `placed.joint_ways`; parts are faster in turn.
+    """
+    n, slides, k = mechanism.n, list(mechanism.slides), len(parts)
+    sums = _weights(terms.shape[1], parts.tobytes()) @ terms
+    turn, slope = sums[:, :k], sums[:, k:]
+    states = np.empty((2 * n, k, len(h)))
+    way, rates = states[:n], states[n:]
+    if slides:
+        moved = sums.imag[slides]
+    turn += 1.0
+    np.arctan2(turn.imag, turn.real, out=way)
+    slope /= turn
+    rates[:] = slope.imag
+    if slides:
+        way[slides], rates[slides] = moved[:, :k], moved[:, k:]
+    rates /= h
+    if n > 1:
+        both = states.reshape(2, n, -1)
+        np.matmul(relative_matrix(mechanism), both.copy(), out=both)
+    way += y[:, None].T[:n]
+    return states.T
+
+
+def states_at(mechanism: Mechanism, y: Array, terms: Complex, x: Array, part: Array) -> Array:
+    """The same (m, 2n) at one time of each step, x (m) after y, not 0: this `part` (m) of it."""
+    powers = np.empty(terms.shape[1:])
+    powers[:] = part
+    np.multiply.accumulate(powers, out=powers)
+    return states_along(mechanism, y, terms * powers, x, END)[:, 0]
+
+
+@lru_cache(maxsize=64)
+def _orders(count: int) -> Array:
+    return np.arange(1.0, count + 1.0)[:, None]
+
+
+@lru_cache(maxsize=64)
+def _weights(count: int, parts: bytes) -> Complex:
+    """What makes sums of terms (columns), and of their slopes, at parts of a step (rows)."""
+    orders, at = _orders(count)[:, 0], np.frombuffer(parts)[:, None]
+    return np.concatenate([at**orders, orders * at ** (orders - 1.0)]).astype(complex)
+
+
+class Chunk(NamedTuple):
+    """Some steps: their ends t (m,) and states y (m, N), and rows at output times (k,), (k, N).
+
+    y = (q, qd) in joint coordinates, with the work done by torques less dampers appended where it
+    was asked for.  `kept` is what engines keep of the steps where that was asked for.
+    """
+
+    t: Array
+    y: Array
+    row_t: Array
+    row_y: Array
+    status: Status
+    kept: Kept | None = None
+
+    def first(self, steps: int, direction: float) -> Chunk:
+        """The first steps, and the rows within them."""
+        t = self.t[:steps]
+        end = t[-1] * direction if steps else -np.inf
+        rows = int(np.searchsorted(self.row_t * direction, end, "right"))
+        return Chunk(t, self.y[:steps], self.row_t[:rows], self.row_y[:rows], Status.FULL)
+
+
+STEPS = 128  # at a time, at first: between them the run can be watched and interrupted
 ROWS = 16384  # of one call: no step begins when there are more
 # what the observer is told: addresses, how many times, rows so far, whether series are kept
 TABLE = ("times", "rows", "ends", "states", "series", "count", "given", "keeps")
@@ -37,6 +201,15 @@ WORK = 200_000  # links times orders times steps of a call, which takes some 20 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 _BEGUN, _ASKED = Struct("5d").pack_into, Struct("3q").pack_into  # faster than a slice of an array
 _STATUS = {RUNNING: Status.FULL} | {float(status): status for status in Status}
+
+
+class NoCodeError(RobodynError):
+    """There is no machine code for a scene, or a phase of its motion: DOP853 serves."""
+
+
+def order_where_steps_cost(tolerance: float) -> int:
+    """The order that measured cheapest for one run: a step costs much beside its series."""
+    return max(8, math.ceil(6 - 0.7 * math.log(max(tolerance, 1e-16))))
 
 
 class Rows(Observer):

@@ -15,24 +15,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robodyn.engines.machine_motion import Status
+from robodyn.events.pieces import Step
+from robodyn.events.single_zeros import NODES, Places
+from robodyn.loops.change_points import suspect_quality
+from robodyn.loops.misses import FAR, Misses
+from robodyn.loops.projection import float_closing
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.motion_columns import check_start
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
-from robodyn.simulation.run_torques import check_start
 from robodyn.simulation.settings import SCIPY_RTOL
 from robodyn.tables.arrays import Array
-from robodyn.taylor import Chunk, NoCodeError, Status
-from robodyn.taylor.compiled import CompiledEngine
-from robodyn.taylor.step_boxes import states_along, states_at
+from robodyn.taylor.compiled import Chunk, CompiledEngine, NoCodeError, states_along, states_at
 
 if TYPE_CHECKING:
-    from robodyn.events.pieces import Step
-    from robodyn.events.single_zeros import Places
-    from robodyn.events.told import Stop
-    from robodyn.events.watch import EventWatch
-    from robodyn.loops.misses import Misses
+    from robodyn.events.watch import EventWatch, Stop
     from robodyn.simulation.right_hand_side import RightHandSide
 
 KEPT = 32768  # steps whose series are kept at a time, of one link
@@ -71,10 +71,6 @@ class TaylorRun:
         mechanism = self.mechanism
         self.closing, self.misses, self.regular, self.far = None, None, 0.0, 0.0
         if self.project and mechanism.rows:
-            from robodyn.loops.change_points import suspect_quality
-            from robodyn.loops.misses import FAR
-            from robodyn.loops.projection import float_closing
-
             self.closing, self.misses = float_closing(mechanism), self.met
             self.regular, self.far = 2.0 * suspect_quality(mechanism), FAR
         self.idle = 0  # times in a row that nothing led on
@@ -220,9 +216,6 @@ def _with_events(
     engine: CompiledEngine,
 ) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
     """Return a chunk from (t, y) up to the event that ends it, and the states in its last step."""
-    from robodyn.events.pieces import Step  # runs without events do not import it
-    from robodyn.events.signs import NODES
-
     assert chunk.kept is not None
     terms = chunk.kept.terms
     times, before = np.concatenate([[t], chunk.t]), np.concatenate([y[None], chunk.y[:-1]])

@@ -2,19 +2,211 @@
 
 In the time T a path is run through as q = p(t/T), qd = p'/T, qdd = p''/T^2.  A path is smooth
 between its `breaks`; at a break a value is that of the piece after it, unless `piece` says which.
+
+Profiles s(u) of a motion from rest to rest:
+
+    cubic         s = 3 u^2 - 2 u^3                    peak s' = 3/2     peak s'' = 6
+    quintic       s = 10 u^3 - 15 u^4 + 6 u^5          peak s' = 15/8    peak s'' = 10/sqrt(3)
+    cycloidal     s = u - sin(2 pi u) / (2 pi)         peak s' = 2       peak s'' = 2 pi
+    trapezoidal   s'' = +a, 0, -a over the parts        peak s' = 1/(1-alpha)
+                  alpha, 1 - 2 alpha, alpha             peak s'' = a = 1/(alpha (1-alpha))
+    constant      s = u, a motion at constant speed    peak s' = 1       peak s'' = 0
+
+A joint that goes from q0 to q1 in the time T moves by q = q0 + (q1 - q0) s(t/T), so that
+qd = (q1 - q0) s'/T and qdd = (q1 - q0) s''/T^2.  (Craig, Introduction to Robotics, chapter 7;
+Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots, chapters 2 and 3.)
+
+Each profile is symmetric, s(1 - u) = 1 - s(u), and is computed from its nearer end: so it ends
+exactly, at rest, as it begins.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import factorial, isfinite, perm, pi
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.errors import InputError
-from robodyn.tables.arrays import Array
-from robodyn.trajectories import splines
-from robodyn.trajectories.profiles import ACCELERATION, Profile, profile
+from robodyn.errors import InputError, RobodynError
+from robodyn.tables.arrays import Array, Truth
 
 Pieces = NDArray[np.int64]
+# w = the way in u from the nearer end, and whether it lies on a ramp: s, s', s'' there
+Half = Callable[[Array, Truth], tuple[Array, Array, Array]]
+
+NAMES = ("cubic", "quintic", "trapezoidal", "cycloidal", "constant")
+ACCELERATION = 1 / 3  # part of the time in which a trapezoidal profile speeds up
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """One profile; `breaks` are the ends of its pieces, between which it is smooth."""
+
+    name: str
+    breaks: tuple[float, ...]
+    half: Half
+
+    def evaluate(self, u: Array, left: Array, piece: Pieces) -> tuple[Truth, Array, Array, Array]:
+        """At u and left = 1 - u, (T,): whether it is late, s from the nearer end, s' and s''.
+
+        Where it is late the first of the numbers is 1 - s.  `piece` tells on which side of a
+        break a value is wanted.
+        """
+        late = u > 0.5
+        last = len(self.breaks) - 2
+        if last:
+            late = np.where(piece == 0, False, np.where(piece == last, True, late))
+        ramp = (piece == 0) | (piece == last)
+        s, rate, acceleration = self.half(np.where(late, left, u), ramp)
+        return late, s, rate, np.where(late, -acceleration, acceleration)
+
+
+def profile(name: str, acceleration: float = ACCELERATION) -> Profile:
+    """The profile of this name; `acceleration` is the part alpha of a trapezoidal one.
+
+    Raises InputError for a name that is none, or alpha outside of 0 < alpha <= 1/2.
+    """
+    alpha = acceleration
+    if not (isfinite(alpha) and 0.0 < alpha <= 0.5):
+        limit = "must be > 0 and <= 0.5, a part of the duration"
+        raise InputError("acceleration", value=alpha, limit=limit)
+    if name in SMOOTH:
+        return Profile(name, (0.0, 1.0), SMOOTH[name])
+    if name != "trapezoidal":
+        raise InputError("profile", value=name, limit=f"must be one of {', '.join(NAMES)}")
+    speed = 1 / (1 - alpha)
+    a = speed / alpha
+
+    def half(w: Array, ramp: Truth) -> tuple[Array, Array, Array]:
+        s = np.where(ramp, 0.5 * a * w * w, speed * (w - 0.5 * alpha))
+        return s, np.where(ramp, a * w, speed), np.where(ramp, a, 0.0)
+
+    breaks = (0.0, 0.5, 1.0) if alpha == 0.5 else (0.0, alpha, 1 - alpha, 1.0)
+    return Profile(name, breaks, half)
+
+
+def _quintic(w: Array, _: Truth) -> tuple[Array, Array, Array]:
+    s = w**3 * (10 + w * (6 * w - 15))
+    return s, 30 * (w * (1 - w)) ** 2, 60 * w * (1 - w) * (1 - 2 * w)
+
+
+def _cycloidal(w: Array, _: Truth) -> tuple[Array, Array, Array]:
+    angle = 2 * pi * w
+    return w - np.sin(angle) / (2 * pi), 2 * np.sin(pi * w) ** 2, 2 * pi * np.sin(angle)
+
+
+# those that are smooth in all of the time
+SMOOTH: dict[str, Half] = {
+    "cubic": lambda w, _: (w * w * (3 - 2 * w), 6 * w * (1 - w), 6 - 12 * w),
+    "quintic": _quintic,
+    "cycloidal": _cycloidal,
+    "constant": lambda w, _: (w, np.ones_like(w), np.zeros_like(w)),
+}
+
+
+FEWEST_ROWS = 6  # that determine the quintic of `derivative`
+
+
+def spline(
+    knots: Array, points: Array, kind: str, natural: bool = False
+) -> Callable[[Array, int], Array]:
+    """A spline by scipy: its derivative of an order at places (T,), (T, m).
+
+    knots (K,) increase, points are (K, m), `kind` is cubic (C2) or quintic (C4).  At the ends
+    q' = 0 (and q'' = 0 of a quintic), or with `natural` q'' = 0 of a cubic.
+    """
+    from scipy.interpolate import CubicSpline, make_interp_spline
+
+    if kind == "cubic":
+        return CubicSpline(knots, points, bc_type="natural" if natural else "clamped")
+    rest: Any = [(order, np.zeros(points.shape[1])) for order in (1, 2)]
+    return make_interp_spline(knots, points, k=5, bc_type=(rest, rest))
+
+
+def hermite(knots: Array, *given: Array) -> Array:
+    """Hermite polynomials from q, q' and, if p = 3, q'' at knots, (K, m).
+
+    Coefficients (pieces, 2p, m), lowest power of x - knot first.
+    """
+    p, h = len(given), np.diff(knots)[:, None, None]
+    known, scale = np.stack(given, axis=1), h ** np.arange(p)[:, None]
+    way = known[:-1] * scale  # from 0 on, along the Taylor polynomial of what is known first
+    way[:, 0] = 0.0
+    taylor = np.array([[perm(i, k) / factorial(i) for i in range(p)] for k in range(p)])
+    end = known[1:].copy()
+    end[:, 0] -= known[:-1, 0]
+    upper = _basis(p)[p:, p:] @ (end * scale - taylor @ way)
+    lower = known[:-1] * taylor[0][:, None]
+    return np.concatenate([lower, upper / h ** np.arange(p, 2 * p)[:, None]], axis=1)
+
+
+def _basis(p: int) -> Array:
+    """H: the coefficients of a Hermite polynomial from 0 to 1 by its derivatives at both ends."""
+    places = range(2 * p)
+    ends = [[[perm(i, k) * x ** abs(i - k) for i in places] for k in range(p)] for x in (0, 1)]
+    return np.round(2.0 * np.linalg.inv(np.concatenate(ends))) / 2.0  # whole numbers or halves
+
+
+def turns_between(q: Array, t: Array | None = None, qd: Array | None = None) -> Array:
+    """Return by how many whole turns (T - 1,) an angle q (T,), rad, jumps from row to row.
+
+    A jump is a step of more than half a turn. If rates qd (T,), rad/s, at times t (T,) are given,
+    it is a step that differs by more than half a turn from the integral of qd (trapezoidal).
+    """
+    steps = np.diff(q)
+    if t is not None and qd is not None:
+        steps -= 0.5 * np.diff(t) * (qd[1:] + qd[:-1])
+    found: Array = np.rint(steps / (2.0 * np.pi))
+    return found
+
+
+def derivative(t: Array, x: Array, order: int, at: Array | None = None) -> Array:
+    """The derivative of this order of x (T, m), at times t (T,) that rise, T >= FEWEST_ROWS.
+
+    `at` are other times (S,), from t[0] to t[-1], to take it at.
+
+    That of the quintic spline through x whose third derivative's pieces run on at the ends (not a
+    knot): nothing is assumed of the motion there.  Of a smooth motion the first derivative is right
+    to the power 5 of the step, the second to the power 4.  Raises RobodynError where the times are
+    too unequal for floats.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    step = (t[-1] - t[0]) / (len(t) - 1)
+    try:
+        with np.errstate(all="ignore"):
+            places = (t - t[0]) / step
+            spline = make_interp_spline(places, x, k=5)
+            wanted = places if at is None else (at - t[0]) / step
+            found: Array = spline.derivative(order)(wanted) / step**order
+    except (ValueError, np.linalg.LinAlgError):
+        raise _too_unequal() from None
+    return found
+
+
+def resampled(t: Array, x: Array, at: Array) -> Array:
+    """Return x (T, m), known at times t (T,) that rise, at the times `at` (S,) between these.
+
+    By Akima's splines, which noise in rows that are close together does not upset.  Raises
+    RobodynError where the times are too unequal for floats.
+    """
+    from scipy.interpolate import Akima1DInterpolator
+
+    try:
+        with np.errstate(all="ignore"):
+            found: Array = Akima1DInterpolator(t, x)(at)
+    except ValueError:
+        raise _too_unequal() from None
+    return found
+
+
+def _too_unequal() -> RobodynError:
+    return RobodynError("no spline goes through the times t", limit="too unequal")
+
+
 Values = tuple[Array, Array, Array]  # p, p', p'', each (T, m)
 
 MOST_TURNS = 32  # after which a path at constant speed may repeat itself
@@ -98,7 +290,7 @@ class Spline(JointPath):
         self._ends = points[0], points[-1]
         self._zero = [1] * (not natural) + [2] * (natural or kind == "quintic")  # at the ends
         self.travel = _way(points)
-        self._curve = splines.spline(times, points, kind, natural)
+        self._curve = spline(times, points, kind, natural)
 
     def within(self, u: Array, piece: Pieces) -> Values:
         p, p1, p2 = values = [self._curve(u, order) for order in range(3)]  # which do not jump

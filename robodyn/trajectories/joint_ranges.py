@@ -17,9 +17,8 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.rest.balance import bend
 from robodyn.scene.scene import Limits
 from robodyn.tables.arrays import Array
-from robodyn.trajectories.continuation import PathEndError
 from robodyn.trajectories.joint_paths import ConstantSpeed
-from robodyn.trajectories.loop_path import LoopPath, WholePath
+from robodyn.trajectories.loop_path import LoopPath, PathEndError, WholePath
 
 FARTHEST = 4.0  # sides of all loops, beyond which nothing ends a displacement
 BESIDE = 1e-3  # rad, or lengths, from the last state that could be closed to where a joint turns

@@ -1,32 +1,329 @@
 """The path of all joints of a mechanism when its actuated joints follow a path of their own.
 
-The passive joints are interpolated between the nodes of `continuation.py` and corrected by Newton's
-method.  A path that runs straight across a change point is smooth, so within STEP of it they are
-interpolated, to order 12, from states on both sides.
+The passive joints are interpolated between the nodes of their continuation and corrected by
+Newton's method.  A path that runs straight across a change point is smooth, so within STEP of it
+they are interpolated, to order 12, from states on both sides.
+
+The passive joints are continued along the path of the actuated ones.  A step is predicted by its
+Taylor series, corrected by Newton's method with the actuated joints held, and shortened where the
+correction, or the change of the rates, shows that it may have left the branch.  The states found
+are nodes, between which a state can be interpolated and corrected.
+
+A path at constant speed is followed until all joints stand as at its start, less whole turns: from
+there on it repeats itself.
+
+Where det Psi_p (of the passive columns) changes its sign between two nodes there is a change
+point, at which two branches meet; the path runs straight on.  Where two branches only come near to
+one another the sign changes by a leap: the step is shortened until it follows its own.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.loops.change_points import OFFSETS, lagrange, miss_remark
+from robodyn.dynamics.closed_form import closure_bias, closure_gap, scaled_jacobian
+from robodyn.engines.factors import svd
+from robodyn.errors import AssemblyError, InputError
+from robodyn.loops.assembly import CLOSED
+from robodyn.loops.change_points import OFFSETS, lagrange, miss_remark, nearest_singular
+from robodyn.loops.closing import close_positions, loop_size
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.tables.arrays import Array
-from robodyn.trajectories.continuation import (
-    TRAVEL,
-    Follower,
-    PathEndError,
-    TravelError,
-    Watch,
-    corrected,
-    hermite,
-)
-from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, travels
+from robodyn.tables.arrays import Array, Truth
+from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Pieces, Values, travels
+
+Watch = Callable[[float], object]  # how far a path is followed
+
+TRAVEL = 0.1  # rad, the most that a joint moves between two nodes
+CORRECTION = 0.01  # rad, the most that Newton's method may correct a prediction
+FIRST_STEP = 1 / 64  # of a piece
+LEAST_NODES = 7  # of a piece: steps grow from that by a factor of 1.7 at most
+LEAST_STEP = 1e-11  # in u, below which the path has ended
+MOST_NODES = 500_000
+LARGE = 10.0  # m of a scene; in larger ones displacements are told in tenths of its size
+FURTHEST = 1e9  # rad, beyond which a float's angle is known to 1e-7 at best
+JUDGED = 300  # nodes after which it is foreseen how many a path takes
+RETURNED = 1e-6  # rad, by which joints that stand as at the start may miss it
+NEAR = 1e-3  # and below this part one is near
+DEAD = 1e-5  # a least singular value below this part of the loop's size is at a singular point
+TOGETHER = 1e-5  # rad, how far apart states on both sides of a change point may be, at 1e-8 in u
+STUCK = {
+    "change point": (
+        "too near a change point to tell the branches apart: end before it, or run across"
+    ),
+    "dead centre": "that is as far as they can be closed on this branch",
+}
+
+
+class PathEndError(AssemblyError):
+    """The loops cannot be closed beyond a part `u` of the path: a dead centre, a change point."""
+
+    def __init__(
+        self, mechanism: Mechanism, u: float, q: Array, reason: str, kind: str = "dead centre"
+    ) -> None:
+        self.u, self.q, self.kind = u, q, kind
+
+        def shown(k: int) -> str:
+            slides = k in mechanism.slides
+            return f"{q[k]:.6g} m" if slides else f"{q[k]:.6g} rad ({np.degrees(q[k]):.6g} deg)"
+
+        named = ((f"q{k + 1} ({mechanism.link_names[k]})", k) for k in mechanism.actuated)
+        at = ", ".join(f"{name} = {shown(k)}" for name, k in named)
+        what = f"the loops cannot be followed beyond {at}"
+        super().__init__(what, where=mechanism.source, limit=reason)
+
+
+class TravelError(InputError):
+    """A path is too long for a mechanism with loops."""
+
+    def __init__(self, mechanism: Mechanism, value: str, limit: str) -> None:
+        super().__init__("the path", where=mechanism.source, value=value, limit=limit)
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """Closed states along a path, N intervals between N + 1 nodes; n joints.
+
+    They go from 0 to `period`; a path that is longer repeats itself, its joints (n,) advanced by
+    `rise` each time.
+    """
+
+    u: Array  # (N + 1,)
+    q: Array  # (N + 1, n)
+    begins: Array  # (N, n), q' at the beginning of each interval
+    ends: Array  # (N, n), and at its end
+    pieces: Pieces  # (N,)
+    crossings: tuple[tuple[float, float], ...]  # u of change points, and the largest |q'| there
+    period: float
+    rise: Array
+
+
+class _Node(NamedTuple):
+    u: float
+    q: Array
+    q1: Array
+    q2: Array
+    sign: float  # of det Psi_p; 0 where that is none
+
+
+def corrected(mechanism: Mechanism, q: Array) -> tuple[Array, Truth]:
+    """q (T, n) closed by Newton's method with the actuated joints held, and which close, (T,)."""
+    q = close_positions(mechanism, q, mechanism.actuated)
+    gap = np.abs(closure_gap(mechanism, q)).max(axis=-1, initial=0.0)
+    turns = np.abs(q).max(axis=-1, initial=1.0)  # couplings count them
+    return q, gap <= 1e-3 * CLOSED * loop_size(mechanism) * turns
+
+
+def hermite(x: Array, h: Array, begin: Array, begin1: Array, end: Array, end1: Array) -> Array:
+    """The cubic at parts x of intervals of lengths h, from values and slopes at their ends."""
+    y = 1.0 - x
+    rise = (1.0 + 2.0 * x) * y * y * begin + x * x * (3.0 - 2.0 * x) * end
+    return rise + x * y * h * (y * begin1 - x * end1)
+
+
+class Follower:
+    """Finds the nodes of one path; `watch` is told how far it is."""
+
+    def __init__(self, mechanism: Mechanism, path: JointPath, watch: Watch) -> None:
+        self.mechanism, self.path, self.watch = mechanism, path, watch
+        self._actuated, self._passive = list(mechanism.actuated), list(mechanism.passive)
+        self._square = len(self._passive) == len(mechanism.rows)
+        self._units = np.maximum(1.0, mechanism.arrays.units / LARGE)
+        self._unit = float(self._units[self._actuated].max(initial=1.0))
+        self._crossings: list[tuple[float, float]] = []
+        self._returns: list[float] = path.returns().tolist()
+        self._least_nodes = np.zeros(1)  # up to each break, as the actuated joints move
+
+    def nodes(self, start: Array) -> Nodes:
+        """The nodes from the closed state `start` (n,) on.
+
+        Raises PathEndError where the loops cannot be closed all the way, or the actuated joints do
+        not determine the others, TravelError for a path that takes too many nodes.
+        """
+        here, closed = corrected(self.mechanism, start[None])
+        first, q, u = here[0], here[0], 0.0
+        if not closed[0]:
+            raise self._ends(u, q, "the start does not close")
+        taken: list[tuple[_Node, _Node, int]] = []  # the ends of each interval, and its piece
+        self._check_travel()
+        stops = [(piece, end) for piece, end in enumerate(self.path.breaks[1:].tolist())]
+        stops[:0] = [(0, at) for at in self._returns]
+        least = LEAST_STEP * stops[0][1] if self._returns else LEAST_STEP
+        rise = np.zeros_like(q)
+        for piece, end in stops:
+            node = self._node(u, q, piece, self._held(u, piece))
+            if node is None or (self._square and not node.sign):
+                kind = self._kind(q, DEAD)
+                reason = f"a {kind}, from which the passive joints can go on in two ways"
+                raise self._ends(u, q, reason)
+            h, moved = FIRST_STEP * (end - u), 0.0
+            while node.u < end:
+                left = end - node.u
+                step = left if left <= 1.001 * h else min(h, 0.5 * left)
+                found = self._step(node, end if step == left else node.u + step, piece)
+                if found is None:
+                    h = 0.4 * step
+                    if h < least:
+                        raise self._ends(node.u, node.q, STUCK[self._kind(node.q, NEAR)])
+                    continue
+                easy, following = found
+                taken.append((node, following, piece))
+                fastest = self._largest(following.q1)
+                longest = 0.9 * TRAVEL / fastest if fastest > 0.0 else np.inf
+                h = min(1.7 * step if easy else step, max(longest, 0.1 * step))
+                moved += self._largest(following.q - node.q, self._actuated)
+                self._check_number(len(taken) + 1, following.u, piece, moved)
+                node = following
+                self.watch(node.u)
+            u, q = node.u, node.q
+            whole = 2 * np.pi * np.round((q - first) / (2 * np.pi))
+            whole[list(self.mechanism.slides)] = 0.0
+            if u in self._returns and self._largest(q - first - whole) < RETURNED:
+                rise = whole
+                break
+        begins, ends, pieces = zip(*taken, strict=True)
+        return Nodes(
+            u=np.array([0.0, *(node.u for node in ends)]),
+            q=np.array([first, *(node.q for node in ends)]),
+            begins=np.array([node.q1 for node in begins]),
+            ends=np.array([node.q1 for node in ends]),
+            pieces=np.array(pieces),
+            crossings=tuple(self._crossings),
+            period=u,
+            rise=rise,
+        )
+
+    def _check_travel(self) -> None:
+        """Raise TravelError for a path that is known to be too long before it is followed."""
+        travel, pieces = self.path.travel / self._unit, len(self.path.breaks) - 1
+        if travel > FURTHEST:
+            limit = f"must be at most {FURTHEST:g} rad: angles are not exact enough beyond"
+            raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", limit)
+        if pieces > MOST_NODES // LEAST_NODES:
+            limit = f"must be at most {MOST_NODES // LEAST_NODES:,} from point to point"
+            raise TravelError(self.mechanism, f"{pieces} pieces", limit)
+        if self._returns:
+            return
+        if travel <= MOST_NODES * TRAVEL:
+            moves = travels(self.path, self.path.breaks) / (self._unit * TRAVEL)
+            self._least_nodes = np.append(0.0, np.cumsum(np.maximum(moves, LEAST_NODES)))
+        if max(travel / TRAVEL, self._least_nodes[-1]) > MOST_NODES:
+            raise self._too_many()
+
+    def _check_number(self, nodes: int, u: float, piece: int, moved: float) -> None:
+        """Raise TravelError for too many nodes, or where `moved` rad of a piece foretell them."""
+        done, least = u, self._least_nodes
+        if not self._returns:
+            done = min(least[piece] + moved / TRAVEL, least[piece + 1]) / least[-1]
+        # what is foreseen from few nodes is known less well
+        judged = nodes >= JUDGED and u >= max(self._returns, default=0.0)
+        if nodes > MOST_NODES or (
+            judged and nodes > (1.0 + 0.5 * JUDGED / nodes) * MOST_NODES * done
+        ):
+            raise self._too_many()
+
+    def _too_many(self) -> TravelError:
+        text = f"takes more than the {MOST_NODES:,} closed states that are kept"
+        if isinstance(self.path, ConstantSpeed):
+            text += ", as it does not repeat itself after a few turns"
+        return TravelError(self.mechanism, f"{self.path.travel:.6g} rad", text)
+
+    def _step(self, node: _Node, there: float, piece: int) -> tuple[bool, _Node] | None:
+        """The node at `there`, and whether the step was easy; None where it is too long."""
+        h = there - node.u
+        held = self._held(there, piece)
+        guess = node.q + h * node.q1 + 0.5 * h**2 * node.q2
+        guess[self._actuated] = held[0]
+        if self._largest(guess - node.q) > TRAVEL:
+            return None
+        (q,), closed = corrected(self.mechanism, guess[None])
+        miss = self._largest(q - guess)
+        if not closed[0] or miss > CORRECTION or self._largest(q - node.q) > TRAVEL:
+            return None
+        found = self._node(there, q, piece, held)
+        if found is None:
+            return None
+        bend = h * self._largest(found.q1 - node.q1 - h * node.q2, self._passive)
+        if bend > 3 * CORRECTION:
+            return None
+        if node.sign * found.sign < 0.0 and not self._crosses(node, found, piece):
+            return None
+        return max(miss, bend / 3) < 0.2 * CORRECTION, found
+
+    def _node(self, u: float, q: Array, piece: int, held: Array) -> _Node | None:
+        """The state q with q' and q''; None where the actuated joints do not determine them."""
+        q1, q2 = np.zeros_like(q), np.zeros_like(q)
+        q1[self._actuated], q2[self._actuated] = held[1], held[2]
+        if not self._passive:
+            return _Node(u, q, q1, q2, 0.0)
+        Psi = scaled_jacobian(self.mechanism, q)
+        columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
+        units = self.mechanism.arrays.units
+        driving = driving / units[self._actuated]
+        U, s, Vt = svd(columns)
+        if s[-1] <= DEAD * loop_size(self.mechanism) and not self._misses(q):
+            return None
+        inverse = units[self._passive, None] * ((Vt.T / s) @ U.T)
+        q1[self._passive] = -inverse @ (driving @ held[1])
+        bias = closure_bias(self.mechanism, q, q1)
+        q2[self._passive] = -inverse @ (driving @ held[2] + bias)
+        return _Node(u, q, q1, q2, self._sign(columns))
+
+    def _crosses(self, one: _Node, other: _Node, piece: int) -> bool:
+        """Whether the path goes straight on where det Psi_p changes its sign between two nodes."""
+        low, high = (one.u, one.q), (other.u, other.q)
+        h = other.u - one.u
+        while high[0] - low[0] > max(1e-8 * h, 4 * np.spacing(other.u)):
+            middle = 0.5 * (low[0] + high[0])
+            x, length = np.array((middle - one.u) / h), np.array(h)
+            guess = hermite(x, length, one.q, one.q1, other.q, other.q1)
+            guess[self._actuated] = self._held(middle, piece)[0]
+            found, closed = corrected(self.mechanism, guess[None])
+            if not closed[0]:
+                return False
+            columns = scaled_jacobian(self.mechanism, found[0])[:, self._passive]
+            before = self._sign(columns) == one.sign
+            low, high = ((middle, found[0]), high) if before else (low, (middle, found[0]))
+        if self._largest(high[1] - low[1]) > TOGETHER or self._misses(low[1]):
+            return False
+        fastest = max(self._largest(node.q1) for node in (one, other))
+        self._crossings.append((0.5 * (low[0] + high[0]), fastest))
+        return True
+
+    def _largest(self, way: Array, joints: Sequence[int] | slice = slice(None)) -> float:
+        """How far, or fast, the joint goes that moves most, rad."""
+        return float(np.abs(way / self._units)[joints].max(initial=0.0))
+
+    def _misses(self, q: Array) -> bool:
+        """Whether q is near a singular configuration that is no change point."""
+        near = nearest_singular(self.mechanism, q)
+        return near is not None and not near.crosses
+
+    def _kind(self, q: Array, near: float) -> str:
+        """What ends a path at q; Psi is singular below the part `near` of the loop's size."""
+        s = np.linalg.svd(scaled_jacobian(self.mechanism, q), compute_uv=False)
+        return "dead centre" if s[-1] / loop_size(self.mechanism) > near else "change point"
+
+    def _sign(self, columns: Array) -> float:
+        return float(np.linalg.slogdet(columns)[0]) if self._square else 0.0
+
+    def _held(self, u: float, piece: int) -> Array:
+        """p, p', p'' of the actuated joints, (3, m)."""
+        return np.array(self.path.evaluate(np.array([u]), np.array([piece])))[:, 0]
+
+    def _ends(self, u: float, q: Array, reason: str) -> PathEndError:
+        driven, freedoms = len(self._actuated), self.mechanism.n - len(self.mechanism.rows)
+        if driven > freedoms:
+            reason = f"{driven} joints are actuated, more than the freedoms ({freedoms}), so "
+            reason += "their angles depend on one another"
+        return PathEndError(self.mechanism, u, q, reason, self._kind(q, NEAR))
+
 
 Columns = Callable[[Array, Pieces], Array]  # values (T, columns) at u (T,) of these pieces
 Samples = tuple[Array, Pieces]  # u (T,) and the piece of each

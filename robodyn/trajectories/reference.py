@@ -22,10 +22,8 @@ from robodyn.loops.closing import wrapped
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
-from robodyn.trajectories.continuation import PathEndError, Watch
-from robodyn.trajectories.joint_paths import JointPath, Legs, Spline, path_through
-from robodyn.trajectories.loop_path import LoopPath, WholePath
-from robodyn.trajectories.profiles import ACCELERATION
+from robodyn.trajectories.joint_paths import ACCELERATION, JointPath, Legs, Spline, path_through
+from robodyn.trajectories.loop_path import LoopPath, PathEndError, Watch, WholePath
 
 LONGEST = 1e100  # s
 SAME = 1e-4  # rad, by which a passive angle that is given may miss the one that is reached

@@ -5,32 +5,307 @@ and along X, carry a pin on P, and for an absolute angle a link that turns there
 aligned.  The guide's joints are the actuated ones of the mechanism so guided, and its own joints
 are passive: what closes loops in closed form or by Newton's method, stays on a branch, and has
 rates and accelerations, is then inverse kinematics as it is.
+
+Paths in the plane are lines, arcs, and splines run through by their length.  A curve is c(s), s
+from 0 to 1 the part of its length behind the point, so that |dc/ds| is its length L; in the time T
+a profile s(u) leads along it with the speed L s'(u)/T.  More coordinates (an angle) go along with
+the two of the plane, and count for nothing in the length.
+
+A spline in tau, natural and cubic, has the length int |c_tau| dtau (Gauss-Legendre, on intervals
+short enough to be right to rounding), from which tau follows by Newton's method, and by the length
+
+    dc/ds = L c_tau / |c_tau|       d2c/ds2 = L^2 (c_tautau - c_tau (c_tau . c_tautau) / |c_tau|^2)
+                                              / |c_tau|^2
+
+A mechanism that has more freedoms than its path asks for takes the least motion.  With A the
+columns of Psi of the passive joints y (displacements in units of a length), D those of the actuated
+ones, which follow p(u), the closures keep A y' = -D p', and
+
+    y' = -A^+ D p' + (1 - A^+ A) w         w = k s'(u) (posture - y)
+
+is of least length (w = 0), or pulled toward a posture as far as the path leaves it free: what is
+free goes there by exp(-k s), s(u) the quintic profile.  Its rate, with y' = w + A^T mu, is
+
+    y'' = -A^+ (D p'' + Psidot q') + (1 - A^+ A) (w' + Adot^T mu)
+
+(Adot^T mu by polarisation: Psidot q' is a quadratic form in q'.)  y is integrated by DOP853 far
+more closely than it is told, then closed by Newton's method.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from robodyn.dynamics.closed_form import point_motion, scaled_jacobian
-from robodyn.dynamics.placed import matvec
-from robodyn.engines.singular_values import damped, svd
-from robodyn.errors import AssemblyError, InputError
-from robodyn.kinematics.named_points import NamedPoint
-from robodyn.kinematics.point_motion import link_turns
-from robodyn.loops.assembly import scene_branches
-from robodyn.loops.closing import close_positions, closed_jacobians, loop_size
+from robodyn.dynamics.closed_form import closure_bias, point_motion, scaled_jacobian
+from robodyn.dynamics.placed import matvec, numbers
+from robodyn.engines.factors import damped, svd
+from robodyn.errors import AssemblyError, InputError, SingularError
+from robodyn.kinematics.named_points import NamedPoint, link_turns, named_point
+from robodyn.loops.assembly import all_branches, assembly_plan, attempt, scene_branches
+from robodyn.loops.closing import close_positions, closed_jacobians, loop_size, wrapped
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.scene import Closure, Link, Point
-from robodyn.tables.arrays import Array
+from robodyn.tables.arrays import Array, Truth
 from robodyn.tables.csv_fields import shown
-from robodyn.trajectories.continuation import PathEndError, TravelError, Watch
-from robodyn.trajectories.joint_paths import JointPath, Pieces, Values
-from robodyn.trajectories.loop_path import LoopPath, Samples, WholePath, largest
-from robodyn.trajectories.plane_paths import length_until
-from robodyn.trajectories.redundant_path import RedundantPath
-from robodyn.trajectories.reference import check_driven, started
+from robodyn.trajectories import joint_paths
+from robodyn.trajectories.joint_paths import (
+    JointPath,
+    Legs,
+    Pieces,
+    Profile,
+    Values,
+    profile,
+    spread,
+)
+from robodyn.trajectories.loop_path import (
+    DEAD,
+    FEWEST,
+    MOST_NODES,
+    LoopPath,
+    PathEndError,
+    Samples,
+    TravelError,
+    Watch,
+    WholePath,
+    corrected,
+    largest,
+    samples,
+)
+from robodyn.trajectories.reference import all_joints, check_driven, started
+
+Curve = Callable[[Array], Values]  # c, dc/ds, d2c/ds2, each (T, m), at parts s (T,)
+
+PARTS = 16  # of each piece of a spline, in which its length is integrated
+CUSP = 1e-6  # part of the length a unit of tau, below which a spline stands still
+HALVINGS = 60
+PASSES = 8  # of Newton's method for the place at a length
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+class AlongCurve(JointPath):
+    """The path along a curve of this length (m) by a profile."""
+
+    def __init__(self, curve: Curve, length: float, profile: Profile) -> None:
+        self.curve, self.profile = curve, profile
+        self.breaks, self.travel = np.array(profile.breaks), length
+
+    def within(self, u: Array, piece: Pieces) -> Values:
+        late, s, s1, s2 = self.profile.evaluate(u, 1.0 - u, piece)
+        c, c1, c2 = self.curve(np.where(late, 1.0 - s, s))
+        return c, c1 * s1[:, None], c1 * s2[:, None] + c2 * (s1 * s1)[:, None]
+
+
+def arc(begin: Array, centre: Array, angle: float) -> tuple[Curve, float]:
+    """The arc from `begin` (2,) about a centre (2,) by an angle, rad, and its length."""
+    radius = complex(*(begin - centre))
+
+    def curve(s: Array) -> Values:
+        turned = radius * np.exp(1j * angle * s)
+        first, second = 1j * angle * turned, -(angle**2) * turned
+        c, c1, c2 = (np.stack([z.real, z.imag], axis=-1) for z in (turned, first, second))
+        return c + centre, c1, c2
+
+    return curve, abs(radius * angle)
+
+
+def spline_curve(points: Array) -> tuple[Curve, float]:
+    """The natural cubic spline through points (K, 2 or more), and its length.
+
+    Of two points it is the line; no two that follow one another coincide.  Raises InputError where
+    it turns back on itself: at a speed along it, the point's velocity would jump there.
+    """
+    knots = spread(points[:, :2])
+    of = joint_paths.spline(knots, points, "cubic", natural=True)
+    edges = _finer(knots)
+
+    def bent(tau: Array) -> list[Array]:
+        return [of(tau, order) for order in range(3)]
+
+    behind = np.append(0.0, np.cumsum(_lengths(bent, edges[:-1], edges[1:])))
+    length = float(behind[-1])
+    low, high = edges[:-2], edges[2:]
+    turned = (bent(low)[1][:, :2] * bent(high)[1][:, :2]).sum(axis=1) < 0.0
+    low, high = low[turned], high[turned]
+    for _ in range(HALVINGS):  # to where the speed is least
+        middle = 0.5 * (low + high)
+        _, c1, c2 = (x[:, :2] for x in bent(middle))
+        falls = (c1 * c2).sum(axis=1) < 0.0
+        low, high = np.where(falls, middle, low), np.where(falls, high, middle)
+    c, c1, _ = (x[:, :2] for x in bent(low))
+    for x, y in c[np.linalg.norm(c1, axis=1) < CUSP * length]:
+        limit = "without times (t) a path must not turn back on itself; split it there, or give t"
+        raise InputError(f"the path turns back at ({x:.6g}, {y:.6g})", limit=limit)
+
+    def curve(s: Array) -> Values:
+        k = np.clip(np.searchsorted(behind, s * length, side="right") - 1, 0, len(edges) - 2)
+        low, high = edges[k], edges[k + 1]
+        wanted = s * length - behind[k]
+        tau = low + (high - low) * wanted / (behind[k + 1] - behind[k])
+        for _ in range(PASSES):
+            speed = np.linalg.norm(bent(tau)[1][:, :2], axis=1)
+            tau = np.clip(tau - (_lengths(bent, low, tau) - wanted) / speed, low, high)
+        tau = np.where(s == 1.0, 1.0, tau)
+        c, c1, c2 = bent(tau)
+        square = (c1[:, :2] ** 2).sum(axis=1)[:, None]
+        along = (c1[:, :2] * c2[:, :2]).sum(axis=1)[:, None]
+        return c, length / np.sqrt(square) * c1, length**2 / square * (c2 - c1 * along / square)
+
+    return curve, length
+
+
+def length_until(path: JointPath, u: float = 1.0) -> float:
+    """How far (m) the point of a path has gone at u."""
+    edges = _finer(np.unique(np.append(np.clip(path.breaks, 0.0, u), u)))
+    return float(_lengths(path.evaluate, edges[:-1], edges[1:]).sum())
+
+
+def _finer(knots: Array) -> Array:
+    whole = np.arange(len(knots))
+    return np.interp(np.arange(PARTS * whole[-1] + 1) / PARTS, whole, knots)
+
+
+def _lengths(curve: Callable[[Array], Sequence[Array]], begin: Array, end: Array) -> Array:
+    """Of smooth parts of a curve in the plane, whose rates are the second of its values."""
+    half = 0.5 * (end - begin)
+    at = begin[:, None] + half[:, None] * (1.0 + NODES)
+    speed = np.linalg.norm(curve(at.reshape(-1))[1][:, :2], axis=1).reshape(at.shape)
+    return np.asarray(half * (speed @ WEIGHTS))
+
+
+PULL = 10.0  # toward a posture, over the whole path
+TOLERANCE = 1e-13  # of the integration, relative and in rad
+LEAST_STEPS = 4  # of a piece
+PROGRESS = profile("quintic")
+REASON = "that is as far as they can be closed on this branch"
+
+
+class RedundantPath(WholePath):
+    """The path from the closed state `start` (n,) on; perhaps toward `posture` (n,).
+
+    Raises PathEndError where the loops cannot be closed all the way.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        path: JointPath,
+        start: Array,
+        posture: Array | None,
+        watch: Watch = lambda u: None,
+    ) -> None:
+        from scipy.integrate import OdeSolution
+
+        super().__init__(mechanism, path)
+        self._driven, self._passive = list(mechanism.actuated), list(mechanism.passive)
+        self._units = mechanism.arrays.units[self._passive]
+        self._posture = None
+        if posture is not None:
+            turns = np.round((start - posture) / (2 * np.pi))
+            turns[list(mechanism.slides)] = 0.0
+            self._posture = (posture + 2 * np.pi * turns)[self._passive]
+        if not self._regular(start):
+            raise PathEndError(mechanism, 0.0, start, REASON)
+        self._u, self._pieces = [0.0], list[int]()
+        self._between = OdeSolution(*self._integrated(start, watch))
+
+    def within(self, u: Array, piece: Pieces) -> Values:
+        q, closed = self._closed(u, piece, self._between(u).T)
+        if not closed.all():
+            worst = int(np.argmin(closed))
+            raise PathEndError(self.mechanism, float(u[worst]), q[worst], REASON)
+        q1, q2 = self._rates(q, u, piece)
+        return q, q1, q2
+
+    def grid(self) -> Samples:
+        pieces = np.array(self._pieces)
+        share = max(4, -(-FEWEST // len(pieces)))
+        return samples(np.array(self._u), pieces, np.full(len(pieces), share))
+
+    def _integrated(self, here: Array, watch: Watch) -> tuple[list[float], list[Any]]:
+        from scipy.integrate import DOP853
+
+        between: list[Any] = []
+        breaks = self.path.breaks.tolist()
+        for piece, (u, end) in enumerate(pairwise(breaks)):
+            of = np.array([piece])
+
+            def rates(u: float, y: Array, of: Pieces = of) -> Array:
+                at = np.array([u])
+                q = self._whole(at, of, y[None])
+                return np.asarray(self._rates(q, at, of, False)[0][0, self._passive])
+
+            longest = (end - u) / LEAST_STEPS
+            y, least = here[self._passive], TOLERANCE * float(self._units.min())
+            solver: Any = DOP853(rates, u, y, end, longest, TOLERANCE, least)
+            while solver.status == "running":
+                solver.step()
+                (q,), closed = self._closed(np.array([solver.t]), of, solver.y[None])
+                if solver.status == "failed" or not closed[0] or not self._regular(q):
+                    raise PathEndError(self.mechanism, self._u[-1], here, REASON)
+                if len(self._u) > MOST_NODES:
+                    limit = f"takes more than {MOST_NODES:,} steps"
+                    raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", limit)
+                self._u.append(solver.t)
+                self._pieces.append(piece)
+                between.append(solver.dense_output())
+                watch(solver.t)
+                here = q
+        return self._u, between
+
+    def _regular(self, q: Array) -> bool:
+        s = np.linalg.svd(scaled_jacobian(self.mechanism, q)[:, self._passive], compute_uv=False)
+        return bool(s[-1] > DEAD * loop_size(self.mechanism))
+
+    def _whole(self, u: Array, piece: Pieces, y: Array) -> Array:
+        q = np.empty((len(u), self.mechanism.n))
+        q[:, self._driven], q[:, self._passive] = self.path.evaluate(u, piece)[0], y
+        return q
+
+    def _closed(self, u: Array, piece: Pieces, y: Array) -> tuple[Array, Truth]:
+        return corrected(self.mechanism, self._whole(u, piece, y))
+
+    def _rates(self, q: Array, u: Array, piece: Pieces, second: bool = True) -> tuple[Array, Array]:
+        """q' and, if it is wanted, q'' at states q (T, n)."""
+        mechanism, units = self.mechanism, self._units
+        _, p1, p2 = self.path.evaluate(u, piece)
+        Psi = scaled_jacobian(mechanism, q)
+        D = Psi[..., self._driven] / mechanism.arrays.units[self._driven]
+        U, s, Vt = svd(Psi[..., self._passive])
+        up, rows = np.swapaxes(U, -1, -2), np.swapaxes(Vt, -1, -2)
+
+        def onto(right: Array) -> Array:
+            return matvec(rows, matvec(up, right) / s)
+
+        def free(x: Array) -> Array:
+            return np.asarray(x - matvec(rows, matvec(Vt, x)))
+
+        pull = pull1 = np.zeros_like(q[:, self._passive])
+        if self._posture is not None:
+            _, s1, s2 = (x[:, None] for x in PROGRESS.half(u, u < 0.0))
+            away = (self._posture - q[:, self._passive]) / units
+            pull = PULL * s1 * away
+        q1, q2 = np.zeros_like(q), np.zeros_like(q)
+        y1 = onto(-matvec(D, p1)) + free(pull)
+        q1[:, self._driven], q1[:, self._passive] = p1, units * y1
+        if second:
+            if self._posture is not None:
+                pull1 = PULL * (s2 * away - s1 * y1)
+            mu = matvec(U, matvec(Vt, y1 - pull) / s)
+            size = np.abs(q1).max(axis=1)[:, None, None]
+            way = np.where(size > 0.0, size, 1.0) * (
+                units[:, None] * np.eye(mechanism.n)[self._passive]
+            )
+            two = [closure_bias(mechanism, q[:, None], q1[:, None] + x) for x in (way, -way)]
+            bent = matvec((two[0] - two[1]) / (4.0 * np.where(size > 0.0, size, 1.0)), mu)
+            y2 = onto(-matvec(D, p2) - closure_bias(mechanism, q, q1)) + free(pull1 + bent)
+            q2[:, self._driven], q2[:, self._passive] = p2, units * y2
+        return q1, q2
+
 
 MOVES = 1e-8  # part of the loop's size above which a singular value tells a freedom
 BEYOND = 1e-7  # part of the loop's size, of a point that is out of reach
@@ -221,3 +496,114 @@ def pose_of(task: Task, pose: Array) -> Array:
     mechanism = task.mechanism
     begin = started(mechanism, pose, pose[list(mechanism.actuated)])
     return close_positions(mechanism, begin, mechanism.actuated)
+
+
+MOST_WAYS = 8  # of dyads with two branches each, of which the nearest is looked for
+
+
+def inverse_kinematics(
+    mechanism: Mechanism,
+    xy: ArrayLike,
+    of: str,
+    angle: ArrayLike | None = None,
+    near: ArrayLike | None = None,
+) -> Array:
+    """The joints q (..., n), rad, that bring the point `of` to places xy (..., 2), m.
+
+    `angle` (...) asks for the absolute angle of the point's link too, rad.  The places follow one
+    another along one branch: the one nearest to the pose `near` (n, or actuated) at the first, or
+    that of the scene's `assembly` (`open` for the point itself).  Chains of dyads are solved in
+    closed form; else, and where the mechanism is redundant (then by least motion), Newton's method
+    follows straight lines from `near` and from place to place.
+
+    Raises InputError for arguments that do not fit, AssemblyError where a place is out of reach,
+    SingularError where links that lead to it may have any direction.
+    """
+    named = named_point(mechanism, of, "of")
+    places = numbers("xy", xy)
+    if places.ndim == 0 or places.shape[-1] != 2 or not np.isfinite(places).all():
+        raise InputError("xy", value=places.shape, limit="must be (..., 2), finite: x and y, m")
+    shape = places.shape[:-1]
+    if angle is not None:
+        try:
+            turned = np.broadcast_to(numbers("angle", angle), shape)[..., None]
+        except ValueError:
+            turned = np.array([np.nan])
+        if not np.isfinite(turned).all():
+            raise InputError("angle", limit=f"must be {shape}, one a place, and finite")
+        places = np.concatenate([places, turned], axis=-1)
+    task = task_of(mechanism, named, angle is not None)
+    pose = None
+    if near is not None:
+        pose = pose_of(task, all_joints(mechanism, numbers("near", near)[None])[0])
+    q = along_branch(task, places.reshape(-1, places.shape[-1]), pose)
+    return q.reshape(*shape, mechanism.n)
+
+
+def along_branch(task: Task, places: Array, pose: Array | None) -> Array:
+    """q (K, n) at places (K, c), from the branch that is nearest to a closed pose (n,) on."""
+    n = task.mechanism.n
+    if not len(places):
+        return np.zeros((0, n))
+    if not _is_dyads(task):
+        if pose is None:
+            raise InputError("near", limit="missing: give the pose that it begins from")
+        return _followed(task, places, pose)
+    branches = _nearest_branches(task, places[0], pose)
+    whole, missing = attempt(task.guided, places, branches)
+    if not (missing <= 0.0).all():
+        k = int(np.argmin(missing <= 0.0))
+        at = f"({places[k, 0]:.9g}, {places[k, 1]:.9g})"
+        if np.isnan(missing[k]):
+            what = f"singular configuration: {task.of.name} at {at}"
+            limit = "any direction of the links leads there: choose a place beside it"
+            raise SingularError(what, where=task.mechanism.source, limit=limit)
+        what = f"{task.of.name} does not reach {at}"
+        limit = f"place {k + 1} is {missing[k]:.9g} m out of reach"
+        raise AssemblyError(what, where=task.mechanism.source, limit=limit)
+    q: Array = whole[:, :n]
+    turning = [k for k in range(n) if k not in task.mechanism.slides]
+    first = q[:1, turning].copy()
+    if pose is not None:
+        first -= 2 * np.pi * np.round((first - pose[turning]) / (2 * np.pi))
+    q[:, turning] = np.unwrap(np.concatenate([first, q[:, turning]]), axis=0)[1:]
+    return q
+
+
+def _is_dyads(task: Task) -> bool:
+    """Whether there is a closed form."""
+    if task.redundant or task.mechanism.description.couplings:  # couplings count turns
+        return False
+    try:
+        plan = assembly_plan(task.guided)
+    except InputError:
+        return False
+    return not plan.rest and len(plan.two_way) <= MOST_WAYS
+
+
+def _nearest_branches(task: Task, place: Array, pose: Array | None) -> tuple[str, ...]:
+    """The words of the branch that is nearest to a pose at a place, among those that close."""
+    words = scene_branches(task.guided)
+    if pose is None:
+        return words
+    best, n = np.inf, task.mechanism.n
+    for trial in all_branches(task.guided):
+        q, missing = attempt(task.guided, place, trial)
+        away = float(np.linalg.norm(wrapped(task.mechanism, q[:n] - pose)))
+        if missing <= 0.0 and away < best:
+            best, words = away, trial
+    return words
+
+
+def _followed(task: Task, places: Array, pose: Array) -> Array:
+    """By Newton's method along straight lines from the pose and from place to place."""
+    points = np.concatenate([task.place(pose)[None], places])
+    points[0, 2:] -= 2 * np.pi * np.round((points[0, 2:] - places[0, 2:]) / (2 * np.pi))
+    moved = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 0.0)
+    stations = points[moved]
+    if len(stations) == 1:
+        return np.repeat(pose[None], len(places), axis=0)
+    knots = spread(stations)
+    path = TaskPath(task, Legs(stations, knots, profile("constant")), pose)
+    q: Array = path.evaluate(knots)[0][np.cumsum(moved)[1:] - 1]
+    return q

@@ -24,13 +24,12 @@ from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
-from robodyn.simulation import extended
+from robodyn.simulation import benchmark
 from robodyn.simulation.report import Report
 from robodyn.simulation.settings import METHODS
 from robodyn.simulation.simulation import simulate
 from robodyn.sweeps.sweep_chunks import run_chunk
-from robodyn.sweeps.sweep_plan import Plan
-from robodyn.sweeps.variation import Axis, Variation
+from robodyn.sweeps.sweep_plan import Axis, Plan, Variation
 
 Options = Mapping[str, object]
 Command = Callable[..., tuple[str, str]]  # stdout, stderr of its arguments, and of `stdin`
@@ -422,13 +421,13 @@ def exact_motion(case: Case, sure: bool = True) -> Exact:
     if case.miss == 0.0 and len(case.near) == 1:  # next to the change point longdoubles are too few
         state = exact_values(mechanism, robodyn.assemble(mechanism, case.start), case.rates)[:2]
         end = followed(mechanism, *([mp.re(v) for v in values] for values in state), case.time)
-        found = extended.Reference(np.array([[float(v) for v in end]]), 0.0)
+        found = benchmark.Reference(np.array([[float(v) for v in end]]), 0.0)
     else:
-        task = extended._Task(*given)
-        series = (extended._Series(task, order, 0.1) for order in ((30, 21) if sure else (30,)))
-        both = [extended._followed(task, each)[-1] for each in series]
+        task = benchmark._Task(*given)
+        series = (benchmark._Series(task, order, 0.1) for order in ((30, 21) if sure else (30,)))
+        both = [benchmark._followed(task, each)[-1] for each in series]
         apart = float(np.abs(both[0] - both[-1]).max())
-        found = extended.Reference(both[0].astype(float)[None], apart)
+        found = benchmark.Reference(both[0].astype(float)[None], apart)
     motion = simulate(mechanism, *np.split(start(case), 2), case.time, **TIGHT["taylor"])
     nearest = motion.report.nearest_singular
     assert nearest is not None
