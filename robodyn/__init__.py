@@ -69,6 +69,8 @@ if TYPE_CHECKING:
     from robodyn.simulation.simulation import Motion as Motion
     from robodyn.simulation.simulation import simulate as simulate
     from robodyn.trajectories.inverse_kinematics import inverse_kinematics as inverse_kinematics
+    from robodyn.trajectories.postures import Posture as Posture
+    from robodyn.trajectories.postures import postures as postures
     from robodyn.trajectories.reference import ReferenceMotion as ReferenceMotion
     from robodyn.trajectories.reference import reference_motion as reference_motion
     from robodyn.trajectories.time_scaling import shortest_motion as shortest_motion
@@ -126,6 +128,7 @@ _ROOMS = {
     "control.state_feedback": ["StateFeedback"],
     "control.tracking": ["ReferenceTable"],
     "trajectories.inverse_kinematics": ["inverse_kinematics"],
+    "trajectories.postures": ["Posture", "postures"],
     "trajectories.time_scaling": ["shortest_motion"],
     "trajectories.reference": ["ReferenceMotion", "reference_motion"],
 }

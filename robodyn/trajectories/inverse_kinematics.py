@@ -64,7 +64,7 @@ def along_branch(task: Task, places: Array, pose: Array | None) -> Array:
     n = task.mechanism.n
     if not len(places):
         return np.zeros((0, n))
-    if not _is_dyads(task):
+    if not is_dyads(task):
         if pose is None:
             raise InputError("near", limit="missing: give the pose that it begins from")
         return _followed(task, places, pose)
@@ -89,7 +89,7 @@ def along_branch(task: Task, places: Array, pose: Array | None) -> Array:
     return q
 
 
-def _is_dyads(task: Task) -> bool:
+def is_dyads(task: Task) -> bool:
     """Whether there is a closed form."""
     if task.redundant or task.mechanism.description.couplings:  # couplings count turns
         return False

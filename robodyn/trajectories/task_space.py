@@ -169,7 +169,7 @@ class TaskPath(WholePath):
         task, u = self._task, error.u
         behind, length = length_until(self.path, u), length_until(self.path)
         beyond = self.path.evaluate(np.linspace(u, 1.0, LOOKED_AT)[1:])[0]
-        missed = _missed(task, error.q, beyond)
+        missed = out_of_reach(task, error.q, beyond)
         x, y = self.path.evaluate(np.array([u]))[0][0, :2]
         at = f"{behind:.6g} m along its path of {length:.6g} m, at ({x:.6g}, {y:.6g})"
         what, limit = "meets a singularity", "the joints cannot go on from there on this branch"
@@ -180,7 +180,7 @@ class TaskPath(WholePath):
         return AssemblyError(what, where=self.mechanism.source, limit=limit)
 
 
-def _missed(task: Task, q: Array, places: Array) -> float:
+def out_of_reach(task: Task, q: Array, places: Array) -> float:
     """How far the point stays from the farthest of places (k, c), m; q (n + guide,) is closed.
 
     Levenberg and Marquardt's method on closed states whose x and y are free; what is far pulls as
