@@ -179,7 +179,7 @@ def _led(
         sources = [Source(given[0], q.tolist(), [], True), *rest]
         values = [np.array(source.values) for source in sources]
         found.append((branch, complete(mechanism, sources, values)))
-    return found, {branch: None for branch, _ in every}, _barred(mechanism, found)
+    return found, dict.fromkeys(dict(every)), _barred(mechanism, found)
 
 
 def _write_ranges(

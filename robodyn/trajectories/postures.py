@@ -50,7 +50,7 @@ def postures(
     `angle`, rad, asks for the absolute angle of the point's link too, from the ground's X axis on.
     Of an arm of two joints they are all, the nearest to `near` first: `left` or `right` says where
     the second joint lies of the line from the first to the point, `stretched` or `folded` that it
-    lies on it.  Of other mechanisms it is one, the nearest to `near`.  `near` are all joints (n,),
+    lies on it; with a joint that slides, `ahead` or `behind` along it.  Of other mechanisms it is one, the nearest to `near`.  `near` are all joints (n,),
     which need not close, or the actuated ones; without it they are those of the scene's `start`, or
     of the first pose that closes.  Unless `near` has all joints, loops that are chains of dyads
     keep the scene's branch, which `branch` tells.
@@ -99,7 +99,7 @@ def postures_at(task: Task, place: Array, near: Array, whole: bool) -> list[Post
     q = q[np.argsort(_away(mechanism, q, near), kind="stable")]
     if not mechanism.rows and mechanism.n == 2 and dyads:
         return _of_arm(mechanism, task, q)
-    if not mechanism.rows or not assembly_known(mechanism):
+    if not mechanism.rows or not _has_words(mechanism):
         return [Posture("nearest", q[0])]
     own = assembly.scene_branches(mechanism)
     for pose in q:
@@ -116,7 +116,7 @@ def postures_at(task: Task, place: Array, near: Array, whole: bool) -> list[Post
     )
 
 
-def assembly_known(mechanism: Mechanism) -> bool:
+def _has_words(mechanism: Mechanism) -> bool:
     """Whether words tell the branch of every loop."""
     try:
         return not assembly.assembly_plan(mechanism).rest
@@ -141,20 +141,22 @@ def _words(mechanism: Mechanism, q: Array) -> tuple[str, ...] | None:
 
 def _of_arm(mechanism: Mechanism, task: Task, q: Array) -> list[Posture]:
     """The postures q (k, 2) of an arm of two joints, each once."""
-    found: list[Posture] = []
+    apart: list[Array] = []
     for pose in q:
-        if any(np.abs(wrapped(mechanism, pose - x.q)).max() < ALIKE for x in found):
-            continue
-        found.append(Posture(_side(mechanism, task, pose), pose))
-    return found
+        if all(np.abs(wrapped(mechanism, pose - x)).max() >= ALIKE for x in apart):
+            apart.append(pose)
+    if not mechanism.slides:
+        return [Posture(_side(mechanism, task, pose), pose) for pose in apart]
+    if len(apart) == 1:
+        return [Posture("only", apart[0])]
+    slide = mechanism.slides[0]
+    middle = np.mean(apart, axis=0)[slide]
+    return [Posture("ahead" if x[slide] > middle else "behind", x) for x in apart]
 
 
 def _side(mechanism: Mechanism, task: Task, q: Array) -> str:
     """Where the second joint lies of the line from the first joint to the point."""
     along, over = _lengths(mechanism, task, q)
-    if mechanism.slides:
-        line = mechanism.description.links[mechanism.slides[0]].axis
-        return "ahead" if line is not None and q[mechanism.slides[0]] >= 0.0 else "behind"
     bend = (along.conjugate() * (along + over)).imag
     if abs(bend) <= ALIKE * abs(along) * abs(over):
         return "stretched" if (along.conjugate() * over).real > 0.0 else "folded"
@@ -205,7 +207,7 @@ def _beyond(task: Task, place: Array, near: Array, reached: str) -> AssemblyErro
     if len(place) > 2:
         turned = f" at an angle of {np.degrees(place[2]):.9g} deg"
     what = f"{task.of.name} does not reach ({x:.9g}, {y:.9g}){turned}"
-    limit = f"is {far:.9g} m from the joint of {mechanism.link_names[first]}; {reached}"
+    limit = f"it is {far:.9g} m from the joint of {mechanism.link_names[first]}; {reached}"
     return AssemblyError(what, where=mechanism.source, limit=limit)
 
 
