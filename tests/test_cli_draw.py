@@ -321,11 +321,11 @@ def test_what_does_not_go_with_branches(
 ) -> None:
     given = robodyn("draw", "four-bar", *words, "--branches", "-o", tmp_path / "x.svg")
     assert given.code == 2
-    assert f"Error: {told}" in given.stderr
+    assert f"Error: {told}" in given.err
 
 
 def test_branches_make_no_gif(robodyn: Run, tmp_path: Path) -> None:
     out = tmp_path / "x.gif"
     given = robodyn("draw", "four-bar", "--q", "1", "--branches", "-o", out)
     assert given.code == 2
-    assert "--out" in given.stderr
+    assert "--out" in given.err

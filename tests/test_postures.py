@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from conftest import Outcome
 import robodyn as api
 
 Run = Callable[..., Outcome]
-A, B = 0.8, 0.6  # the lengths of robots/2r.yaml
 FIVE = (0.30, 0.68, 0.26, 0.64, 0.7)  # of robots/five-bar.yaml: rods, and the second pivot's x
 
 
@@ -62,7 +62,6 @@ def test_an_arm_of_two_joints_has_both_postures(robodyn: Run, seed: int) -> None
     rng = np.random.default_rng(seed)
     d, turn = rng.uniform(abs(a - b) + 0.02, a + b - 0.02), rng.uniform(-3, 3)
     p = cmath.rect(d, turn)
-    # a value with a minus sign in front must not read as an option
     given = robodyn("assemble", "2r", "--of", "tip2", f"--to-xy={p.real!r},{p.imag!r}").succeeds()
     assert sorted(row["branch"] for row in given.rows) == ["left", "right"]
     for row in given.rows:
@@ -95,7 +94,7 @@ def test_an_arm_that_slides_goes_ahead_or_behind() -> None:
 
 
 def test_a_row_goes_on_to_torque(robodyn: Run) -> None:
-    rows = robodyn("assemble", "2r", "--of", "tip2", "--to-xy", "0.5,0.6").succeeds().stdout
+    rows = robodyn("assemble", "2r", "--of", "tip2", "--to-xy", "0.5,0.6").succeeds().out
     given = robodyn("torque", "2r", "-", stdin=rows).succeeds()
     for row in given.rows:
         q = [float(row["q1"]), float(row["q2"])]
@@ -112,7 +111,7 @@ def test_a_five_bar_takes_the_posture_nearest_to_all_joints(near: int) -> None:
         for left in elbows(a, b, p)
         for right in elbows(c, d, p - x)
     ]
-    guess = np.array(every[near]) + [0.05, -0.04, 0.03, 0.05]
+    guess = np.add(every[near], [0.05, -0.04, 0.03, 0.05])
     (found,) = api.postures(bar, [p.real, p.imag], "left rod", near=guess)
     assert same(found.q, every[near])
 
@@ -125,7 +124,7 @@ def test_a_five_bar_keeps_the_word_of_the_scene(robodyn: Run) -> None:
     assert same(q, [float(row[f"q{k}"]) for k in range(1, 5)])
     below = robodyn(*words, "0.3,-0.7")
     assert below.code == 1
-    assert "as open; as crossed it does" in below.stderr
+    assert "as open; as crossed it does" in below.err
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -152,7 +151,7 @@ def test_a_plate_on_three_legs_takes_one_command(seed: int) -> None:
 def test_a_redundant_arm_moves_least(seed: int) -> None:
     arm = api.load("3r")
     rng = np.random.default_rng(seed)
-    near = rng.uniform(-1, 1, 3) + [0, 1.2, 0.8]
+    near = np.add(rng.uniform(-1, 1, 3), [0, 1.2, 0.8])
     zero = np.zeros(3)
     xy = api.points(arm, near + rng.uniform(-0.3, 0.3, 3), zero, zero, of="tip3")[1][0]
     (found,) = api.postures(arm, xy, "tip3", near=near)
@@ -201,25 +200,25 @@ def test_the_angle_of_the_link(robodyn: Run) -> None:
 def test_what_is_refused(robodyn: Run, words: tuple[str, ...], told: str) -> None:
     given = robodyn("assemble", *words)
     assert given.code == 2
-    assert told in given.stderr
+    assert told in given.err
 
 
 def test_out_of_reach(robodyn: Run) -> None:
     a, b = lengths()
     given = robodyn("assemble", "2r", "--of", "tip2", "--to-xy", "3,4")
     assert given.code == 1
-    assert "tip2 does not reach (3, 4): it is 5 m from the joint of upper arm" in given.stderr
-    assert f"{abs(a - b):.9g} to {a + b:.9g} m are reached" in given.stderr
+    assert "tip2 does not reach (3, 4): it is 5 m from the joint of upper arm" in given.err
+    assert f"{abs(a - b):.9g} to {a + b:.9g} m are reached" in given.err
     for words in (("3r", "--of", "tip3"), ("five-bar", "--of", "left rod")):
         given = robodyn("assemble", *words, "--to-xy", "3,4")
         assert given.code == 1
-        assert "does not reach (3, 4): it is 5 m from the joint of" in given.stderr
+        assert "does not reach (3, 4): it is 5 m from the joint of" in given.err
 
 
-def test_a_posture_beyond_limits_comes_last_with_a_note(robodyn: Run, tmp_path) -> None:
+def test_a_posture_beyond_limits_comes_last_with_a_note(robodyn: Run, tmp_path: Path) -> None:
     scene = tmp_path / "arm.yaml"
     link = "m: 1, l: 0.5, r: 0.2, I: 0.02"
-    for limits, code in (("[-180deg, 0deg]", 0), ("[-1deg, 1deg]", 1)):
+    for limits, code in (("{min: -180deg, max: 0}", 0), ("{min: -1deg, max: 1deg}", 1)):
         scene.write_text(f"""links:
   - {{name: a, {link}}}
   - {{name: b, {link}, limits: {limits}}}
@@ -228,6 +227,6 @@ def test_a_posture_beyond_limits_comes_last_with_a_note(robodyn: Run, tmp_path) 
         assert given.code == code
         if code == 0:
             assert [row["branch"] for row in given.rows] == ["left", "right"]
-            assert "Note: right: q2 (b)" in given.stderr
+            assert "Note: right: q2 (b)" in given.err
         else:
-            assert "is beyond the joint's" in given.stderr
+            assert "is beyond the joint's" in given.err

@@ -50,10 +50,11 @@ def postures(
     `angle`, rad, asks for the absolute angle of the point's link too, from the ground's X axis on.
     Of an arm of two joints they are all, the nearest to `near` first: `left` or `right` says where
     the second joint lies of the line from the first to the point, `stretched` or `folded` that it
-    lies on it; with a joint that slides, `ahead` or `behind` along it.  Of other mechanisms it is one, the nearest to `near`.  `near` are all joints (n,),
-    which need not close, or the actuated ones; without it they are those of the scene's `start`, or
-    of the first pose that closes.  Unless `near` has all joints, loops that are chains of dyads
-    keep the scene's branch, which `branch` tells.
+    lies on it; with a joint that slides, `ahead` or `behind` along it.  Of other mechanisms it is
+    one, the nearest to `near`.  `near` are all joints (n,), which need not close, or the actuated
+    ones; without it they are those of the scene's `start`, or of the first pose that closes.
+    Unless `near` has all joints, loops that are chains of dyads keep the scene's branch, which
+    `branch` tells.
 
     Raises InputError for arguments that do not fit, AssemblyError for a place out of reach or on
     another branch, SingularError where links that lead to it may have any direction.
