@@ -68,6 +68,8 @@ if TYPE_CHECKING:
     from robodyn.rest.poses_at_rest import equilibrium as equilibrium
     from robodyn.simulation.simulation import Motion as Motion
     from robodyn.simulation.simulation import simulate as simulate
+    from robodyn.trajectories.postures import Posture as Posture
+    from robodyn.trajectories.postures import postures as postures
     from robodyn.trajectories.reference import ReferenceMotion as ReferenceMotion
     from robodyn.trajectories.reference import reference_motion as reference_motion
     from robodyn.trajectories.task_space import inverse_kinematics as inverse_kinematics
@@ -124,6 +126,7 @@ _ROOMS = {
     "control.state_feedback": ["StateFeedback"],
     "control.tracking": ["ReferenceTable"],
     "trajectories.task_space": ["inverse_kinematics"],
+    "trajectories.postures": ["Posture", "postures"],
     "trajectories.time_scaling": ["shortest_motion"],
     "trajectories.reference": ["ReferenceMotion", "reference_motion"],
 }

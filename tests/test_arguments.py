@@ -43,6 +43,7 @@ CALLS = {
     "lqr": {"model": robodyn.linearize(ARM, TWO)},
     "pin_forces": {"mechanism": LOOP, "multipliers": TWO},
     "plot": {},
+    "postures": {"mechanism": ARM, "xy": [0.5, 0.5], "of": "tip2"},
     "reactions": HELD,
     "reference_motion": {**WAY, "duration": 1.0},
     "shortest_motion": {**WAY, "max_qd": [1, 1], "max_qdd": [1, 1]},

@@ -285,3 +285,47 @@ def test_settings_in_the_working_directory_that_are_no_text(shell: Run, tmp_path
     (tmp_path / "matplotlibrc").write_bytes(bytes(range(256)))
     outcome = shell("robodyn draw 2r --q 0,1 -o x.png", tmp_path)
     outcome.fails(2, "matplotlibrc: is no text in UTF-8")
+
+
+def test_all_branches_side_by_side(robodyn: Run, pictures: list, tmp_path: Path) -> None:
+    rows = robodyn("assemble", "robots/watt-six-bar.yaml", "--q", "60deg").succeeds().rows
+    assert len(rows) > 1
+    for suffix, first in FIRST.items():
+        out = tmp_path / f"x{suffix}"
+        pictures.clear()
+        command = ("draw", "robots/watt-six-bar.yaml", "--q", "60deg", "--branches", "-o", out)
+        robodyn(*command, "--of", "P=tip2").succeeds()
+        assert out.read_bytes().startswith(first)
+        titles = [text.get_text() for text in pictures[0].figure.texts]
+        assert titles == [f"{k} {row['branch']}" for k, row in enumerate(rows, start=1)]
+        assert len({picture.figure for picture in pictures}) == 1
+        for picture, row in zip(pictures, rows, strict=True):
+            cross = next(line for line in picture.axes.lines if line.get_marker() == "+")
+            x, y = (float(each[0]) for each in cross.get_data())
+            wanted = float(row["tip_x2"]), float(row["tip_y2"])
+            assert (x, y) == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--forces", "--q", "1"), "--forces"),
+        (("--qd", "1", "--q", "1"), "--qd"),
+        (("--poses", "3", "--q", "1"), "--poses"),
+        (("states.csv",), "STATES"),
+        ((), "--q"),
+    ],
+)
+def test_what_does_not_go_with_branches(
+    robodyn: Run, tmp_path: Path, words: tuple[str, ...], told: str
+) -> None:
+    given = robodyn("draw", "four-bar", *words, "--branches", "-o", tmp_path / "x.svg")
+    assert given.code == 2
+    assert f"Error: {told}" in given.err
+
+
+def test_branches_make_no_gif(robodyn: Run, tmp_path: Path) -> None:
+    out = tmp_path / "x.gif"
+    given = robodyn("draw", "four-bar", "--q", "1", "--branches", "-o", out)
+    assert given.code == 2
+    assert "--out" in given.err

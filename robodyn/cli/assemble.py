@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.cli.options import Model, Qdd, switch
+from robodyn.cli.options import Model, Qdd, Text, option, refuse, switch
 from robodyn.cli.output import (
     Grid,
     RowOptions,
@@ -18,19 +18,37 @@ from robodyn.cli.output import (
     note,
     write_structure,
 )
-from robodyn.cli.states import StateOptions, driver_of, option_source, overflow, single_state
+from robodyn.cli.states import (
+    Quantity,
+    Source,
+    StateOptions,
+    complete,
+    driver_of,
+    option_source,
+    overflow,
+    single_state,
+)
 from robodyn.dynamics.closed_form import point_motion
-from robodyn.errors import AssemblyError, SingularError
+from robodyn.errors import AssemblyError, InputError, SingularError
+from robodyn.kinematics.named_points import named_point
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
 from robodyn.pictures.column_units import OF_PARTS, in_degrees, scene_units, with_unit
 from robodyn.scene.point_names import PARTS
+from robodyn.scene.quantities import parse_vector, value_from
+from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.joint_ranges import joint_ranges
+from robodyn.trajectories.postures import postures
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
 VECTORS = ("q", "qd", "qdd")
 COMPONENTS = ("x", "y", "vx", "vy")
+_OF = "The point that is to be at --to-xy: a link (its tip), tip2, centre1, LINK@x,y, a named one."
+_TO_XY = "In place of the pose of --q: where --of is to be, m; the pose is sought near --q."
+_ANGLE = "With --to-xy: the absolute angle of the point's link, from the X axis, plate=30deg."
+Found = list[tuple[str, list[np.ndarray]]]  # poses by name: q, and what else there is
+Ways = dict[str, tuple[str, ...] | None]  # the branches of each name
 
 
 def assemble(
@@ -38,6 +56,9 @@ def assemble(
     state: StateOptions = StateOptions(),
     qdd: Qdd = None,
     range: bool = switch("How far each actuated joint can go from there, in place of the points."),
+    of: Text = option(_OF, "POINT"),
+    to_xy: Text = option(_TO_XY, "X,Y"),
+    angle: list[str] | None = option(_ANGLE, "LINK=VALUE"),
     rows: RowOptions = RowOptions(),
 ) -> None:
     """Close the loops: all angles, rates and points.
@@ -51,38 +72,31 @@ def assemble(
     held: its least and largest angle (rad) or displacement (m), and what ends each way, a dead
     centre, a change point, a limit of a joint, or nothing but a full turn.
 
+    With --to-xy it brings the point --of to a place (inverse kinematics): all postures of an arm of
+    two joints, `left` where the second joint lies to the left of the line from the first to the
+    point; else the one nearest to --q, the scene's `start`, or the first pose that closes.  A --q
+    of all joints need not close, and picks the branch.
+
     \b
     Examples:
       robodyn assemble four-bar --q 60deg
       robodyn assemble slider-crank --q 50deg --qd 10 --format json
       robodyn assemble five-bar --q 120deg,60deg --range
+      robodyn assemble 2r --of tip2 --to-xy 0.5,0.6
     """
     mechanism = model.load()
     given = state.quantities(qdd=qdd)
-    ways = _branches(driver_of(mechanism), option_source(mechanism, given[0]).whole)
-    found = []
-    for name, way in ways:
-        try:
-            found.append((name, single_state(mechanism, given, way)))
-        except (AssemblyError, SingularError):  # the scene's own decides, no other branch does
-            if not found:
-                raise
-    barred: set[str] = set()
-    for name, (q_there, *_) in found:
-        for joint, side, end in beyond(mechanism, q_there.tolist(), turns=True):
-            where = f"q{joint + 1} ({mechanism.link_names[joint]})"
-            limit = f"is beyond the joint's {end_word(side)}, {end:.9g}"
-            if name == found[0][0]:
-                value = float(q_there[joint])
-                raise AssemblyError(where, where=mechanism.source, value=value, limit=limit)
-            note(f"Note: {name}: {where} = {float(q_there[joint]):.9g} {limit}")
-            barred.add(name)
-    kind = loop_rates.singular_kind(mechanism, found[0][1][0])
-    if kind:
-        note(f"Note: this is a singular configuration, a {kind}: both branches meet here")
+    if to_xy is None:
+        refuse("goes with --to-xy", of=of, angle=angle)
+        found, ways, barred = found_poses(mechanism, given)
+        kind = loop_rates.singular_kind(mechanism, found[0][1][0])
+        if kind:
+            note(f"Note: this is a singular configuration, a {kind}: both branches meet here")
+    else:
+        found, ways, barred = _led(mechanism, given, of, to_xy, angle or [])
     if range:
         reached = [branch for branch in found if branch[0] not in barred]
-        _write_ranges(mechanism, reached, dict(ways), rows)
+        _write_ranges(mechanism, reached, ways, rows)
         return
     branches, units = [_content(mechanism, *item) for item in found], scene_units(mechanism)
     chosen = default_format(rows.format, rows.out)
@@ -96,6 +110,76 @@ def assemble(
         slides = mechanism.slides
         tables = [table for branch in content["branches"] for table in _tables(branch, slides)]
         write_structure(chosen, rows.out, content, lambda: tables)
+
+
+def found_poses(mechanism: Mechanism, given: Sequence[Quantity]) -> tuple[Found, Ways, set[str]]:
+    """The poses that close at the state of the options, the scene's own first.
+
+    With the branches that their names stand for, and the names of those beyond limits, which a note
+    tells; AssemblyError where the scene's own is.
+    """
+    ways = _branches(driver_of(mechanism), option_source(mechanism, given[0]).whole)
+    found: Found = []
+    for name, way in ways:
+        try:
+            found.append((name, single_state(mechanism, given, way)))
+        except (AssemblyError, SingularError):  # the scene's own decides, no other branch does
+            if not found:
+                raise
+    return found, dict(ways), _barred(mechanism, found)
+
+
+def _barred(mechanism: Mechanism, found: Found) -> set[str]:
+    """The names of poses beyond limits, with a note; AssemblyError where the first is."""
+    barred: set[str] = set()
+    for name, (q_there, *_) in found:
+        for joint, side, end in beyond(mechanism, q_there.tolist(), turns=True):
+            where = f"q{joint + 1} ({mechanism.link_names[joint]})"
+            limit = f"is beyond the joint's {end_word(side)}, {end:.9g}"
+            if name == found[0][0]:
+                value = float(q_there[joint])
+                raise AssemblyError(where, where=mechanism.source, value=value, limit=limit)
+            note(f"Note: {name}: {where} = {float(q_there[joint]):.9g} {limit}")
+            barred.add(name)
+    return barred
+
+
+def _led(
+    mechanism: Mechanism,
+    given: Sequence[Quantity],
+    of: str | None,
+    to_xy: str,
+    angles: Sequence[str],
+) -> tuple[Found, Ways, set[str]]:
+    """The same of the postures that bring a point to a place; those within limits first."""
+    if of is None:
+        raise InputError("--of", limit="missing: give the point that is to be at --to-xy")
+    named = named_point(mechanism, of, "--of")
+    xy = parse_vector(to_xy, where="--to-xy", unit="m")
+    if len(xy) != 2 or not np.isfinite(xy).all():
+        raise InputError("--to-xy", value=shown(to_xy), limit="must be x,y (m), 0.4,0.6")
+    link = None if named.own.link is None else mechanism.link_names[named.own.link]
+    if len(angles) > 1:
+        raise InputError("--angle", value=len(angles), limit=f"give one, that of {link}")
+    turned = None
+    for text in angles:
+        name, equals, value = text.rpartition("=")
+        if not equals or name != link:
+            limit = f"must be {link}=VALUE: {link} is the link of {named.name}"
+            raise InputError("--angle", value=shown(text), limit=limit)
+        turned = value_from(value, "rad", "--angle", f"{link}=30deg")
+        if not math.isfinite(turned):
+            raise InputError("--angle", value=shown(text), limit="must be finite")
+    near = None if given[0].option is None else option_source(mechanism, given[0]).values
+    every = postures(mechanism, xy, of, turned, near)
+    every.sort(key=lambda each: bool(beyond(mechanism, each.q.tolist(), turns=True)))
+    found: Found = []
+    for branch, q in every:
+        rest = [option_source(mechanism, each) for each in given[1:]]
+        sources = [Source(given[0], q.tolist(), [], True), *rest]
+        values = [np.array(source.values) for source in sources]
+        found.append((branch, complete(mechanism, sources, values)))
+    return found, dict.fromkeys(dict(every)), _barred(mechanism, found)
 
 
 def _write_ranges(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from robodyn.pictures.drawing import Trace, drawing, even_rows, traced
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
+    from robodyn.kinematics.named_points import NamedPoint
     from robodyn.pictures.force_arrows import Force
 
 DEFAULT_POSES = 8
@@ -39,6 +40,7 @@ def draw(
     forces: bool = switch("Arrows: weights, the force in every pin, driving torques."),
     of: list[str] | None = option(OF, POINTS),
     labels: Labels | None = option("Beside each link."),
+    branches: bool = switch("All poses that `assemble` lists at --q, side by side."),
     poses: int = option("Of STATES, the most that are drawn.", "N", default=DEFAULT_POSES),
     picture: PictureOptions = PictureOptions(),
 ) -> None:
@@ -48,7 +50,7 @@ def draw(
     moves between walls.  Without --q the scene's `start`, all angles zero, or the first pose
     found that closes.  Of the rows of STATES the last is drawn in full, and others, evenly chosen,
     pale behind it.  --of marks points, joins them to their links, and draws their paths through all
-    rows.
+    rows.  --branches draws every pose that `assemble` lists at --q, under its number and words.
 
     With --forces: m1 g is the weight of link 1, r1 the force on link 1 at its own joint, f1 that
     on the side of closure 1 that the scene names first, as in `reactions`; tau1 drives link 1.
@@ -58,11 +60,23 @@ def draw(
       robodyn draw four-bar --q 60deg --labels names -o four-bar.svg
       robodyn draw 2r --q 30deg,45deg --qd 1,0.5 --forces -o forces.png
       robodyn draw five-bar --q 120deg,60deg -o five-bar.pdf
+      robodyn draw four-bar --q 60deg --branches -o branches.png
     """
     mechanism = model.load()
     picture.checked()
     _check(states, q, {"qd": qd, "qdd": qdd, "tau": tau}, forces, poses)
     marked = points_given(mechanism, of)
+    texts = _texts(mechanism, labels)
+    if branches:
+        limit = "does not go with --branches"
+        alone = {"STATES": states, "--forces": forces, "--poses": poses != DEFAULT_POSES}
+        for name, there in alone.items():
+            if there:
+                raise InputError(name, limit=limit)
+        refuse(limit, qd=qd, qdd=qdd, tau=tau)
+        with remarks():
+            picture.save(_side_by_side(mechanism, Quantity("q", q, True), marked, texts, picture))
+        return
     found: list[Force] = []
     traces: list[Trace] = []
     with remarks():
@@ -90,13 +104,34 @@ def draw(
             (pose,) = single_state(mechanism, [Quantity("q", q, True)])
             drawn = drawing(mechanism, pose, marked)
     traces = traces or traced(mechanism, marked, drawn.q[-1:])
-    texts = list(map(shown, mechanism.link_names))
-    if labels != "names":
-        texts = [str(k + 1) for k in range(mechanism.n)] if labels else []
-
     from robodyn.pictures.mechanism_picture import mechanism_figure
 
     picture.save(mechanism_figure(drawn, texts, traces, found, picture.extent))
+
+
+def _texts(mechanism: Mechanism, labels: Labels | None) -> list[str]:
+    """What is written beside the links."""
+    if labels == "names":
+        return list(map(shown, mechanism.link_names))
+    return [str(k + 1) for k in range(mechanism.n)] if labels else []
+
+
+def _side_by_side(
+    mechanism: Mechanism,
+    q: Quantity,
+    marked: Sequence[NamedPoint],
+    texts: Sequence[str],
+    picture: PictureOptions,
+) -> Any:
+    """A figure of all poses that `assemble` lists, each under its number and words."""
+    from robodyn.cli.assemble import found_poses
+    from robodyn.pictures.mechanism_picture import poses_figure
+
+    found, _, _ = found_poses(mechanism, [q])
+    drawn = drawing(mechanism, np.array([pose for _, (pose,) in found]), marked)
+    titles = [f"{k} {name}" for k, (name, _) in enumerate(found, start=1)]
+    traces = [traced(mechanism, marked, pose[None]) for pose in drawn.q]
+    return poses_figure(drawn, titles, texts, traces, picture.extent)
 
 
 def _check(

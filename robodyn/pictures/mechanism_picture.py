@@ -221,6 +221,9 @@ GHOSTS = ("link", "block", "joint", "rail", "slot", "slider", "rod")
 LONGEST = 6.0  # inches of the longer side, where no size is given
 FOOT = 0.3  # inches kept free for the scale bar
 FONT = 9.0  # points
+PANEL = 3.6  # inches of the longer side of one of several pictures, where no size is given
+ABREAST = 4  # of several pictures, the most in a row
+HEAD = 0.3  # inches of a title
 
 
 def style_of(kind: str, closed: bool, link: int | None) -> dict[str, Any]:
@@ -265,14 +268,61 @@ def mechanism_figure(
     return picture.figure
 
 
-class Picture:
-    """A figure of a drawing, with room for `further` points; what moves is moved by `show`."""
+def poses_figure(
+    drawn: Drawing,
+    titles: Sequence[str],
+    texts: Sequence[str] = (),
+    traces: Sequence[Sequence[Trace]] = (),
+    size: Size = None,
+) -> Any:
+    """All poses of a drawing side by side, to one scale, each under its title.
 
-    def __init__(self, drawn: Drawing, size: Size = None, further: Sequence[complex] = ()) -> None:
+    With the links' texts, if any, and of each pose the paths of points.
+    """
+    count = len(titles)
+    rows = -(-count // ABREAST)
+    columns = -(-count // rows)
+    if size is not None:
+        size = size[0] / columns, max(size[1] / rows - HEAD, 0.5 * size[1] / rows)
+    around = [z for each in traces for trace in each for z in trace.path.tolist()]
+    shown = frame(drawn.box(around), PANEL, size, FOOT)
+    width, height = columns * shown.width, rows * (shown.height + HEAD)
+    figure = new_figure((width, height), facecolor="white")
+    for k, title in enumerate(titles):
+        row, column = divmod(k, columns)
+        top = 1.0 - row / rows
+        across, up = 1.0 / columns, shown.height / height
+        place = column / columns, top - HEAD / height - up, across, up
+        picture = Picture(drawn, (shown.width, shown.height), around, (figure, place))
+        picture.show(k)
+        picture.trace(traces[k])
+        picture.annotate(k, texts)
+        middle = (column + 0.5) / columns
+        style = {"ha": "center", "va": "center", "fontsize": FONT + 1.0, "color": INK}
+        figure.text(middle, top - 0.5 * HEAD / height, title, **style)
+    return figure
+
+
+class Picture:
+    """A figure of a drawing, with room for `further` points; what moves is moved by `show`.
+
+    It may be a part of another figure: with the place (left, bottom, width, height) there.
+    """
+
+    def __init__(
+        self,
+        drawn: Drawing,
+        size: Size = None,
+        further: Sequence[complex] = (),
+        part: tuple[Any, tuple[float, float, float, float]] | None = None,
+    ) -> None:
         self.drawn = drawn
         self.frame = frame(drawn.box(further), LONGEST, size, FOOT)
-        self.figure = new_figure((self.frame.width, self.frame.height), facecolor="white")
-        self.axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        if part is None:
+            whole = new_figure((self.frame.width, self.frame.height), facecolor="white")
+            part = whole, (0.0, 0.0, 1.0, 1.0)
+        self.figure, place = part
+        self.axes = self.figure.add_axes(place)
         self.axes.set_axis_off()
         self.axes.set_xlim(self.frame.left, self.frame.right)
         self.axes.set_ylim(self.frame.bottom, self.frame.top)
@@ -284,9 +334,9 @@ class Picture:
         bar = scale_bar_line(self.frame)
         self._polygon("scale bar", bar, False, None)
         z = bar[2] + (0.06 - 0.005j) * self.frame.scale
-        place = {"ha": "left", "va": "baseline", "zorder": 9}
+        style = {"ha": "left", "va": "baseline", "zorder": 9}
         text = scale_bar(self.frame)[1]
-        self.axes.text(z.real, z.imag, text, color="#555555", fontsize=FONT - 1.5, **place)
+        self.axes.text(z.real, z.imag, text, color="#555555", fontsize=FONT - 1.5, **style)
 
     def show(self, pose: int) -> None:
         """Move all bodies to a pose."""

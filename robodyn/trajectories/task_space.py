@@ -444,7 +444,7 @@ class TaskPath(WholePath):
         task, u = self._task, error.u
         behind, length = length_until(self.path, u), length_until(self.path)
         beyond = self.path.evaluate(np.linspace(u, 1.0, LOOKED_AT)[1:])[0]
-        missed = _missed(task, error.q, beyond)
+        missed = out_of_reach(task, error.q, beyond)
         x, y = self.path.evaluate(np.array([u]))[0][0, :2]
         at = f"{behind:.6g} m along its path of {length:.6g} m, at ({x:.6g}, {y:.6g})"
         what, limit = "meets a singularity", "the joints cannot go on from there on this branch"
@@ -455,7 +455,7 @@ class TaskPath(WholePath):
         return AssemblyError(what, where=self.mechanism.source, limit=limit)
 
 
-def _missed(task: Task, q: Array, places: Array) -> float:
+def out_of_reach(task: Task, q: Array, places: Array) -> float:
     """How far the point stays from the farthest of places (k, c), m; q (n + guide,) is closed.
 
     Levenberg and Marquardt's method on closed states whose x and y are free; what is far pulls as
@@ -545,7 +545,7 @@ def along_branch(task: Task, places: Array, pose: Array | None) -> Array:
     n = task.mechanism.n
     if not len(places):
         return np.zeros((0, n))
-    if not _is_dyads(task):
+    if not is_dyads(task):
         if pose is None:
             raise InputError("near", limit="missing: give the pose that it begins from")
         return _followed(task, places, pose)
@@ -570,7 +570,7 @@ def along_branch(task: Task, places: Array, pose: Array | None) -> Array:
     return q
 
 
-def _is_dyads(task: Task) -> bool:
+def is_dyads(task: Task) -> bool:
     """Whether there is a closed form."""
     if task.redundant or task.mechanism.description.couplings:  # couplings count turns
         return False

@@ -1,0 +1,265 @@
+"""Postures: the poses in which a point of a mechanism is at one place.
+
+The point is led by the guide of `task_space.py`.  Where the mechanism so guided is a chain of dyads
+each choice of their branches is a posture in closed form; else Newton's method is begun from the
+given pose and from poses around it, and of what closes the nearest is taken, for a redundant
+mechanism that of the least change.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robodyn.dynamics.closed_form import closure_gap, point_motion, scaled_jacobian
+from robodyn.dynamics.placed import numbers
+from robodyn.errors import AssemblyError, InputError, SingularError
+from robodyn.kinematics.named_points import named_point
+from robodyn.loops import assembly
+from robodyn.loops.closing import close_positions, loop_size, wrapped
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
+from robodyn.trajectories.reference import all_joints
+from robodyn.trajectories.task_space import Task, is_dyads, out_of_reach, task_of
+
+ALIKE = 1e-6  # rad, or of a length: postures that are one
+BEGUN = 64  # poses around the given one from which Newton's method begins
+CLOSES = 1e-10  # part of the loop's size
+NEARER = 80  # steps towards the least change
+
+
+class Posture(NamedTuple):
+    """A pose q (n,), rad and m, and what tells it from the others that bring the point there."""
+
+    branch: str
+    q: Array
+
+
+def postures(
+    mechanism: Mechanism,
+    xy: ArrayLike,
+    of: str,
+    angle: float | None = None,
+    near: ArrayLike | None = None,
+) -> list[Posture]:
+    """The postures in which the point `of` is at xy (2,), m, each with `branch` and q (n,), rad, m.
+
+    `angle`, rad, asks for the absolute angle of the point's link too, from the ground's X axis on.
+    Of an arm of two joints they are all, the nearest to `near` first: `left` or `right` says where
+    the second joint lies of the line from the first to the point, `stretched` or `folded` that it
+    lies on it; with a joint that slides, `ahead` or `behind` along it.  Of other mechanisms it is
+    one, the nearest to `near`.  `near` are all joints (n,), which need not close, or the actuated
+    ones; without it they are those of the scene's `start`, or of the first pose that closes.
+    Unless `near` has all joints, loops that are chains of dyads keep the scene's branch, which
+    `branch` tells.
+
+    Raises InputError for arguments that do not fit, AssemblyError for a place out of reach or on
+    another branch, SingularError where links that lead to it may have any direction.
+    """
+    named = named_point(mechanism, of, "of")
+    place = numbers("xy", xy)
+    if place.shape != (2,) or not np.isfinite(place).all():
+        raise InputError("xy", value=place.shape, limit="must be (2,), finite: x and y, m")
+    if angle is not None:
+        turned = numbers("angle", angle)
+        if turned.shape or not np.isfinite(turned):
+            raise InputError("angle", limit="must be one finite number, rad")
+        place = np.append(place, turned)
+    task = task_of(mechanism, named, angle is not None)
+    if near is None:
+        return postures_at(task, place, _first(mechanism), False)
+    given = all_joints(mechanism, numbers("near", near)[None])[0]
+    whole = not np.isnan(given).any()
+    if not whole:
+        given = assembly.assemble(mechanism, given[list(mechanism.actuated)])
+    return postures_at(task, place, given, whole)
+
+
+def _first(mechanism: Mechanism) -> Array:
+    """The pose that postures are near to where none is given; it need not be closed."""
+    start = mechanism.description.start
+    if start is None:
+        try:
+            return assembly.first_pose(mechanism)
+        except (AssemblyError, InputError, SingularError):
+            start = ()
+    return np.array([x or 0.0 for x in start or (None,) * mechanism.n])
+
+
+def postures_at(task: Task, place: Array, near: Array, whole: bool) -> list[Posture]:
+    """The postures of a task at a place (c,), from the nearest to the pose `near` (n,) on."""
+    mechanism = task.mechanism
+    dyads = is_dyads(task)
+    q = _by_dyads(task, place, near) if dyads else _by_newton(task, place, near)
+    turning = [k for k in range(mechanism.n) if k not in mechanism.slides]
+    if not mechanism.description.couplings:  # couplings count turns
+        q[:, turning] -= 2 * np.pi * np.round((q - near)[:, turning] / (2 * np.pi))
+    q = q[np.argsort(_away(mechanism, q, near), kind="stable")]
+    if not mechanism.rows and mechanism.n == 2 and dyads:
+        return _of_arm(mechanism, task, q)
+    if not mechanism.rows or not _has_words(mechanism):
+        return [Posture("nearest", q[0])]
+    own = assembly.scene_branches(mechanism)
+    for pose in q:
+        words = _words(mechanism, pose)
+        if whole or words is None or words == own:
+            return [Posture(_told(mechanism, words), pose)]
+    x, y = place[:2]
+    there = _told(mechanism, _words(mechanism, q[0]))
+    raise AssemblyError(
+        f"{task.of.name} does not reach ({x:.9g}, {y:.9g})",
+        where=mechanism.source,
+        limit=f"as {_told(mechanism, own)}; as {there} it does: say so in `assembly`, or give "
+        "all joints of a pose near to it",
+    )
+
+
+def _has_words(mechanism: Mechanism) -> bool:
+    """Whether words tell the branch of every loop."""
+    try:
+        return not assembly.assembly_plan(mechanism).rest
+    except InputError:
+        return False
+
+
+def _told(mechanism: Mechanism, words: tuple[str, ...] | None) -> str:
+    two_way = assembly.assembly_plan(mechanism).two_way
+    return " ".join(words[k] for k in two_way) if words and two_way else "nearest"
+
+
+def _words(mechanism: Mechanism, q: Array) -> tuple[str, ...] | None:
+    """The words of the branch that a closed pose q (n,) is on; the scene's where several meet."""
+    own = assembly.scene_branches(mechanism)
+    for words in (own, *assembly.all_branches(mechanism)):
+        found, missing = assembly.attempt(mechanism, q[list(mechanism.actuated)], words)
+        if missing <= 0.0 and np.abs(wrapped(mechanism, found - q)).max() < ALIKE:
+            return words
+    return None
+
+
+def _of_arm(mechanism: Mechanism, task: Task, q: Array) -> list[Posture]:
+    """The postures q (k, 2) of an arm of two joints, each once."""
+    apart: list[Array] = []
+    for pose in q:
+        if all(np.abs(wrapped(mechanism, pose - x)).max() >= ALIKE for x in apart):
+            apart.append(pose)
+    if not mechanism.slides:
+        return [Posture(_side(mechanism, task, pose), pose) for pose in apart]
+    if len(apart) == 1:
+        return [Posture("only", apart[0])]
+    slide = mechanism.slides[0]
+    middle = np.mean(apart, axis=0)[slide]
+    return [Posture("ahead" if x[slide] > middle else "behind", x) for x in apart]
+
+
+def _side(mechanism: Mechanism, task: Task, q: Array) -> str:
+    """Where the second joint lies of the line from the first joint to the point."""
+    along, over = _lengths(mechanism, task, q)
+    bend = (along.conjugate() * (along + over)).imag
+    if abs(bend) <= ALIKE * abs(along) * abs(over):
+        return "stretched" if (along.conjugate() * over).real > 0.0 else "folded"
+    return "right" if bend > 0.0 else "left"
+
+
+def _lengths(mechanism: Mechanism, task: Task, q: Array) -> tuple[complex, complex]:
+    """From the first joint to the second, and from there to the point, in the plane."""
+    first, second = mechanism.path(task.of.own.link)[:2]
+    points = [mechanism.pivots[first], mechanism.pivots[second], task.of.point]
+    a, b, c = point_motion(mechanism, points, q)[0]
+    return complex(*(b - a)), complex(*(c - b))
+
+
+def _away(mechanism: Mechanism, q: Array, near: Array) -> Array:
+    way: Array = np.linalg.norm(wrapped(mechanism, q - near), axis=-1)
+    return way
+
+
+def _by_dyads(task: Task, place: Array, near: Array) -> Array:
+    """q (k, n) of each choice of branches that closes."""
+    mechanism, found, short = task.mechanism, [], []
+    for words in assembly.all_branches(task.guided):
+        q, missing = assembly.attempt(task.guided, place, words)
+        short.append(float(missing))
+        if missing <= 0.0:
+            found.append(q[: mechanism.n])
+    if found:
+        return np.array(found)
+    x, y = place[:2]
+    if np.isnan(short).any():
+        what = f"singular configuration: {task.of.name} at ({x:.9g}, {y:.9g})"
+        limit = "any direction of the links leads there: choose a place beside it"
+        raise SingularError(what, where=mechanism.source, limit=limit)
+    reached = f"at least {min(short):.9g} m are missing"
+    if not mechanism.rows and mechanism.n == 2 and not mechanism.slides:
+        a, b = (abs(z) for z in _lengths(mechanism, task, near))
+        reached = f"{abs(a - b):.9g} to {a + b:.9g} m are reached"
+    raise _beyond(task, place, near, reached)
+
+
+def _beyond(task: Task, place: Array, near: Array, reached: str) -> AssemblyError:
+    """The error of a place out of reach: its distance, and what is reached."""
+    mechanism, (x, y) = task.mechanism, place[:2]
+    first = mechanism.path(task.of.own.link)[0]
+    base = point_motion(mechanism, [mechanism.pivots[first]], near)[0][0]
+    far, turned = float(np.linalg.norm(place[:2] - base)), ""
+    if len(place) > 2:
+        turned = f" at an angle of {np.degrees(place[2]):.9g} deg"
+    what = f"{task.of.name} does not reach ({x:.9g}, {y:.9g}){turned}"
+    limit = f"it is {far:.9g} m from the joint of {mechanism.link_names[first]}; {reached}"
+    return AssemblyError(what, where=mechanism.source, limit=limit)
+
+
+def _by_newton(task: Task, place: Array, near: Array) -> Array:
+    """q (k, n) by Newton's method from `near` (n,) and around it."""
+    guided, n = task.guided, task.mechanism.n
+    begins = np.tile(np.append(near, np.zeros(task.coordinates)), (1 + BEGUN, 1))
+    far = np.pi * np.arange(1 + BEGUN)[:, None] / BEGUN
+    random = np.random.default_rng(0).uniform(-1.0, 1.0, (1 + BEGUN, n))
+    begins[:, :n] += far * random * guided.arrays.units[:n]
+    begins[:, list(guided.actuated)] = place
+    with np.errstate(all="ignore"):
+        found = close_positions(guided, begins, guided.actuated)
+    found = found[_closes(guided, found)]
+    if not len(found):
+        start = close_positions(task.mechanism, near)
+        reached = "no pose was found that closes there"
+        closed = task.mechanism.rows == () or _closes(task.mechanism, start)
+        if closed:
+            whole = task.with_guide(start, task.place(start))
+            missed = out_of_reach(task, whole, place[None])
+            if missed > CLOSES * loop_size(guided):
+                reached = f"it comes as near as {missed:.6g} m"
+        raise _beyond(task, place, near, reached)
+    return _least_change(task, found, near) if task.redundant else found[:, :n]
+
+
+def _closes(mechanism: Mechanism, q: Array) -> Array:
+    gap = np.abs(closure_gap(mechanism, q)).max(axis=-1)
+    closed: Array = np.isfinite(q).all(axis=-1) & (gap <= CLOSES * loop_size(mechanism))
+    return closed
+
+
+def _least_change(task: Task, whole: Array, near: Array) -> Array:
+    """q (k, n) of closed states (k, n + guide), moved along what is free towards `near`."""
+    guided, n = task.guided, task.mechanism.n
+    units = guided.arrays.units[:n]
+    turning = [k for k in range(n) if k not in task.mechanism.slides]
+    if not task.mechanism.description.couplings:
+        away = (whole[:, :n] - near)[:, turning]
+        whole[:, turning] -= 2 * np.pi * np.round(away / (2 * np.pi))
+    part = np.ones(len(whole))
+    for _ in range(NEARER):
+        way = (near - whole[:, :n]) / units
+        Psi = scaled_jacobian(guided, whole)[..., :n]
+        across = np.einsum("kij,kj->ki", np.linalg.pinv(Psi) @ Psi, way)
+        trial = whole.copy()
+        trial[:, :n] += part[:, None] * (way - across) * units
+        trial = close_positions(guided, trial, guided.actuated)
+        nearer = np.linalg.norm((near - trial[:, :n]) / units, axis=1) < np.linalg.norm(way, axis=1)
+        nearer &= _closes(guided, trial)
+        whole = np.where(nearer[:, None], trial, whole)
+        part = np.where(nearer, np.minimum(1.0, 2.0 * part), 0.5 * part)
+    q: Array = whole[:, :n]
+    return q
