@@ -38,8 +38,8 @@ class NoDirection(ZeroDivisionError):
 class Element(Record):
     """One thing that acts; its numbers may be floats or formulas.
 
-    `acts` is STORED for what has a potential (part of G and of PE), SPENT for what is part of Q, and
-    empty for what is constants of the mechanism (D, M) or acts in no mode of its own.  `at` tells
+    `acts` is STORED for what has a potential (part of G and of PE), SPENT for what is part of Q,
+    and empty for what is constants of the mechanism (D, M) or acts in no mode of its own.  `at` is
     the joint at which it acts; None where it acts on links.  `rank` orders sums.
     """
 

@@ -17,10 +17,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from robodyn.elements.joints import DryFriction, Slipping, Stops
+from robodyn.elements.springs import JointDamper, JointSpring
 from robodyn.engines.planar_numbers import Planar
 from robodyn.mechanics.link_tree import Bodies, bodies
 from robodyn.mechanics.mechanism import Mechanism, constants, joint_damping
-from robodyn.scene.scene import Description, DryFriction, JointSpring, Spring
+from robodyn.scene import scene as described
+from robodyn.scene.scene import Description, Spring
 
 INERTIAL = ("m", "mx", "my", "J")
 
@@ -55,7 +58,7 @@ def linear_parameters(description: Description) -> tuple[Parameter, ...]:
             found.append(Parameter(f"Jr{i}", link.motor.inertia, "kg m²"))
     for i, spring in enumerate(description.springs, start=1):
         if spring.law is None:
-            turns = isinstance(spring, JointSpring) and not links[spring.joint].slides
+            turns = isinstance(spring, described.JointSpring) and not links[spring.joint].slides
             found.append(Parameter(f"k{i}", spring.stiffness, "N m/rad" if turns else "N/m"))
         if isinstance(spring, Spring) and spring.damping:
             found.append(Parameter(f"ds{i}", spring.damping, "N s/m"))
@@ -77,10 +80,10 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
         friction, motor = link.friction, link.motor
         if friction is not None:
             friction = friction._replace(torque=values[f"f{i}"])
-        if isinstance(friction, DryFriction):
+        if isinstance(friction, described.DryFriction):
             static = values.get(f"fs{i}", friction.torque)
             friction = friction._replace(static=static)
-            slips += [(k, friction, way) for k, _, way in mechanism.slips if k == i - 1]
+            slips += [Slipping(k, *friction, way) for k, _, way in mechanism.slips if k == i - 1]
         motor = damped(motor, inertia=values.get(f"Jr{i}"))
         links.append(link._replace(damping=values[f"d{i}"], friction=friction, motor=motor))
     for i, spring in enumerate(base.springs, start=1):
@@ -94,21 +97,22 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
     made = constants(with_formulas(scene), own)
     stops = zip(made.damping, mechanism.damping, joint_damping(base), strict=True)
     pressed = mechanism.joint_springs[_kept(base) :]
-    return replace(
-        made,
-        actuated=mechanism.actuated,
-        rows=mechanism.rows,
-        damping=tuple(d + (now - plain) for d, now, plain in stops),
-        joint_springs=(*made.joint_springs, *pressed),
-        slips=tuple(slips),
-        dry=(),
-        limits=(),
+    dampers = [JointDamper(k, d + (now - plain)) for k, (d, now, plain) in enumerate(stops)]
+    exchanged = made.exchanged(
+        {
+            JointDamper: dampers,
+            JointSpring: (*made.joint_springs, *pressed),
+            Slipping: slips,
+            DryFriction: (),
+            Stops: (),
+        }
     )
+    return replace(exchanged, actuated=mechanism.actuated, rows=mechanism.rows)
 
 
 def _kept(description: Description) -> int:
     """How many springs at joints a mechanism has of its scene; those of stops follow."""
-    springs = (x for x in description.springs if isinstance(x, JointSpring))
+    springs = (x for x in description.springs if isinstance(x, described.JointSpring))
     return sum(bool(x.stiffness or x.law) for x in springs)
 
 
