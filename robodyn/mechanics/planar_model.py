@@ -16,6 +16,7 @@ from robodyn.elements.base import Element
 from robodyn.elements.base import PlanarPoint as PlanarPoint
 from robodyn.elements.base import conserves as conserves
 from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
+from robodyn.elements.kinds import KINDS
 from robodyn.elements.loads import Force, VaryingMoment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import printable
@@ -70,6 +71,11 @@ class Mechanism:
     def of(self, kind: type[Kind]) -> tuple[Kind, ...]:
         """The elements of a kind, in their order."""
         return tuple(x for x in self.elements if isinstance(x, kind))
+
+    @property
+    def added(self) -> tuple[Element, ...]:
+        """Elements of kinds that no scene has: a description does not give them."""
+        return tuple(x for x in self.elements if type(x) not in KINDS)
 
     def exchanged(self, new: Mapping[type[Element], Sequence[Element]]) -> Mechanism:
         """The same with other elements of these kinds."""
@@ -257,7 +263,15 @@ class Mechanism:
         return mechanism_html(self)
 
     def __getstate__(self) -> dict[str, object]:
-        made = ("arrays", "above", "lines", "held", "has_angles", "inertias", "signals")
+        made: tuple[str, ...] = (
+            "arrays",
+            "above",
+            "lines",
+            "held",
+            "has_angles",
+            "inertias",
+            "signals",
+        )
         made += ("damping", "springs", "joint_springs", "forces", "varying_moments")
         made += ("friction", "dry", "slips", "limits", "rotors")
         return {key: value for key, value in self.__dict__.items() if key not in made}

@@ -83,7 +83,11 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
         if isinstance(friction, described.DryFriction):
             static = values.get(f"fs{i}", friction.torque)
             friction = friction._replace(static=static)
-            slips += [Slipping(k, *friction, way) for k, _, way in mechanism.slips if k == i - 1]
+            slips += [
+                Slipping(k, friction.torque, static, friction.stribeck, way)
+                for k, _, way in mechanism.slips
+                if k == i - 1
+            ]
         motor = damped(motor, inertia=values.get(f"Jr{i}"))
         links.append(link._replace(damping=values[f"d{i}"], friction=friction, motor=motor))
     for i, spring in enumerate(base.springs, start=1):
@@ -107,7 +111,8 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
             Stops: (),
         }
     )
-    return replace(exchanged, actuated=mechanism.actuated, rows=mechanism.rows)
+    elements = (*exchanged.elements, *mechanism.added)
+    return replace(exchanged, elements=elements, actuated=mechanism.actuated, rows=mechanism.rows)
 
 
 def _kept(description: Description) -> int:
