@@ -52,7 +52,7 @@ def linear_parameters(description: Description) -> tuple[Parameter, ...]:
         ]
         if link.friction is not None:
             found.append(Parameter(f"f{i}", link.friction.torque, force))
-        if isinstance(link.friction, DryFriction) and link.friction.stribeck is not None:
+        if isinstance(link.friction, described.DryFriction) and link.friction.stribeck is not None:
             found.append(Parameter(f"fs{i}", link.friction.static, force))
         if link.motor is not None:
             found.append(Parameter(f"Jr{i}", link.motor.inertia, "kg m²"))
