@@ -27,6 +27,7 @@ from random_mechanisms import (
 from robodyn.dynamics import closed_form as cf
 from robodyn.dynamics import dynamics as dyn
 from robodyn.dynamics import identities as selftest
+from robodyn.elements.springs import JointDamper
 from robodyn.mechanics.mechanism import load
 
 ROBOTS = sorted((Path(__file__).parent.parent / "robots").glob("*.yaml"))
@@ -226,7 +227,7 @@ class TestMotion:
     def test_energy_is_constant_and_loops_stay_closed(self, name):
         """Without damping and torque: E(t) = E(0), gap = 0 and Psi qd = 0, to the tolerance."""
         scene = seeded_scene(0, LOOPS[name])
-        mech, n = dataclasses.replace(scene.mechanism, damping=(0.0,) * scene.n), scene.n
+        mech, n = scene.mechanism.exchanged({JointDamper: ()}), scene.n
 
         def rates(_, y):
             return [*y[n:], *dyn.forward_dynamics(mech, y[:n], y[n:], np.zeros(n))]
@@ -350,7 +351,7 @@ class TestSelfTestDetects:
     @MODELS
     def test_a_wrong_damping(self, robot):
         mech = load_robot(robot)
-        assert broken(dataclasses.replace(mech, damping=(0.5,) * mech.n))
+        assert broken(mech.exchanged({JointDamper: [JointDamper(k, 0.5) for k in range(mech.n)]}))
 
     @pytest.mark.parametrize("robot", ["four-bar", "slider-crank", "five-bar"])
     def test_a_wrong_closure(self, robot):

@@ -127,6 +127,7 @@ def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     constant of the numeric model shows.
     """
     q, qd, scene = sample.q, sample.qd, build(mechanism.description)
+    scene = replace(scene, elements=(*scene.elements, *mechanism.added))
     rows = RowValues(replace(scene, A=()))  # which none reads, and which is large
     M, C = closed_form.mass_matrix(mechanism, q), closed_form.coriolis_matrix(mechanism, q, qd)
     found = [

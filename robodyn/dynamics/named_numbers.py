@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+from robodyn.elements.joints import DryFriction, Stops
 from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value, slopes_by, substituted
 from robodyn.engines.formulas import KINDS, Formula, Recorded, residuals
@@ -82,7 +83,7 @@ def with_variables(
     couplings = tuple(row for row in mechanism.rows if row.closure is None)
     rows = (*made.rows, *couplings)
     if mode is None:
-        return replace(made, rows=rows, dry=(), limits=())
+        return replace(made, rows=rows).exchanged({DryFriction: (), Stops: ()})
     # what holds joints is a matter of rates: its rows have no number of the scene
     held = in_mode(mechanism, mode).rows[len(mechanism.rows) :]
     moving = in_mode(replace(made, rows=rows), mode._replace(held=()))

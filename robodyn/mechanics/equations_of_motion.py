@@ -14,15 +14,15 @@ A_dd P_d is left out of F_d, as its part is exact so.  On a line of link l, mu c
 Re(conj(E_l) sum R X) is mu E_l conj(R), and link l feels the opposite about its own.
 A rotor on link d spins with s = w_d + N qd_k and adds J s' to the row of d (where d turns), and
 -N J s' to T_k.  f are the forces at points with the coefficients c_k, and T the torques at joints,
-as `force_rows.py` has them: the place of a new kind of either.  Every engine then has it.
+as the kinds in `elements` write them: the place of a new kind of either.  Every engine then has it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from robodyn.mechanics.force_rows import ForceRows, PlanarTerm, Term
-from robodyn.mechanics.planar_model import Rotor
+from robodyn.elements.joints import Rotor
+from robodyn.mechanics.force_rows import Builder, PlanarTerm, Term
 from robodyn.mechanics.program import (
     Coefficient,
     Derivative,
@@ -39,7 +39,7 @@ from robodyn.mechanics.program import (
 )
 
 
-class EquationsOfMotion(ForceRows):
+class EquationsOfMotion(Builder):
     """Writes the program of a scene.
 
     `program.named` tells the slots of x (n: E, or s), mu (r), gap (r), load (n: of coordinates,
@@ -76,8 +76,9 @@ class EquationsOfMotion(ForceRows):
         if chained:
             self._chain()
         program.named["bends"] = []
-        self._scene_forces(work)
-        self._joints(torques, work, steady)
+        self.work = work
+        self._scene_forces()
+        self._joints(torques, steady)
         self._rotors()
         multipliers = self._closures()
         F = [
@@ -176,7 +177,7 @@ class EquationsOfMotion(ForceRows):
                 terms.append((1.0, program.add(RealPart(down))))
             if mechanism.moments[k]:
                 terms.append((number(-mechanism.moments[k]), self.coordinate(k)))
-        terms += self._spring_energies()
+        terms += self.energies()
         return program.sum(*terms)
 
     def _chain(self) -> None:

@@ -30,32 +30,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from robodyn.elements.base import Element
+from robodyn.elements.joints import DryFriction, Rotor, SmoothFriction, Stops
+from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest, places_of
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
-from robodyn.mechanics.planar_model import (
-    Force,
-    Inertias,
-    OnDemand,
-    PointSpring,
-    Rotor,
-    VaryingMoment,
-)
+from robodyn.mechanics.planar_model import Inertias, OnDemand
 from robodyn.mechanics.planar_model import Mechanism as Mechanism
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
-from robodyn.scene.scene import (
-    Description,
-    DryFriction,
-    Friction,
-    JointSpring,
-    Load,
-    Moment,
-    Point,
-    Spring,
-)
+from robodyn.scene import scene as described
+from robodyn.scene.scene import Description, Load, Moment, Point, Spring
 
 
 def load(path: str | Path) -> Mechanism:
@@ -130,7 +119,6 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
     for entry in description.loads:
         if isinstance(entry, Moment) and (d := tree.frames[entry.link]) is not None:
             moments[d] += entry.torque
-    springs = [x for x in description.springs if isinstance(x, Spring)]
     return Mechanism(
         name=description.name,
         source=description.source,
@@ -142,7 +130,6 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
         B=tuple(B),
         gamma=description.gravity,
         energy_offset=offset,
-        damping=joint_damping(description),
         rows=tuple(closure_rows(description, tree)),
         actuated=_actuated(description, tree),
         pivots=OnDemand(map, tree.point, [link.hangs_from for link in links]),
@@ -150,31 +137,10 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
         centres=OnDemand(map, tree.point, [Point(k, x.r) for k, x in enumerate(links)]),
         weights=tuple(weights),
         moments=tuple(moments),
-        springs=OnDemand(_springs, tree, springs),
-        joint_springs=tuple(
-            x for x in description.springs if isinstance(x, JointSpring) and (x.stiffness or x.law)
-        ),
-        forces=OnDemand(_forces, tree, forces),
-        varying_moments=tuple(
-            VaryingMoment(x.link, x.varying)
-            for x in description.loads
-            if isinstance(x, Moment) and x.varying is not None
-        ),
-        friction=tuple(
-            (k, link.friction)
-            for k, link in enumerate(links)
-            if isinstance(link.friction, Friction) and link.friction.torque
-        ),
-        dry=tuple(
-            (k, link.friction)
-            for k, link in enumerate(links)
-            if isinstance(link.friction, DryFriction) and link.friction.static
-        ),
-        limits=tuple((k, link.limits) for k, link in enumerate(links) if link.limits is not None),
+        elements=OnDemand(_elements, tree, description, forces),
         slides=tuple(k for k, link in enumerate(links) if link.slides),
         frames=tuple(tree.frames),
         unit=tree.unit,
-        rotors=tuple(_rotors(tree)),
     )
 
 
@@ -243,6 +209,30 @@ def _dense_couplings(
     return A
 
 
+def _elements(tree: Tree, description: Description, forces: Sequence[Load]) -> Iterator[Element]:
+    """What acts, of each kind in the order of the scene."""
+    links = description.links
+    yield from _springs(tree, [x for x in description.springs if isinstance(x, Spring)])
+    for x in description.springs:
+        if isinstance(x, described.JointSpring) and (x.stiffness or x.law):
+            yield JointSpring(x.joint, x.stiffness, x.angle, x.law)
+    yield from _forces(tree, forces)
+    for load in description.loads:
+        if isinstance(load, Moment) and load.varying is not None:
+            yield VaryingMoment(load.link, load.varying)
+    for k, damping in enumerate(joint_damping(description)):
+        yield JointDamper(k, damping)
+    for k, link in enumerate(links):
+        rubs = link.friction
+        if isinstance(rubs, described.Friction) and rubs.torque:
+            yield SmoothFriction(k, *rubs)
+        if isinstance(rubs, described.DryFriction) and rubs.static:
+            yield DryFriction(k, *rubs)
+        if link.limits is not None:
+            yield Stops(k, *link.limits)
+    yield from _rotors(tree)
+
+
 def _rotors(tree: Tree) -> Iterator[Rotor]:
     for k, link in enumerate(tree.links):
         if link.motor is not None and link.motor.inertia:
@@ -258,7 +248,7 @@ def joint_damping(description: Description) -> tuple[float, ...]:
         if link.motor is not None and link.motor.damping:
             damping[k] += link.motor.damping * link.motor.ratio * link.motor.ratio
     for spring in description.springs:
-        if isinstance(spring, JointSpring):
+        if isinstance(spring, described.JointSpring):
             damping[spring.joint] += spring.damping
     return tuple(damping)
 

@@ -1,10 +1,8 @@
-"""What the numeric model of a mechanism consists of: points, rows of closures, springs, loads."""
+"""What the numeric model of a mechanism consists of: rows of closures, and lists on demand."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
-
-from robodyn.scene.scene import Signal
 
 T = TypeVar("T")
 Terms = Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
@@ -54,13 +52,6 @@ class Inertias(OnDemand[tuple[int, int, complex]]):
         return {"_recipe": self._recipe, "_whole": self._whole}
 
 
-class PlanarPoint(NamedTuple):
-    """A point `constant + sum_k coefficient_k X_k` of the mechanism, m."""
-
-    constant: complex
-    terms: Terms
-
-
 class ClosureRow(NamedTuple):
     """One real equation of the gap, m: with E_line = 1 where no link carries the line,
 
@@ -91,74 +82,3 @@ class ClosureRow(NamedTuple):
         """The sum of its terms' sizes, m."""
         terms = sum(abs(c) * self.lengths.get(k, 1.0) for k, c in (*self.P, *self.angles))
         return terms + abs(self.ground)
-
-
-class PointSpring(NamedTuple):
-    """A spring between points of two links (None: the ground): `between`, first less second."""
-
-    first: int | None
-    second: int | None
-    ends: tuple[PlanarPoint, PlanarPoint]
-    between: PlanarPoint
-    stiffness: float  # N/m
-    length: float  # free length, m
-    damping: float  # N s/m
-    law: Signal | None = None  # its pull, N, in place of the stiffness
-
-    @property
-    def directed(self) -> bool:
-        """Whether its force has no limit where its ends meet."""
-        return bool((self.stiffness and self.length) or self.damping or self.law)
-
-
-class Force(NamedTuple):
-    """A force at a point of a link, N; one that turns with the link, or varies, has no potential.
-
-    Where it varies it is `turned` times the `signals` of its x and y (a number: that for ever).
-    """
-
-    link: int
-    point: PlanarPoint
-    force: complex
-    turns: bool
-    signals: tuple[Signal | float, Signal | float] | None = None
-    turned: complex = 1.0
-
-    @property
-    def constant(self) -> bool:
-        """Whether it is among the weights."""
-        return not self.turns and self.signals is None
-
-
-class VaryingMoment(NamedTuple):
-    """A torque on a link, N m, that varies."""
-
-    link: int
-    signal: Signal
-
-
-def conserves(law: Signal | None) -> bool:
-    """Whether what a spring gives depends on its extension alone, and has a potential."""
-    return law is None or law.names <= {"x"}
-
-
-class Rotor(NamedTuple):
-    """The rotor of the motor at a joint; it sits on the link that carries the joint.
-
-    It spins with w_carrier + ratio qd, w_carrier the rate of what turns that link, if anything
-    does.  So KE has inertia/2 (w_carrier + ratio qd)^2 more, and M the constant inertia r r^T.
-    """
-
-    joint: int
-    inertia: float  # kg m^2
-    ratio: float  # rad/m where the joint slides
-    carrier: int | None  # the link whose E the carrying link has; None: the ground
-    slides: bool  # whether the joint does
-
-    @property
-    def spin(self) -> tuple[tuple[int, float], ...]:
-        """r in x: its rate is the sum of coefficients times x'."""
-        own = self.joint, self.ratio
-        if self.carrier is None:
-            return (own,)
-        return own, (self.carrier, 1.0 if self.slides else 1.0 - self.ratio)

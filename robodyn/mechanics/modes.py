@@ -13,9 +13,10 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from robodyn.elements.joints import DryFriction, Slipping, Stops
 from robodyn.mechanics.loop_rows import coupling_rows
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.scene.scene import Coupling, JointSpring, Limits, Link, Point
+from robodyn.scene.scene import Coupling, Link, Point
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,21 +44,10 @@ def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
     description = mechanism.description
     held = description._replace(couplings=tuple(Coupling(k, (), 0.0) for k in mode.held))
     rows = [row._replace(held=True) for row in (coupling_rows(held) if mode.held else ())]
-    springs, damping = list(mechanism.joint_springs), list(mechanism.damping)
-    for joint, side in mode.pressed:
-        stop = limits[joint]
-        assert stop.stiffness is not None
-        springs.append(JointSpring(joint, stop.stiffness, dict(stop.ends)[side]))
-        damping[joint] += stop.damping
-    return replace(
-        mechanism,
-        rows=mechanism.rows + tuple(rows),
-        joint_springs=tuple(springs),
-        damping=tuple(damping),
-        slips=tuple((joint, dry[joint], way) for joint, way in mode.slips),
-        dry=(),
-        limits=(),
-    )
+    acting = [x for x in mechanism.elements if not isinstance(x, (DryFriction, Slipping, Stops))]
+    acting += [x for joint, side in mode.pressed for x in limits[joint].pressed(side)]
+    acting += [dry[joint].slipping(way) for joint, way in mode.slips]
+    return replace(mechanism, rows=mechanism.rows + tuple(rows), elements=tuple(acting))
 
 
 def _standing(mechanism: Mechanism) -> Mechanism:
@@ -85,7 +75,7 @@ def _standing(mechanism: Mechanism) -> Mechanism:
     return replace(made, rows=tuple(row._replace(held=True) for row in made.rows))
 
 
-def pushes(stop: Limits, side: int, q: Any, qd: Any) -> Any:
+def pushes(stop: Stops, side: int, q: Any, qd: Any) -> Any:
     """The force of a compliant stop over its stiffness, away from its side, rad or m.
 
     As its spring and damper have it: below zero it would pull, and does not act.

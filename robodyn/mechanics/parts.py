@@ -6,66 +6,57 @@ Massless, weightless, without closures or dampers of joints.  Numbers may be sym
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from robodyn.elements.base import Element
 from robodyn.errors import SingularPoseError
-from robodyn.mechanics.planar_model import Mechanism, conserves
-from robodyn.scene.scene import Signal
+from robodyn.mechanics.planar_model import Mechanism
 
 NOTHING = 8 * sys.float_info.epsilon  # part of the lengths to a distance that is rounding
 
 
-def bare(mechanism: Mechanism) -> Mechanism:
-    """The links alone."""
+def bare(mechanism: Mechanism, elements: Iterable[Element | None] = ()) -> Mechanism:
+    """The links alone, and these elements."""
     zero = (0.0,) * mechanism.n
-    nothing = replace(mechanism, A=(), damping=zero, rows=(), weights=zero, moments=zero)
-    nothing = replace(nothing, springs=(), joint_springs=(), forces=(), friction=(), slips=())
-    return replace(nothing, varying_moments=(), rotors=(), energy_offset=0.0)
+    return replace(
+        mechanism,
+        A=(),
+        rows=(),
+        weights=zero,
+        moments=zero,
+        energy_offset=0.0,
+        elements=tuple(x for x in elements if x is not None),
+    )
 
 
 def stored(mechanism: Mechanism) -> Mechanism:
     """The springs with a potential, whose torques are part of G."""
-    springs = tuple(x._replace(damping=0.0) for x in mechanism.springs if conserves(x.law))
-    turned = tuple(x for x in mechanism.joint_springs if conserves(x.law))
-    return replace(bare(mechanism), springs=springs, joint_springs=turned)
+    return bare(mechanism, (x.stored() for x in mechanism.elements))
 
 
 def loaded(mechanism: Mechanism) -> Mechanism:
     """The loads at points: without weights only those act that turn with a link."""
-    moments = mechanism.varying_moments
-    return replace(bare(mechanism), forces=mechanism.forces, varying_moments=moments)
+    return bare(mechanism, (x for x in mechanism.elements if x.is_load))
 
 
 def spent(mechanism: Mechanism) -> Mechanism:
     """What makes Q: dampers of springs, forces that turn with a link or vary, friction."""
-    springs = tuple(
-        x._replace(stiffness=0.0, law=None) if conserves(x.law) else x for x in mechanism.springs
-    )
-    turned = tuple(x for x in mechanism.joint_springs if not conserves(x.law))
-    rubs = replace(loaded(mechanism), friction=mechanism.friction, slips=mechanism.slips)
-    return replace(rubs, springs=springs, joint_springs=turned)
+    return bare(mechanism, (x.spent() for x in mechanism.elements))
 
 
 def untimed(mechanism: Mechanism) -> Mechanism:
     """All but loads that depend on the time, which a model of a controller does not know."""
     if not mechanism.timed:
         return mechanism
-
-    def still(signals: tuple[Signal | float, ...]) -> Any:
-        timed = [isinstance(x, Signal) and "t" in x.names for x in signals]
-        return tuple(0.0 if t else x for x, t in zip(signals, timed, strict=True))
-
-    forces = tuple(x._replace(signals=x.signals and still(x.signals)) for x in mechanism.forces)
-    moments = tuple(x for x in mechanism.varying_moments if "t" not in x.signal.names)
-    return replace(mechanism, forces=forces, varying_moments=moments)
+    left = (x.untimed() for x in mechanism.elements)
+    return replace(mechanism, elements=tuple(x for x in left if x is not None))
 
 
 def acting(mechanism: Mechanism) -> Mechanism:
-    """Both of these."""
-    springs, turned = mechanism.springs, mechanism.joint_springs
-    return replace(spent(mechanism), springs=springs, joint_springs=turned)
+    """Both of what is stored and what is spent."""
+    return bare(mechanism, (x for x in mechanism.elements if x.acts))
 
 
 def met_ends(mechanism: Mechanism, q: Sequence[Any], exp: Callable[[Any], Any]) -> dict[int, Any]:

@@ -8,35 +8,30 @@ floats starts without it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
+from robodyn.elements.base import Element
+from robodyn.elements.base import PlanarPoint as PlanarPoint
+from robodyn.elements.base import conserves as conserves
+from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
+from robodyn.elements.kinds import KINDS
+from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
-from robodyn.mechanics.model_parts import Force as Force
 from robodyn.mechanics.model_parts import Inertias as Inertias
 from robodyn.mechanics.model_parts import OnDemand as OnDemand
-from robodyn.mechanics.model_parts import PlanarPoint as PlanarPoint
-from robodyn.mechanics.model_parts import PointSpring as PointSpring
-from robodyn.mechanics.model_parts import Rotor as Rotor
 from robodyn.mechanics.model_parts import Terms as Terms
-from robodyn.mechanics.model_parts import VaryingMoment as VaryingMoment
-from robodyn.mechanics.model_parts import conserves as conserves
-from robodyn.scene.scene import (
-    Description,
-    DryFriction,
-    Friction,
-    JointSpring,
-    Law,
-    Limits,
-    Signal,
-    Table,
-)
+from robodyn.scene.scene import Description, Signal, Table
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+
+Kind = TypeVar("Kind", bound=Element)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,7 +55,6 @@ class Mechanism:
     B: tuple[complex, ...]  # kg m
     gamma: complex  # gravity as gx + i gy, m/s^2
     energy_offset: float  # potential energy of the constants, J
-    damping: tuple[float, ...]  # N m s/rad, of joints and of the springs at them
     rows: tuple[ClosureRow, ...]
     actuated: tuple[int, ...]
     pivots: Sequence[PlanarPoint]  # each link's own joint
@@ -68,18 +62,78 @@ class Mechanism:
     centres: Sequence[PlanarPoint]  # centres of gravity, payload not included
     weights: tuple[complex, ...]  # of gravity and constant forces, N m
     moments: tuple[float, ...]  # constant torques on links, N m
-    springs: Sequence[PointSpring] = ()
-    joint_springs: tuple[JointSpring, ...] = ()
-    forces: Sequence[Force] = ()
-    varying_moments: tuple[VaryingMoment, ...] = ()
-    friction: tuple[tuple[int, Friction], ...] = ()  # of joints
-    dry: tuple[tuple[int, DryFriction], ...] = ()  # the same, with sticking: see `modes.py`
-    limits: tuple[tuple[int, Limits], ...] = ()  # of joints: see `modes.py`
-    slips: tuple[tuple[int, DryFriction, int], ...] = ()  # joints that slip, and which way
+    elements: Sequence[Element] = ()  # all that acts but weights and constant moments
     slides: tuple[int, ...] = ()  # the joints that are prismatic
     frames: tuple[int | None, ...] = ()  # of each link whose E it has; None: the ground's, 1
     unit: float = 1.0  # length that displacements are compared with angles by, m
-    rotors: tuple[Rotor, ...] = ()  # those with inertia
+
+    def of(self, kind: type[Kind]) -> tuple[Kind, ...]:
+        """The elements of a kind, in their order."""
+        return tuple(x for x in self.elements if isinstance(x, kind))
+
+    @property
+    def added(self) -> tuple[Element, ...]:
+        """Elements of kinds that no scene has: a description does not give them."""
+        return tuple(x for x in self.elements if type(x) not in KINDS)
+
+    def exchanged(self, new: Mapping[type[Element], Sequence[Element]]) -> Mechanism:
+        """The same with other elements of these kinds."""
+        kept = [x for x in self.elements if not isinstance(x, tuple(new))]
+        return replace(self, elements=(*kept, *(x for entries in new.values() for x in entries)))
+
+    @cached_property
+    def damping(self) -> tuple[float, ...]:
+        """The dampers at each joint (n), N m s/rad, or N s/m."""
+        found: list[float | None] = [None] * self.n
+        for x in self.of(JointDamper):
+            before = found[x.joint]
+            found[x.joint] = x.damping if before is None else before + x.damping
+        return tuple(0.0 if x is None else x for x in found)
+
+    @cached_property
+    def springs(self) -> tuple[PointSpring, ...]:
+        """Those between points."""
+        return self.of(PointSpring)
+
+    @cached_property
+    def joint_springs(self) -> tuple[JointSpring, ...]:
+        """Those at joints."""
+        return self.of(JointSpring)
+
+    @cached_property
+    def forces(self) -> tuple[Force, ...]:
+        """The forces at points."""
+        return self.of(Force)
+
+    @cached_property
+    def varying_moments(self) -> tuple[VaryingMoment, ...]:
+        """The torques on links that vary."""
+        return self.of(VaryingMoment)
+
+    @cached_property
+    def friction(self) -> tuple[tuple[int, SmoothFriction], ...]:
+        """Smooth friction, each with its joint."""
+        return tuple((x.joint, x) for x in self.of(SmoothFriction))
+
+    @cached_property
+    def dry(self) -> tuple[tuple[int, DryFriction], ...]:
+        """Friction that sticks, each with its joint: see `modes.py`."""
+        return tuple((x.joint, x) for x in self.of(DryFriction))
+
+    @cached_property
+    def slips(self) -> tuple[tuple[int, Slipping, int], ...]:
+        """Joints that slip, and which way."""
+        return tuple((x.joint, x, x.way) for x in self.of(Slipping))
+
+    @cached_property
+    def limits(self) -> tuple[tuple[int, Stops], ...]:
+        """Ends of joints: see `modes.py`."""
+        return tuple((x.joint, x) for x in self.of(Stops))
+
+    @cached_property
+    def rotors(self) -> tuple[Rotor, ...]:
+        """Those with inertia."""
+        return self.of(Rotor)
 
     @cached_property
     def above(self) -> tuple[int | None, ...]:
@@ -148,21 +202,12 @@ class Mechanism:
     @cached_property
     def has_state_forces(self) -> bool:
         """Whether anything acts but gravity, constant forces and torques, and joint dampers."""
-        acting = any(not force.constant for force in self.forces) or self.varying_moments
-        return bool(self.springs or self.joint_springs or self.rubs or acting)
+        return any(x.acts and not x.steady for x in self.elements)
 
     @cached_property
     def changes_energy(self) -> bool:
         """Whether the scene itself changes the energy: dampers, friction, forces that turn."""
-        acting = any(not force.constant for force in self.forces) or self.varying_moments
-        dampers = any(self.damping) or any(spring.damping for spring in self.springs)
-        dampers = dampers or any(not conserves(law) for law in self.laws)
-        return bool(dampers or self.rubs or acting)
-
-    @cached_property
-    def rubs(self) -> bool:
-        """Whether friction acts, other than that of what sticks."""
-        return bool(self.friction or self.slips)
+        return any(x.changes_energy for x in self.elements)
 
     @cached_property
     def switches(self) -> bool:
@@ -172,9 +217,7 @@ class Mechanism:
     @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """All laws, expressions and tables of springs and loads."""
-        acting = (x for force in self.forces for x in force.signals or ())
-        loads = [x for x in acting if isinstance(x, (Law, Table))]
-        return (*self.laws, *loads, *(moment.signal for moment in self.varying_moments))
+        return tuple(signal for x in self.elements for signal in x.signals)
 
     @cached_property
     def laws(self) -> list[Signal]:
@@ -219,7 +262,17 @@ class Mechanism:
         return mechanism_html(self)
 
     def __getstate__(self) -> dict[str, object]:
-        made = ("arrays", "above", "lines", "held", "has_angles", "inertias", "signals")
+        made: tuple[str, ...] = (
+            "arrays",
+            "above",
+            "lines",
+            "held",
+            "has_angles",
+            "inertias",
+            "signals",
+        )
+        made += ("damping", "springs", "joint_springs", "forces", "varying_moments")
+        made += ("friction", "dry", "slips", "limits", "rotors")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 

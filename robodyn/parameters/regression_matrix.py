@@ -31,6 +31,8 @@ from robodyn.dynamics.dynamics import PIVOT_CUT
 from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.dynamics.placed import check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
+from robodyn.elements.joints import DryFriction, Slipping, Stops
+from robodyn.elements.springs import JointDamper, JointSpring
 from robodyn.engines.batches import FormulaBatches
 from robodyn.engines.expression import Graph, Value, slopes_by, substituted
 from robodyn.engines.formulas import Formula, Recorded, balance, inverse_of, written
@@ -39,7 +41,8 @@ from robodyn.errors import SingularError
 from robodyn.mechanics.link_tree import Bodies, bodies
 from robodyn.mechanics.mechanism import Mechanism, constants, joint_damping
 from robodyn.mechanics.modes import in_mode
-from robodyn.scene.scene import Description, DryFriction, JointSpring, Spring
+from robodyn.scene import scene as described
+from robodyn.scene.scene import Description, Spring
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
@@ -70,13 +73,13 @@ def linear_parameters(description: Description) -> tuple[Parameter, ...]:
         ]
         if link.friction is not None:
             found.append(Parameter(f"f{i}", link.friction.torque, force))
-        if isinstance(link.friction, DryFriction) and link.friction.stribeck is not None:
+        if isinstance(link.friction, described.DryFriction) and link.friction.stribeck is not None:
             found.append(Parameter(f"fs{i}", link.friction.static, force))
         if link.motor is not None:
             found.append(Parameter(f"Jr{i}", link.motor.inertia, "kg m²"))
     for i, spring in enumerate(description.springs, start=1):
         if spring.law is None:
-            turns = isinstance(spring, JointSpring) and not links[spring.joint].slides
+            turns = isinstance(spring, described.JointSpring) and not links[spring.joint].slides
             found.append(Parameter(f"k{i}", spring.stiffness, "N m/rad" if turns else "N/m"))
         if isinstance(spring, Spring) and spring.damping:
             found.append(Parameter(f"ds{i}", spring.damping, "N s/m"))
@@ -98,10 +101,14 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
         friction, motor = link.friction, link.motor
         if friction is not None:
             friction = friction._replace(torque=values[f"f{i}"])
-        if isinstance(friction, DryFriction):
+        if isinstance(friction, described.DryFriction):
             static = values.get(f"fs{i}", friction.torque)
             friction = friction._replace(static=static)
-            slips += [(k, friction, way) for k, _, way in mechanism.slips if k == i - 1]
+            slips += [
+                Slipping(k, friction.torque, static, friction.stribeck, way)
+                for k, _, way in mechanism.slips
+                if k == i - 1
+            ]
         motor = damped(motor, inertia=values.get(f"Jr{i}"))
         links.append(link._replace(damping=values[f"d{i}"], friction=friction, motor=motor))
     for i, spring in enumerate(base.springs, start=1):
@@ -115,21 +122,23 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
     made = constants(with_formulas(scene), own)
     stops = zip(made.damping, mechanism.damping, joint_damping(base), strict=True)
     pressed = mechanism.joint_springs[_kept(base) :]
-    return replace(
-        made,
-        actuated=mechanism.actuated,
-        rows=mechanism.rows,
-        damping=tuple(d + (now - plain) for d, now, plain in stops),
-        joint_springs=(*made.joint_springs, *pressed),
-        slips=tuple(slips),
-        dry=(),
-        limits=(),
+    dampers = [JointDamper(k, d + (now - plain)) for k, (d, now, plain) in enumerate(stops)]
+    exchanged = made.exchanged(
+        {
+            JointDamper: dampers,
+            JointSpring: (*made.joint_springs, *pressed),
+            Slipping: slips,
+            DryFriction: (),
+            Stops: (),
+        }
     )
+    elements = (*exchanged.elements, *mechanism.added)
+    return replace(exchanged, elements=elements, actuated=mechanism.actuated, rows=mechanism.rows)
 
 
 def _kept(description: Description) -> int:
     """How many springs at joints a mechanism has of its scene; those of stops follow."""
-    springs = (x for x in description.springs if isinstance(x, JointSpring))
+    springs = (x for x in description.springs if isinstance(x, described.JointSpring))
     return sum(bool(x.stiffness or x.law) for x in springs)
 
 

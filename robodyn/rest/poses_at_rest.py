@@ -12,7 +12,6 @@ import math
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from itertools import islice, product
 from typing import NamedTuple, TypeVar
 
@@ -27,6 +26,7 @@ from robodyn.dynamics.closed_form import (
 )
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.sticking import held_forces
+from robodyn.elements.springs import JointSpring
 from robodyn.engines.factors import damped
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
 from robodyn.loops.assembly import assemble, attempt
@@ -187,7 +187,7 @@ def searched_turns(
     found: dict[int, tuple[int, int]] = {}
     for joint in sorted({x.joint for x in springs}):
         others = tuple(x for x in mechanism.joint_springs if x.joint != joint)
-        bare, most = replace(mechanism, joint_springs=others), 0.0
+        bare, most = mechanism.exchanged({JointSpring: others}), 0.0
         for pose, N in zip(poses, motions, strict=True):
             size = float(N[joint] @ N[joint])
             with suppress(RobodynError):  # beyond the rows of a table nothing rests

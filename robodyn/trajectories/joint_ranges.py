@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
+from robodyn.elements.joints import Stops
 from robodyn.errors import AssemblyError, SingularError
 from robodyn.loops.assembly import assemble
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.rest.balance import bend
-from robodyn.scene.scene import Limits
 from robodyn.tables.arrays import Array
 from robodyn.trajectories.joint_paths import ConstantSpeed
 from robodyn.trajectories.loop_path import LoopPath, PathEndError, WholePath
@@ -143,7 +143,7 @@ def _fold(mechanism: Mechanism, q: Array, joint: int) -> float | None:
     return None
 
 
-def _turns(q: Array, joint: int, limit: Limits, mechanism: Mechanism) -> float:
+def _turns(q: Array, joint: int, limit: Stops, mechanism: Mechanism) -> float:
     """The whole turns, rad, by which the limits of a joint lie off where it is."""
     if joint in mechanism.slides or limit.low is None or limit.high is None:
         return 0.0

@@ -19,12 +19,13 @@ Limits hold between the rows too: extremes are found between the samples that fo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.dynamics import inverse_dynamics
+from robodyn.elements.joints import DryFriction
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.loop_rates import loop_accelerations
 from robodyn.mechanics.actuation import for_each_actuated
@@ -154,8 +155,8 @@ def check_starts(motion: ReferenceMotion, limits: Limits) -> None:
         qdd[:, joint] = 0.0
         if mechanism.rows:
             qdd = loop_accelerations(mechanism, q, qd, qdd[:, driven])
-        falls = ((k, friction._replace(stribeck=friction.stribeck or FALLS)) for k, friction in dry)
-        held = replace(mechanism, dry=tuple(falls))
+        falls = [friction._replace(stribeck=friction.stribeck or FALLS) for _, friction in dry]
+        held = mechanism.exchanged({DryFriction: falls})
         t = motion.begin + high * motion.duration
         tau = inverse_dynamics(held, q, qd, qdd, t)[:, joint]
         worst = int(np.argmax(way[:, joint] * tau))

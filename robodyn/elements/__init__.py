@@ -1,0 +1,1 @@
+"""What acts on the links of a mechanism: each kind declared once."""

@@ -1,0 +1,103 @@
+"""What every kind of element has: how it acts, what it holds, which part of the equations it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from robodyn.scene.scene import Signal
+from robodyn.tables.records import Record
+
+if TYPE_CHECKING:
+    from robodyn.mechanics.force_rows import Builder, Term
+
+STORED, SPENT = "stored", "spent"
+
+# Places in the sum at one joint, and in that of forces on links: points first, then joints, in this
+# order; a change of it changes the last bits of every result.
+SPRINGS, MOMENTS, FORCES = 0, 1, 2
+FRICTION, SPENT_LAW, STORED_LAW, SLIPPING, LINEAR = 0, 1, 2, 3, 4
+
+
+class PlanarPoint(Record):
+    """A point `constant + sum_k coefficient_k X_k` of the mechanism, m."""
+
+    constant: complex
+    terms: Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
+
+    @property
+    def reach(self) -> float:
+        """How far it may be from the origin at most, m: the arm of a force there."""
+        return abs(self.constant) + sum(abs(c) for _, c in self.terms)
+
+
+class NoDirection(ZeroDivisionError):
+    """The ends of the spring between points of this place coincide at every state."""
+
+
+class Element(Record):
+    """One thing that acts; its numbers may be floats or formulas.
+
+    `acts` is STORED for what has a potential (part of G and of PE), SPENT for what is part of Q,
+    and empty for what is constants of the mechanism (D, M) or acts in no mode of its own.  `at` is
+    the joint at which it acts; None where it acts on links.  `rank` orders sums.
+    """
+
+    @property
+    def acts(self) -> str:
+        """STORED, SPENT, or nothing."""
+        return ""
+
+    @property
+    def rank(self) -> int:
+        """Its place among those that act at the same joint, or on links."""
+        return 0
+
+    @property
+    def at(self) -> int | None:
+        """The joint at which it acts."""
+        return None
+
+    @property
+    def is_load(self) -> bool:
+        """Whether it comes from without: nothing inside of the mechanism feels the opposite."""
+        return False
+
+    @property
+    def steady(self) -> bool:
+        """Whether it is among the constant weights and moments of the mechanism."""
+        return False
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Its laws, expressions and tables."""
+        return ()
+
+    @property
+    def changes_energy(self) -> bool:
+        """Whether the energy of the mechanism changes by it."""
+        return self.acts == SPENT and not self.steady
+
+    def rows(self, b: Builder) -> None:
+        """Write what it does."""
+
+    def energy(self, b: Builder) -> Iterator[Term]:
+        """What it holds, J."""
+        yield from ()
+
+    def stored(self) -> Element | None:
+        """The part of it that has a potential."""
+        return self if self.acts == STORED else None
+
+    def spent(self) -> Element | None:
+        """The part of it that is in Q."""
+        return self if self.acts == SPENT else None
+
+    def untimed(self) -> Element | None:
+        """What remains of it where nothing knows the time."""
+        return self
+
+
+def conserves(law: Signal | None) -> bool:
+    """Whether what a spring gives depends on its extension alone, and has a potential."""
+    return law is None or law.names <= {"x"}

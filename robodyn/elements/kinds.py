@@ -1,0 +1,19 @@
+"""The kinds of elements that a scene has."""
+
+from robodyn.elements.base import Element
+from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
+from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
+
+KINDS: tuple[type[Element], ...] = (
+    PointSpring,
+    JointSpring,
+    Force,
+    VaryingMoment,
+    JointDamper,
+    SmoothFriction,
+    DryFriction,
+    Slipping,
+    Stops,
+    Rotor,
+)
