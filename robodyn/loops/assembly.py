@@ -197,13 +197,14 @@ def scene_branches(mechanism: Mechanism) -> tuple[str, ...]:
     if unsaid:
         return _nearest(mechanism, told, decided, unsaid)
     driven = np.array([start[k] for k in mechanism.actuated], float)
-    for step in plan.steps:  # each follows from those before it alone
+    for place, step in enumerate(plan.steps):  # each follows from those before it alone
         own = [k for k in step.unknown if k in told]
         if step.closure in decided and own:
             away = []
             for word in BRANCHES:
                 words[step.closure] = word
-                away.append(_away(mechanism, driven, own, words))
+                q, shorts, _ = by_dyads(mechanism, plan, driven, words)
+                away.append(_off(mechanism, q, own, np.max(shorts[: place + 1], axis=0)))
             words[step.closure] = BRANCHES[int(np.argmin(away))]
     return tuple(words)
 
@@ -244,6 +245,11 @@ def _nearest(
 def _away(mechanism: Mechanism, driven: Array, told: Sequence[int], words: Sequence[str]) -> float:
     """How far joints told by the start are from it where all others come nearest."""
     q, missing = attempt(mechanism, driven, words)
+    return _off(mechanism, q, told, missing)
+
+
+def _off(mechanism: Mechanism, q: Array, told: Sequence[int], missing: Array) -> float:
+    """How far joints of q (..., n) are from the start; what is `missing` (...) is far from it."""
     way = wrapped(mechanism, q - np.array([x or 0.0 for x in mechanism.description.start or ()]))
     off = np.abs(way[..., told] / mechanism.arrays.units[list(told)]).max(axis=-1)
     off = np.where(missing <= 0.0, off, off + OPEN)

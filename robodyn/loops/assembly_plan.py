@@ -35,7 +35,7 @@ class Plan:
     turns_with: tuple[int | None, ...]  # the unknown link that each link turns with; None: known
     steps: tuple[Step, ...]
     rest: tuple[int, ...]  # links left unknown
-    two_way: tuple[int, ...]  # the closures that can close in two ways
+    two_way: tuple[int, ...]  # the closures that can close in two ways, as the scene lists them
 
 
 @lru_cache(maxsize=64)
@@ -109,7 +109,7 @@ def _order(mechanism: Mechanism) -> tuple[Plan, list[int]]:
     rest = tuple(k for k in mechanism.passive if k not in known and k not in given)
     held = set(open_couplings).union(*(loops[i] for i in waiting))
     free = [k for k in rest if k not in held]
-    return Plan(coupled, tuple(turns_with), tuple(steps), rest, tuple(two_way)), free
+    return Plan(coupled, tuple(turns_with), tuple(steps), rest, tuple(sorted(two_way))), free
 
 
 def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...], set[int]]:
