@@ -10,11 +10,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import sympy as sp
 from conftest import Outcome
-from derivation_oracle import wrong
-from sliding_scenes import SLIDING_SCENES
+from derivation_oracle import Oracle, evaluated, wrong
+from sliding_scenes import SLIDING_SCENES, TURNED
 
 from random_mechanisms import (
     LOOPS,
@@ -25,9 +26,10 @@ from random_mechanisms import (
     seeded_tree,
     sliding,
 )
-from robodyn.equations.derivation import Derivation
+from robodyn.equations.derivation import Carried, Derivation, Offset, Turned
 from robodyn.equations.derivation_latex import derivation_latex
 from robodyn.equations.derivation_text import derivation_json, derivation_text
+from robodyn.equations.notation import PYTHON
 from robodyn.equations.quadratic_forms import difference_of_squares, factored, forms_of
 from robodyn.equations.symbolic import Atom, Role, of
 from robodyn.equations.text import text
@@ -332,3 +334,64 @@ def test_latex_compiles(name: str, tmp_path: Path) -> None:
     options = [] if "tectonic" in COMPILER else ["-interaction=nonstopmode", "-halt-on-error"]
     done = subprocess.run([COMPILER, *options, "steps.tex"], cwd=tmp_path, capture_output=True)
     assert done.returncode == 0, done.out[-2000:]
+
+
+# -- velocities told by other vectors --------------------------------------------------------------
+
+
+def number(entry, names: dict) -> float:
+    return evaluated(PYTHON.text(entry).replace("\u00a0", " "), names)
+
+
+@pytest.mark.parametrize("name", ["2r", "watt-six-bar", "rp-arm", "hydraulic-boom", "turned"])
+def test_what_stands_before_a_velocity_is_it_too(name: str) -> None:
+    """R^T (v + omega x arm) and R^T (..) are what the components are, for every link."""
+    mech = mechanism(TURNED) if name == "turned" else load(ROBOTS / f"{name}.yaml")
+    rng = np.random.default_rng(3)
+    state = [rng.uniform(-2.0, 2.0, mech.n) for _ in range(3)]
+    derivation = Derivation(equations(mech))
+    oracle = Oracle(mech, state, np.zeros(len(mech.actuated)))
+    names = oracle.values | {x.name: x.value for x in derivation.equations.known.known.values()}
+
+    def vector(pair) -> complex:
+        return complex(*(number(x, names) for x in pair))
+
+    def velocity(k: int) -> complex:
+        return complex(*oracle.of(f"v{k + 1}"))
+
+    def omega(k: int) -> float:
+        return oracle.of(f"omega{k + 1}")
+
+    seen = set()
+    for line in (x for block in derivation.sections[1].blocks for x in block):
+        *told, last = line.right
+        for right in told:
+            match right:
+                case Offset(k, arm):
+                    found = velocity(k) + 1j * omega(k) * vector(arm)
+                case Turned(k, inner, None):
+                    found = np.exp(-1j * state[0][k]) * vector(inner)
+                case Carried(k, above, arm, slides, along, _):
+                    found = velocity(above) + 1j * omega(above) * vector(arm)
+                    turn = 1.0 if along is None else vector(along)
+                    turn = turn if slides else np.exp(1j * state[0][k])
+                    found = found / turn
+                    if slides:
+                        found += 1j * omega(above) * state[0][k] + state[1][k]
+                case _:
+                    continue
+            seen.add(type(right))
+            assert abs(found - vector(last)) < 1e-12 * (1.0 + abs(found)), line.left
+    assert {Offset} <= seen
+
+
+def test_the_text_of_velocities() -> None:
+    shown = derivation_text(Derivation(equations(load(ROBOTS / "2r.yaml")))).split("\n")
+    start = shown.index("  omega2 = omega1 + qd2 = qd1 + qd2")
+    assert shown[start + 1 : start + 3] == [
+        "  v2 = R(q2)^T (v1 + omega1 x (l1, 0)) = R(q2)^T (0, l1 qd1)"
+        " = (l1 qd1 sin(q2), l1 qd1 cos(q2))",
+        "  vC2 = v2 + omega2 x (r2, 0) = (l1 qd1 sin(q2), l1 qd1 cos(q2) + r2 (qd1 + qd2))",
+    ]
+    shown = derivation_text(Derivation(equations(load(ROBOTS / "rp-arm.yaml"))))
+    assert "  v2 = v1 + omega1 x (q2, 0) + (qd2, 0) = (qd2, q2 qd1)\n" in shown
