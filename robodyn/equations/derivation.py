@@ -479,18 +479,26 @@ class Derivation:
             return found
         return ZERO
 
-    def bent(self, i: int) -> Sum:
-        """dKE/dq_i."""
-        return simplified(slope(self.KE, self.by_joint(i)))
+    @cached_property
+    def bent(self) -> list[Sum]:
+        """dKE/dq_i of each joint."""
+        return [simplified(slope(self.KE, self.by_joint(i))) for i in self.joints]
 
-    def changing(self, i: int) -> Sum:
+    @cached_property
+    def changing(self) -> list[Sum]:
         """What the rates alone make of d/dt dL/dqd_i: (Mdot qd)_i."""
-        rows = (slope(self.M[i][j], self.by_time) * of(Atom(Role.rate, (j,))) for j in self.joints)
-        return simplified(total(rows))
+        rates = [of(Atom(Role.rate, (j,))) for j in self.joints]
+        rows = (
+            (slope(entry, self.by_time) * rate for entry, rate in zip(row, rates, strict=True))
+            for row in self.M
+        )
+        return [simplified(total(row)) for row in rows]
 
-    def coriolis(self, i: int) -> Sum:
+    @cached_property
+    def coriolis(self) -> list[Sum]:
         """(C qd)_i = (Mdot qd)_i - dKE/dq_i."""
-        return simplified(self.changing(i) - self.bent(i))
+        pairs = zip(self.changing, self.bent, strict=True)
+        return [simplified(moving - bent) for moving, bent in pairs]
 
     # -- how terms with two rates are written ------------------------------------------------------
 
@@ -676,7 +684,7 @@ class Derivation:
             for i in self.joints
         ]
         yield [
-            Line(name, (grouped(self.forms(self.bent(i)), [-x for x in self._gradient(i)]),))
+            Line(name, (grouped(self.forms(self.bent[i]), [-x for x in self._gradient(i)]),))
             for i, name in enumerate(names)
         ]
         names = [
@@ -687,7 +695,7 @@ class Derivation:
         yield [
             Line(
                 Name(f"d/dt {name.plain}", rf"\frac{{d}}{{dt}}{name.latex}"),
-                (grouped(self._inertial(i, "qdd"), self.forms(self.changing(i))),),
+                (grouped(self._inertial(i, "qdd"), self.forms(self.changing[i])),),
             )
             for i, name in enumerate(names)
         ]
@@ -695,7 +703,7 @@ class Derivation:
     def _motion(self) -> Iterator[list[Line]]:
         lines, passive = [], self.mechanism.passive
         for i in self.joints:
-            parts = [self._inertial(i, "qdd"), self.forms(self.coriolis(i)), self._gradient(i)]
+            parts = [self._inertial(i, "qdd"), self.forms(self.coriolis[i]), self._gradient(i)]
             parts += [self._damped(i), [-x for x in self._other(i)]]
             lines.append(Line(entry_name("tau", i, latex=r"\tau"), (grouped(*parts),)))
         if passive:
@@ -706,7 +714,7 @@ class Derivation:
         split = [] if self.folded else [*self._split()]
         yield split
         told = ["What stands before qdd is M"]
-        if any(self.coriolis(i) for i in self.joints):
+        if any(self.coriolis):
             told.append("the terms with two rates are C qd")
             if split:
                 told[-1] += " (of one rate squared: centripetal, of two: Coriolis)"
@@ -724,7 +732,7 @@ class Derivation:
         for i in self.joints:
             squares: list[Sum] = []
             products: list[Sum] = []
-            for form, before in forms_of(in_place(self.coriolis(i), "C")):
+            for form, before in forms_of(in_place(self.coriolis[i], "C")):
                 for (j, k), x in form:
                     pair = of(Atom(Role.rate, (j,))) * of(Atom(Role.rate, (k,)))
                     (squares if j == k else products).append((before * pair).times(x))
@@ -879,7 +887,7 @@ class Derivation:
     def _acting(self, i: int) -> list[list[Sum]]:
         """f_i = tau_i + Q_i - (C qd)_i - (D qd)_i - G_i."""
         driven = i in self.mechanism.actuated
-        taken = (self.forms(self.coriolis(i)), self._damped(i), self._gradient(i))
+        taken = (self.forms(self.coriolis[i]), self._damped(i), self._gradient(i))
         return [
             [self.named("tau", i, latex=r"\tau")] if driven else [],
             self._other(i),

@@ -88,9 +88,9 @@ def difference_of_squares(
             if len(two) < len(one):
                 pairs = _squared(one)
                 for pair, x in _squared(two).items():
-                    pairs[pair] = pairs.get(pair, Fraction(0)) - x
+                    pairs[pair] = pairs.get(pair, 0) - x
                 kept = sorted((pair, x) for pair, x in pairs.items() if x)
-                if kept and [pair for pair, _ in kept] == [pair for pair, _ in form]:
+                if len(kept) == len(form) and [x for x, _ in kept] == [x for x, _ in form]:
                     number = form[0][1] / kept[0][1]
                     if all(x == number * y for (_, x), (_, y) in zip(form, kept, strict=True)):
                         return one, two, number
@@ -101,8 +101,8 @@ def _times(atom: Atom, power: int) -> int:
     return power if atom.role == Role.rate else 0
 
 
-def _squared(joints: Sequence[int]) -> dict[tuple[int, int], Fraction]:
-    return {(j, k): Fraction(1 if j == k else 2) for j in joints for k in joints if j <= k}
+def _squared(joints: Sequence[int]) -> dict[tuple[int, int], int]:
+    return {(j, k): 1 if j == k else 2 for j in joints for k in joints if j <= k}
 
 
 def _content(numbers: Sequence[Fraction]) -> Fraction:
