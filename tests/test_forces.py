@@ -31,6 +31,9 @@ from robodyn import (
 )
 from robodyn.dynamics import identities
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces
+from robodyn.elements.joints import SmoothFriction
+from robodyn.elements.loads import Force
+from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.engines.row_values import RowValues
 from robodyn.errors import SingularError
 from robodyn.mechanics.actuation import Actuation
@@ -75,17 +78,17 @@ class TestTorques:
     @pytest.mark.parametrize(
         "change",
         [
-            lambda mech: {"moments": tuple(x + 0.1 for x in mech.moments)},
-            lambda mech: {"springs": mech.springs[1:]},
-            lambda mech: {"joint_springs": ()},
-            lambda mech: {"friction": ()},
-            lambda mech: {"forces": ()},
+            lambda mech: dataclasses.replace(mech, moments=tuple(x + 0.1 for x in mech.moments)),
+            lambda mech: mech.exchanged({PointSpring: mech.springs[1:]}),
+            lambda mech: mech.exchanged({JointSpring: ()}),
+            lambda mech: mech.exchanged({SmoothFriction: ()}),
+            lambda mech: mech.exchanged({Force: ()}),
         ],
     )
     @pytest.mark.thinned
     def test_the_identities_detect_what_is_wrong(self, scene, change):
         mech = scene.mechanism
-        wrong = dataclasses.replace(mech, **change(mech))
+        wrong = change(mech)
         sample = identities.Sample(scene.q[None], scene.qd[None], 1.0)
         assert not all(item.holds for item in identities.identities(wrong, sample))
 
