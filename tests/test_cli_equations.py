@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -161,27 +159,6 @@ def test_a_terminal_shows_how_far_a_long_text_is(shell: Run, tmp_path: Path) -> 
         ).succeeds()
         assert ("writing" in given.out) == (format != "c")
         assert "writing" not in (tmp_path / "out").read_text(encoding="utf-8")
-
-
-def test_numpy_is_not_imported() -> None:
-    """Nor anything else that would slow the start."""
-    code = """
-import sys
-from robodyn import cli
-for format in ("text", "latex", "python", "c", "json"):
-    assert cli.run(["equations", "robots/four-bar.yaml", "--format", format, "--numeric"]) == 0
-heavy = {"numpy", "scipy", "rich", "sympy", "matplotlib"}
-print(sorted(heavy & set(sys.modules)), file=sys.stderr)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=os.environ,
-        timeout=60,
-    )
-    assert (done.returncode, done.stderr) == (0, "[]\n")
 
 
 def test_what_reads_back_is_the_same(robodyn: Run) -> None:

@@ -18,7 +18,6 @@ GUIDE = PAGES["how-it-works"]
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 # the imports upwards, which the guide tells
 UPWARDS = {
-    ("machine_motion.py", "taylor"),
     ("planar_model.py", "notebook"),
     ("simulation.py", "notebook"),
 }

@@ -118,7 +118,15 @@ LARGE = 5000
 LONG = 1000  # lines of a function that then is; those that are shorter hold the loops
 LEAST_LLVM = 17  # the first in which an address has no other type
 LIBRARY = (*FUNCTIONS, "pow", "fma")  # of C, that kernels may call
-ROOMS = ("engines", "loops", "mechanics", "sweeps", "taylor")  # that decide the text
+ROOMS = (
+    "elements",
+    "engines",
+    "events",
+    "loops",
+    "mechanics",
+    "sweeps",
+    "taylor",
+)  # that decide the text
 PLAIN = "plain"  # the processor's family without what is optional: for tests
 
 

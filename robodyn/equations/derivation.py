@@ -1,6 +1,6 @@
 """The derivation of the equations of motion, as one writes it on a board.
 
-    velocities -> KE, PE -> L = KE - PE -> d/dt dL/dqd - dL/dq = tau + .. -> loops, lambda, (33)
+    velocities -> KE, PE -> L = KE - PE -> d/dt dL/dqd - dL/dq = tau + .. -> loops, lambda
 
 A velocity is kept as parts, each with the joints that it was turned through, so that squares are
 built part by part and no identity of sines is needed.  KE, a sum of products, gives all else by
@@ -841,7 +841,7 @@ class Derivation:
             yield said(f"Coupling {c + 1} ties {told}: a further row of gap and Psi.")
 
     def _multipliers(self) -> Iterator[list[Line]]:
-        """lambda, f, and the equation of motion without lambda, (33)."""
+        """lambda, f, and the equation of motion without lambda."""
         driven = self.equations.driven("tau{}")
         q = ", ".join(f"q{k + 1}" for k in self.joints)
         terms = [x for x in ("C", "D", "G") if x in self.blocks and not self.blocks[x].zero]

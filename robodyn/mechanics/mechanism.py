@@ -38,7 +38,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest, places_of
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
-from robodyn.mechanics.planar_model import Inertias, OnDemand
+from robodyn.mechanics.planar_model import Inertias, OnDemand, Terms
 from robodyn.mechanics.planar_model import Mechanism as Mechanism
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import joint_index as joint_index
@@ -267,6 +267,15 @@ def _fixed(tree: Tree, load: Load) -> Load:
     return load._replace(force=tree.turned(k, load.force), turns=False)
 
 
+def _place(tree: Tree, point: Point) -> PlanarPoint:
+    """A point whose terms, as many as links carry it, are made when they are asked for."""
+    return PlanarPoint(tree.constant(point, Point(None, 0j)), OnDemand(_terms, tree, point))
+
+
+def _terms(tree: Tree, point: Point) -> Terms:
+    return tree.point(point).terms
+
+
 def _forces(tree: Tree, loads: Sequence[Load]) -> Iterator[Force]:
     for load in loads:
         k = load.point.link
@@ -274,7 +283,7 @@ def _forces(tree: Tree, loads: Sequence[Load]) -> Iterator[Force]:
         turned = tree.turned(k, 1.0 + 0j) if load.turns else 1.0 + 0j
         if not load.varies:
             force = tree.turned(k, load.force) if load.turns else load.force
-            yield Force(k, tree.point(load.point), force, load.turns)
+            yield Force(k, _place(tree, load.point), force, load.turns)
             continue
         numbers = load.force.real, load.force.imag
         x, y = (
@@ -282,7 +291,7 @@ def _forces(tree: Tree, loads: Sequence[Load]) -> Iterator[Force]:
             for number, signal in zip(numbers, load.varying, strict=True)
         )
         turns = load.turns and tree.frames[k] is not None
-        yield Force(k, tree.point(load.point), 0j, turns, (x, y), turned)
+        yield Force(k, _place(tree, load.point), 0j, turns, (x, y), turned)
 
 
 def _springs(tree: Tree, springs: Sequence[Spring]) -> Iterator[PointSpring]:
