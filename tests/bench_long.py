@@ -11,6 +11,7 @@ from robodyn.scene.description import from_text
 
 EQUATIONS = [(20, 2.0), (40, 10.0)]  # links, and the bound
 CHECKED = 100  # links
+DERIVED = 8  # links
 SPARE = [1e-12, 1e-3]  # m
 NEARLY_LOCKED = """
 links:
@@ -25,15 +26,18 @@ def long_chains(bench: Any) -> list[Any]:
     """Whole processes; seconds are under "ours"."""
     from bench import BIN, chain_text, compared
 
-    def row(command: str, n: int, **limits: float) -> Any:
+    def row(command: str, n: int, *options: str, **limits: float) -> Any:
         scene = bench.folder / f"chain{n}.yaml"
         scene.write_text(chain_text(n), encoding="utf-8")
         scipy = (sys.executable, "-c", "from scipy.integrate import solve_ivp")
-        times, _ = bench.processes((BIN / "robodyn", command, scene), scipy, 1 + 2 * (n < 40))
-        return compared(f"{command}, {n}R chain", times, 1, "import solve_ivp", **limits)
+        times, _ = bench.processes(
+            (BIN / "robodyn", command, scene, *options), scipy, 1 + 2 * (n < 40)
+        )
+        told = " ".join((command, *options))
+        return compared(f"{told}, {n}R chain", times, 1, "import solve_ivp", **limits)
 
     rows = [row("equations", n, bound=bound) for n, bound in EQUATIONS]
-    return [*rows, row("check", CHECKED)]
+    return [*rows, row("equations", DERIVED, "--steps"), row("check", CHECKED)]
 
 
 def nearly_locked(bench: Any) -> list[Any]:

@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -267,16 +266,6 @@ def test_quadratic_forms_are_products_where_they_can_be() -> None:
     assert difference_of_squares(form, [(0,), (0, 1)]) == ((0, 1), (0,), 1)
 
 
-def test_eight_links_take_less_than_three_seconds() -> None:
-    rows = "\n".join(
-        f"  - {{name: a{k}, m: {1 + k}, l: 0.{k + 2}, r: [0.1, 0.0{k + 1}], I: 0.1}}"
-        for k in range(8)
-    )
-    begin = time.process_time()
-    derivation_text(Derivation(equations(mechanism(f"gravity: 9.81\nlinks:\n{rows}\n"))))
-    assert time.process_time() - begin < 30.0  # a count of ten, for a machine that is loaded
-
-
 # -- the command -----------------------------------------------------------------------------------
 
 
@@ -315,14 +304,22 @@ def test_latex_is_whole(name: str) -> None:
     bare = re.sub(r"\\[{}]", "", shown)
     assert bare.count("{") == bare.count("}")
     assert r"{}^{1}v_{C_{1}}" in shown
-    assert not re.search(
-        r"\b(qdd?|tau|lambda|omega|Psi)\d",
-        shown.split("Result")[0]
-        .replace("by q1 + q2", "")
-        .split("2. Velocities")[1]
-        .replace("tau2 = tau3 = 0", "")
-        .replace("tau2 = 0", ""),
+    mathematics = "".join(re.findall(r"\\begin\{align\*\}(.*?)\\end\{align\*\}", shown, re.DOTALL))
+    assert not re.search(r"(?<![\\a-zA-Z])(qdd?|tau|lambda|omega|Psi)\d", mathematics)
+
+
+def test_names_of_links_may_hold_braces_and_signs() -> None:
+    """What a format or LaTeX would obey is a name as any other."""
+    text_of = (
+        "gravity: 9.81\nlinks:\n"
+        '  - {name: "arm {1} & 50%", m: 1, l: 1, r: 0.5, I: 0.1}\n'
+        '  - {name: "{}", m: 1, l: 1, r: 0.5, I: 0.1}\n'
     )
+    derivation = Derivation(equations(mechanism(text_of)))
+    line = "2  {}, from (l1, 0) of arm {1} & 50%: turned by q2, by q1 + q2 from +X"
+    assert f"\n  {line}\n" in derivation_text(derivation)
+    assert json.loads(derivation_json(derivation))["steps"][0]["lines"][1] == {"text": line}
+    assert r"2  \{\}, from ($l_{1},\; 0$) of arm \{1\} \& 50\%" in derivation_latex(derivation)
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no LaTeX compiler")

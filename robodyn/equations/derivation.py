@@ -55,7 +55,7 @@ from robodyn.equations.symbolic import (
     total,
 )
 from robodyn.equations.written import in_place
-from robodyn.errors import InputError
+from robodyn.errors import InputError, printable
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Closure, JointSpring, Load, Moment, Point, Spring
@@ -135,9 +135,8 @@ class Line(NamedTuple):
 
     left: Name | Sum | None = None
     right: tuple[Right, ...] = ()
-    plain: str = ""
-    latex: str = ""  # mathematics; empty of a sentence
-    figures: tuple[Vector, ...] = ()  # that stand for {} in a sentence
+    told: tuple[str | Vector, ...] = ()  # the words, and what stands between them
+    latex: str = ""  # the same as mathematics; empty of a sentence
 
 
 class Section(NamedTuple):
@@ -169,14 +168,14 @@ def check_size(mechanism: Mechanism) -> None:
         raise InputError("--steps", where=mechanism.source, value=value, limit=limit)
 
 
-def said(plain: str, *figures: Vector) -> Line:
-    """A sentence."""
-    return Line(plain=plain, figures=figures)
+def said(*told: str | Vector) -> Line:
+    """A line that is a sentence: its words, and vectors between them."""
+    return Line(told=told)
 
 
 def shown(plain: str, latex: str) -> Line:
-    """Formulas in one line."""
-    return Line(plain=plain, latex=latex)
+    """A line of formulas that are no equations of sums, as text and in LaTeX."""
+    return Line(told=(plain,), latex=latex)
 
 
 def entry_name(letter: str, *numbers: int, latex: str = "") -> Name:
@@ -246,14 +245,14 @@ class Derivation:
         used: set[str] = set()
         for section in self.sections:
             for line in (line for block in section.blocks for line in block):
-                used |= {x.name for x in _atoms((line.left, *line.right, *line.figures))}
+                used |= {x.name for x in _atoms((line.left, *line.right, *line.told))}
         known = self.equations.known.known.values()
         return [x for x in known if x.name in used - self.equations.used]
 
     # -- numbers, names and sums -------------------------------------------------------------------
 
     def put(self, entry: Any) -> Any:
-        """The scene's numbers in place of its symbols, where they are asked for."""
+        """Return a sum with the scene's numbers for its symbols if the derivation is numeric."""
         known = self.equations.known
         return entry.substituted(known.values) if self.equations.numeric else entry
 
@@ -276,7 +275,7 @@ class Derivation:
         return of(Atom(Role.rate, path)) if path else ZERO
 
     def fold(self, entry: Sum) -> Sum:
-        """The sum with omega_k for sums of rates, in a scene that is folded."""
+        """Return a sum with omega_k in place of sums of rates, where entries of M have names."""
         if not self.folded:
             return entry
 
@@ -554,18 +553,19 @@ class Derivation:
         lines = []
         for k, link in enumerate(self.links):
             above = link.hangs_from.link
-            where = "the ground" if above is None else self.links[above].name
-            told = f"{k + 1}  {link.name}, from {{}} of {where}: "
-            figures = [self.vector(planar(link.hangs_from.at))]
+            where = "the ground" if above is None else printable(self.links[above].name)
+            at = self.vector(planar(link.hangs_from.at))
+            told: list[str | Vector] = [f"{k + 1}  {printable(link.name)}, from ", at]
+            told.append(f" of {where}: ")
             if link.slides:
-                told += f"slides by q{k + 1} along {{}}"
-                figures.append(self.vector(link.axis))
+                told += [f"slides by q{k + 1} along ", self.vector(link.axis)]
             else:
-                told += f"turned by q{k + 1}"
+                turned = f"turned by q{k + 1}"
                 straight = self.units[k] == self.units[None]
                 if len(self.paths[k]) > 1 and straight:
-                    told += f", by {' + '.join(f'q{j + 1}' for j in self.paths[k])} from +X"
-            lines.append(said(told, *figures))
+                    turned += f", by {' + '.join(f'q{j + 1}' for j in self.paths[k])} from +X"
+                told.append(turned)
+            lines.append(said(*told))
         yield lines
 
     def _velocities(self) -> Iterator[list[Line]]:
@@ -670,7 +670,7 @@ class Derivation:
             entry = M[i][j]
             if self.folded:
                 entry = self.named("M", min(i, j), max(i, j))
-            found.append(bracketed(entry, of(rate), 1))
+            found.append(before_name(entry, rate))
         return [joined(found)] if self.folded and found else found
 
     def _gradient(self, i: int) -> list[Sum]:
@@ -750,7 +750,7 @@ class Derivation:
     def _damped(self, i: int) -> list[Sum]:
         """d_i qd_i."""
         D = self.blocks["D"].rows[i][i] if "D" in self.blocks else ZERO
-        return [bracketed(D, of(Atom(Role.rate, (i,))), 1)] if D else []
+        return [before_name(D, Atom(Role.rate, (i,)))] if D else []
 
     def _other(self, i: int) -> list[Sum]:
         """The name of Q_i, where it is not zero."""
@@ -824,7 +824,7 @@ class Derivation:
         """Where each loop was cut, and what the further rows are."""
 
         def body(point: Point) -> str:
-            return "the ground" if point.link is None else str(self.links[point.link].name)
+            return "the ground" if point.link is None else printable(self.links[point.link].name)
 
         for c, closure in enumerate(self.mechanism.description.closures):
             one, two = body(closure.first), body(closure.second)
@@ -972,18 +972,15 @@ class Derivation:
         for i in self.joints:
             M = self.blocks["M"].rows[i]
             left = joined(
-                bracketed(
+                before_name(
                     self.named("M", min(i, j), max(i, j)),
-                    of(self.atom(Name(f"qdd{j + 1}", rf"\ddot{{q}}_{{{j + 1}}}"))),
-                    1,
+                    self.atom(Name(f"qdd{j + 1}", rf"\ddot{{q}}_{{{j + 1}}}")),
                 )
                 for j in self.joints
                 if M[j]
             )
             acts = [self.named("f", i)] if forces[i] else []
-            acts += [
-                bracketed(entry(r, i), of(self.atom(multipliers[r])), 1) for r in rows if Psi[r][i]
-            ]
+            acts += [before_name(entry(r, i), self.atom(multipliers[r])) for r in rows if Psi[r][i]]
             final.append(Line(left, (joined(acts),)))
         yield final
 
@@ -1038,30 +1035,27 @@ def bracketed(first: Sum, second: Sum, number: Number, power: int = 1) -> Sum:
     """number first second^power, sums of more than one term in brackets."""
     factors: list[tuple[Any, Any]] = []
     for each, times in ((first, 1), (second, power)):
-        if len(each.terms) == 1:
-            ((monomial, x),) = each.terms.items()
-            number = number * x**times
-            factors += [(factor, p * times) for factor, p in monomial]
-        else:
-            factors.append((each, times))
-    return Sum({_ordered(factors): number})
+        own, before = as_factors(each)
+        number = number * before**times
+        factors += [(factor, p * times) for factor, p in own]
+    return Sum({in_writing_order(tuple(factors)): number})
 
 
-def _ordered(factors: Sequence[tuple[Any, Any]]) -> Monomial:
-    """The factors in the order of writing, the last in its place where it is a name."""
-    last = [
-        x for x in factors if isinstance(x[0], Atom) and x[0].name.startswith(("qdd", "lambda"))
-    ]
-    rates = [x for x in factors if isinstance(x[0], Atom) and x[0].role == Role.rate]
-    rest = [x for x in factors if x not in last]
-    if any(isinstance(x, Sum) and _has_mass(x) for x, _ in rest) and rates:
-        rest = [x for x in rest if x not in rates] + rates
-        return tuple(rest + last)
-    return (*in_writing_order(tuple(rest)), *last)
+def before_name(entry: Sum, name: Atom) -> Sum:
+    """An entry of a matrix times what stands behind it: a rate, an acceleration, a multiplier."""
+    factors, number = as_factors(entry)
+    factors = (*factors, (name, 1))
+    if len(entry.terms) == 1 and name.role == Role.rate:  # a rate among symbols has its place there
+        factors = in_writing_order(factors)
+    return Sum({factors: number})
 
 
-def _has_mass(bracket: Sum) -> bool:
-    return any(atom.role in (Role.mass, Role.inertia) for atom in bracket.atoms())
+def as_factors(entry: Sum) -> tuple[Monomial, Number]:
+    """Return a sum as factors and a number: one bracket where it has more terms than one."""
+    if len(entry.terms) != 1:
+        return ((entry, 1),), 1
+    ((factors, number),) = entry.terms.items()
+    return factors, number
 
 
 def joined(parts: Iterable[Sum]) -> Sum:

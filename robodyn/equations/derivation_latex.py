@@ -75,10 +75,11 @@ def _lines(derivation: Derivation, notation: Notation) -> Iterator[str]:
 
 
 def _sentence(notation: Notation, line: Line) -> str:
-    """A sentence, vectors in it as rows."""
-    first, *others = escaped(line.plain).split(r"\{\}")
-    pairs = (f"${notation.text(x.x)},\\; {notation.text(x.y)}$" for x in line.figures)
-    return first + "".join(f"({x}){rest}" for x, rest in zip(pairs, others, strict=True))
+    """The words of a line that is no equation, vectors in them as rows."""
+    return "".join(
+        escaped(x) if isinstance(x, str) else f"(${notation.text(x.x)},\\; {notation.text(x.y)}$)"
+        for x in line.told
+    )
 
 
 def _equation(notation: Notation, line: Line) -> Iterator[str]:

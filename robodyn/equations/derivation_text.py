@@ -130,10 +130,16 @@ def _pair(notation: Notation, vector: Vector) -> str:
     return f"({notation.text(vector.x)},{GLUE}{notation.text(vector.y)})"
 
 
+def _sentence(notation: Notation, line: Line) -> str:
+    """The words of a line that is no equation."""
+    parts = (x if isinstance(x, str) else one_line(_pair(notation, x)) for x in line.told)
+    return "".join(parts)
+
+
 def _laid_out(notation: Notation, line: Line, width: int) -> list[str]:
     """A line of the derivation as lines of text."""
     if not line.right:
-        told = line.plain.format(*(one_line(_pair(notation, x)) for x in line.figures))
+        told = _sentence(notation, line)
         if line.latex:
             return [MARGIN + told]
         return textwrap.wrap(told, width, initial_indent=MARGIN, subsequent_indent=2 * MARGIN)
@@ -163,7 +169,7 @@ def _entry(derivation: Derivation, notation: Notation, line: Line) -> dict[str, 
     """A line as JSON has it; what is told in vectors' own words is left out."""
     if not line.right:
         plain = plain_notation(derivation)
-        return {"text": line.plain.format(*(one_line(_pair(plain, x)) for x in line.figures))}
+        return {"text": _sentence(plain, line)}
     left = line.left
     assert left is not None
     right: list[object] = []
