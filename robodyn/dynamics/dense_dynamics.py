@@ -295,14 +295,14 @@ def decompose(mechanism: Mechanism, Psi: Array) -> Decomposition:
     U, s, Vt = svd(Psi, full=True)
     k, cut = s.shape[-1], RANK_CUT * loop_size(mechanism)
     inverse = _pseudo_inverse(U[..., :, :k], s, Vt[..., :k, :], cut)
-    return Decomposition(U, np.swapaxes(Vt, -1, -2), (s > cut).sum(axis=-1), inverse)
+    return Decomposition(U, Vt.swapaxes(-1, -2), (s > cut).sum(axis=-1), inverse)
 
 
 def _pseudo_inverse(U: Array, s: Array, Vt: Array, cut: float) -> Array:
     """V diag(1/s) U^T, without the singular values up to `cut`."""
     counts = s > cut
     inverse = 1.0 / s if counts.all() else np.divide(1.0, s, out=np.zeros_like(s), where=counts)
-    found: Array = (np.swapaxes(Vt, -1, -2) * inverse[..., None, :]) @ np.swapaxes(U, -1, -2)
+    found: Array = (Vt.swapaxes(-1, -2) * inverse[..., None, :]) @ U.swapaxes(-1, -2)
     return found
 
 
@@ -315,7 +315,7 @@ def _along_freedoms(
     """
     if not N.shape[-1]:
         return np.zeros_like(right)
-    Nt, whole = np.swapaxes(N, -1, -2), N.shape[-1] == N.shape[-2]  # without closures N is 1
+    Nt, whole = N.swapaxes(-1, -2), N.shape[-1] == N.shape[-2]  # without closures N is 1
     one = N.shape[-1] == 1  # whose inertia is scaled to 1
     reduced = M if whole else Nt @ M @ N
     if one and not whole:

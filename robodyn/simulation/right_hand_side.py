@@ -186,7 +186,7 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
                 tau = tau + other_forces(mechanism, q, qd, t)
         except SignalError:  # a shorter step may not
             return np.full(len(y), np.nan)
-        power = [tau @ qd - damping @ qd**2] if work else []
-        return np.concatenate([qd, qdd, found[n:], power])
+        power = [float(tau @ qd - damping @ qd**2)] if work else []
+        return [*values[n : 2 * n], *qdd.tolist(), *found[n:], *power]
 
     return rates
