@@ -493,7 +493,8 @@ def crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
     reach, there, steep = (each[1:].copy() for each in (x, values, slopes))
     part, b = np.nonzero(slopes[:-1] * slopes[1:] < 0.0)  # it may go beyond and come back within
     ends = [each[at, b] for each in (x, slopes) for at in (part, part + 1)]
-    place, furthest = turns(series[:, b], *ends, values[part + 1, b] - values[part, b])
+    ends.append(values[part + 1, b] - values[part, b])
+    place, furthest = turns(series[:, b], *ends)
     over = np.abs(furthest) > limit
     part, b = part[over], b[over]
     reach[part, b], there[part, b], steep[part, b] = place[over], furthest[over], 0.0
