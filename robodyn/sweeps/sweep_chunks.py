@@ -252,8 +252,11 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
     if changed:
         scene = read_numbers(plan.scene, plan.source, plan.numbers, plan.tables)
     members: dict[tuple[float, ...], list[int]] = {}
-    for k, key in enumerate(map(tuple, points[:, changed].tolist())):
-        members.setdefault(key, []).append(k)
+    if not changed:
+        members[()] = list(range(len(points)))
+    else:
+        for k, key in enumerate(map(tuple, points[:, changed].tolist())):
+            members.setdefault(key, []).append(k)
     for key, indices in members.items():
         mechanism = plan.mechanism
         if scene is not None:
