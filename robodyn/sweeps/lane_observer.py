@@ -19,7 +19,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.expression import Graph, Value
@@ -29,19 +28,21 @@ from robodyn.engines.machine_steps import Items, Scene
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
 
-Indices = NDArray[np.intp]
 KEPT = ("start", "off", "KE", "PE_low", "PE_high", "E_low", "E_high", "angle", "flip", "begun")
 Values = tuple[Word, Word, Word, Word]  # integral, value, slope and bend of a series
-# Steps that are noted, for numpy to find their roots.  The whole numbers at the beginning: how many
-# there are, up to how many another step may begin, and the first lane of the vector under way.
-ROOM, LANE, FIRST = 1, 2, 8
-LARGEST = 2**17  # numbers noted before roots are found: 1 MB, which caches hold
-# From item FIRST on stand the notes: these items, then the coefficients of the rate.  `what` tells
-# the quarter where an angle has an extreme (1 to QUARTERS), or a rate (QUARTERS more); its value
-# rises by `rise` from the quarter's begin to its end, and its slopes there are `first` and `last`.
-# `start` is the angle as the step begins; `joint` is n for the link that may flip.
-HEAD = ("what", "start", "first", "last", "rise", "t", "x", "lane", "joint")
-GIVEN = 5  # of these, which differ from note to note of a step
+# Steps that are noted, for numpy to find their roots: where an angle has an extreme, where a rate
+# has one, and where the link may flip.  The whole numbers at the beginning: how many there are of
+# each kind, up to how many another step may begin, the first lane of the vector under way, and how
+# many there is room for.
+ANGLE, RATE, LINK = KINDS = range(3)
+MOST, LANE, ROOM, FIRST = 3, 4, 5, 8
+LARGEST = 2**17  # numbers of a kind noted before roots are found: 1 MB, which caches hold
+# From FIRST on stand the notes of each kind, item after item, each of all notes: these, then the
+# coefficients of the rate.  `part` is that of QUARTERS, from 1; the value rises by `rise` from its
+# begin to its end, and its slopes there are `first` and `last`; `start` is the angle as the step
+# begins; `row` is that of the extremes.
+HEAD = ("part", "start", "first", "last", "rise", "t", "x", "lane", "row")
+GIVEN = 5  # of these, which the block has not
 
 
 def kept(mechanism: Mechanism) -> dict[str, float]:
@@ -87,7 +88,9 @@ class LaneObserver(Observer):
             self._flips(module)
 
     def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
-        leave(k.compare("slt", k.load(k.at(own, ROOM), WHOLE), k.load(own, WHOLE)))
+        most = k.load(k.at(own, MOST), WHOLE)
+        for kind in KINDS:
+            leave(k.compare("slt", most, k.load(k.at(own, kind), WHOLE)))
 
     def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
         items = _Kept(self.scene, k, block)
@@ -242,7 +245,7 @@ class LaneObserver(Observer):
         bounds = self._values(k, series, k.intrinsic("fabs", x), sizes=True)[2:]
         given, zero = k.room(k.numbers, GIVEN), k.number(0.0)
         k.store(q, k.at(given, HEAD.index("start"), k.numbers))
-        for kind, bound in enumerate(bounds):
+        for kind, bound in zip((ANGLE, RATE), bounds, strict=True):
             values = [part[1] if kind else k.add(q, part[0]) for part in parts]
             low, high = (
                 k.at(scene.at(k, block, f"{name}{kind * n}"), j, k.numbers)
@@ -262,12 +265,13 @@ class LaneObserver(Observer):
                     may = k.either(may, outside)
                 noted = k.both(turns, may)
                 with k.when(k.any(noted)):
-                    what = k.select(noted, k.number(1.0 + QUARTERS * kind + part), zero)
+                    which = k.select(noted, k.number(1.0 + part), zero)
                     rise = k.subtract(values[part + 1], values[part])
-                    told = {"what": what, "first": before, "last": now, "rise": rise}
+                    told = {"part": which, "first": before, "last": now, "rise": rise}
                     for name, value in told.items():
                         k.store(value, k.at(given, HEAD.index(name), k.numbers))
-                    k.call("note", block, notes, given, j, series)
+                    row = k.add(j, k.whole(kind * n))
+                    k.call("note", block, notes, k.whole(kind), given, row, series)
         k.done()
 
     def _flips(self, module: Module) -> None:
@@ -304,39 +308,41 @@ class LaneObserver(Observer):
             noted = k.both(wanted, may)
             with k.when(k.any(noted)):
                 given = k.room(k.numbers, GIVEN)
-                what = k.select(noted, k.number(1.0), zero)
+                which = k.select(noted, k.number(1.0), zero)
                 for name in HEAD[:GIVEN]:
-                    value = {"what": what, "start": angle}.get(name, zero)
+                    value = {"part": which, "start": angle}.get(name, zero)
                     k.store(value, k.at(given, HEAD.index(name), k.numbers))
-                k.call("note", block, notes, given, k.whole(scene.mechanism.n), series)
+                k.call("note", block, notes, k.whole(LINK), given, k.whole(0), series)
             put("flip", k.select(k.both(wanted, surely), k.add(get("t"), x), flip))
         k.done()
 
     def _note(self, module: Module) -> None:
-        """note(block, notes, given, of, series): note the step of each lane whose `what` is not 0.
+        """note(block, notes, kind, given, row, series): note the step of lanes whose part is not 0.
 
         See `HEAD`, whose first items are `given`.
         """
         scene, orders = self.scene, self.scene.order + 1
-        k = Kernel(module, "note", (ADDRESS, ADDRESS, ADDRESS, WHOLE, ADDRESS), "void")
-        block, notes, given, of, series = k.arguments
+        k = Kernel(module, "note", (ADDRESS, ADDRESS, WHOLE, ADDRESS, WHOLE, ADDRESS), "void")
+        block, notes, kind, given, row, series = k.arguments
         vectors = [k.at(given, i, k.numbers) for i in range(GIVEN)]
         vectors += [scene.at(k, block, name) for name in HEAD[GIVEN:-2]]
-        size, none, first = len(HEAD) + orders, k.scalar(0.0), k.load(k.at(notes, LANE), WHOLE)
+        lane, room = (k.load(k.at(notes, i), WHOLE) for i in (LANE, ROOM))
+        all_items = k.multiply(room, k.whole(len(HEAD) + orders))
+        begin = k.at(notes, k.add(k.multiply(kind, all_items), k.whole(FIRST)))
         with k.loop(k.whole(k.lanes)) as i:
-            what = k.load(k.at(given, i), SCALAR)
-            with k.when(k.compare("une", what, none)):
-                count = k.load(notes, WHOLE)
-                place = k.at(notes, k.add(k.multiply(count, k.whole(size)), k.whole(FIRST)))
+            part = k.load(k.at(given, i), SCALAR)
+            with k.when(k.compare("une", part, k.scalar(0.0))):
+                count = k.load(k.at(notes, kind), WHOLE)
                 values = [k.load(k.at(vector, i), SCALAR) for vector in vectors]
-                values += [k.convert("sitofp", x, SCALAR) for x in (k.add(first, i), of)]
+                values += [k.convert("sitofp", x, SCALAR) for x in (k.add(lane, i), row)]
+                place, column = k.at(begin, count), k.at(series, i)
                 for item, value in enumerate(values):
-                    k.store(value, k.at(place, item))
-                place, column = k.at(place, len(HEAD)), k.at(series, i)
+                    k.store(value, k.at(place, k.multiply(room, k.whole(item))))
+                place = k.at(place, k.multiply(room, k.whole(len(HEAD))))
                 with k.loop(k.whole(orders)) as m:
                     coefficient = k.load(k.at(column, m, k.numbers), SCALAR)
-                    k.store(coefficient, k.at(place, m))
-                k.store(k.add(count, k.whole(1)), notes)
+                    k.store(coefficient, k.at(place, k.multiply(room, m)))
+                k.store(k.add(count, k.whole(1)), k.at(notes, kind))
         k.done()
 
 
@@ -354,50 +360,43 @@ class Notes:
     """
 
     def __init__(self, scene: Scene, lanes: int, L: int) -> None:
-        self.n, items = scene.mechanism.n, len(HEAD) + scene.order + 1
-        n, most = self.n, (2 * QUARTERS * scene.mechanism.n + 1) * lanes  # notes of a step
+        n = self.n = scene.mechanism.n
+        most, items = QUARTERS * n * lanes, len(HEAD) + scene.order + 1  # notes of a step
         room = LARGEST // items + most
-        self.whole = aligned(FIRST + room * items)
-        self.noted = self.whole[FIRST:].reshape(room, items)
+        self.whole = aligned(FIRST + len(KINDS) * items * room)
+        self.noted = self.whole[FIRST:].reshape(len(KINDS), items, room)
         self.counts = self.whole[:FIRST].view(np.int64)
-        self.counts[ROOM] = room - most
+        self.counts[MOST], self.counts[ROOM] = room - most, room
         self.low, self.high = np.full((2 * n, L), math.inf), np.full((2 * n, L), -math.inf)
         self.flip = np.full(L, math.nan)  # its size
 
     @property
     def full(self) -> bool:
         """Whether no lane can take a step before they are taken."""
-        return bool(self.counts[0] > self.counts[ROOM])
+        return bool(self.counts[: len(KINDS)].max() > self.counts[MOST])
 
     def take(self) -> None:
         """Find what is in them, for all at once, and make room."""
-        noted = self.noted[: self.counts[0]]
-        self.counts[0] = 0
-        what, joint = (noted[:, HEAD.index(name)] for name in ("what", "joint"))
-        of_link = joint == self.n
-        if of_link.any():
-            head, rates = self._columns(noted, np.flatnonzero(of_link))
-            flips = head["t"] + crossings(head["start"], rates, head["x"], math.pi)
-            np.fmin.at(self.flip, head["lane"].astype(int), np.abs(flips))
-        of_rate = what > QUARTERS
-        for kind, chosen in enumerate((~(of_rate | of_link), of_rate)):
-            head, series = self._columns(noted, np.flatnonzero(chosen))
-            quarter, part = head["x"] / QUARTERS, head["what"] - (1 + QUARTERS * kind)
-            begin, end = quarter * part, quarter * (part + 1)
-            if kind == 0:
-                series = integral(series, head["start"])
-            known = head["first"], head["last"], head["rise"]
-            _, values = turns(series, begin, end, *known)
-            row = head["joint"].astype(int) + self.n * kind
-            place = row * self.low.shape[1] + head["lane"].astype(int)
-            np.fmin.at(self.low.reshape(-1), place, values)  # quick with one index
-            np.fmax.at(self.high.reshape(-1), place, values)
+        for kind in KINDS:
+            noted = self.noted[kind, :, : self.counts[kind]]
+            self.counts[kind] = 0
+            if noted.size:
+                self._take(kind, dict(zip(HEAD, noted, strict=False)), noted[len(HEAD) :])
 
-    def _columns(self, noted: Array, note: Indices) -> tuple[dict[str, Array], Array]:
-        """The items of these notes, and their series (K, notes)."""
-        chosen = noted.take(note, axis=0).T
-        head = dict(zip(HEAD, chosen[: len(HEAD)].copy(), strict=True))
-        return head, np.ascontiguousarray(chosen[len(HEAD) :])
+    def _take(self, kind: int, head: dict[str, Array], rates: Array) -> None:
+        """The same of the notes of a kind, of their items and the coefficients (K, notes)."""
+        lane = head["lane"].astype(int)
+        if kind == LINK:
+            flips = head["t"] + crossings(head["start"], rates, head["x"], math.pi)
+            np.fmin.at(self.flip, lane, np.abs(flips))
+            return
+        quarter = head["x"] / QUARTERS
+        begin, end = quarter * (head["part"] - 1.0), quarter * head["part"]
+        series = integral(rates, head["start"]) if kind == ANGLE else rates
+        _, values = turns(series, begin, end, head["first"], head["last"], head["rise"])
+        place = head["row"].astype(int) * self.low.shape[1] + lane
+        np.fmin.at(self.low.reshape(-1), place, values)  # quick with one index
+        np.fmax.at(self.high.reshape(-1), place, values)
 
     def merge(self, columns: Array, place: Mapping[str, int]) -> None:
         """Take what was found into the items (items, L) of the lanes."""
