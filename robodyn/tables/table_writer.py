@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 HELD = 1 << 21  # bytes; more than what is read or written at once takes in any one piece
 Told = Callable[[str], tuple[str, float]]  # of a column: its name there, and what its values are
-FEW = 2000  # numbers that are written by `repr` before all is ready for more
+FEW = 500  # numbers that `repr` writes in less time
 
 
 class Writer:
