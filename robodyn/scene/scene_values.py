@@ -31,7 +31,11 @@ _INNER: dict[str, str | None] = {
     "varying_vector": "varying",
 } | dict.fromkeys(("joints", "assembly", "couplings"))
 # mappings by names, and what they hold
-_BY_NAME = {"start": Key("angle", "", BY_JOINT), "points": Key("moving_point", "")}
+_BY_NAME = {
+    "start": Key("angle", "", BY_JOINT),
+    "points": Key("moving_point", ""),
+    "pins": Key("pin", "", "m"),
+}
 
 
 @dataclass(slots=True)
@@ -227,7 +231,8 @@ def _numbers(
     place: _Place, node: Node, name: str, kind: str | None
 ) -> Iterator[tuple[str, _Place]]:
     """The places of all numbers that a value of this kind holds, or may hold in place of 0."""
-    if kind in OR_VECTOR or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node):
+    whole = kind in OR_VECTOR or kind == "pin"  # which may be put as [x, y]
+    if whole or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node):
         yield name, place
     if isinstance(node, Sequence):
         inner = _INNER.get(kind or "", "number")
