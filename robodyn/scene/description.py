@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 
 from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
-from robodyn.scene.drawn import Drawing, is_drawn
 from robodyn.scene.grammar import Key
 from robodyn.scene.point_values import PointReader
 from robodyn.scene.quantities import in_unit, parse_coupling
@@ -68,7 +67,11 @@ def from_tree(
         raise DescriptionError(source, [fault])
     reader = _Reader(tables)
     with suppress(TooManyFaults):
-        drawing = Drawing(root, reader) if is_drawn(root) else None
+        drawing = None
+        if any(key.text == "pins" for key, _ in root.pairs):
+            from robodyn.scene.drawn import Drawing  # other scenes start without it
+
+            drawing = Drawing(root, reader)
         description = reader.scene(drawing.explicit() if drawing else root, source)
         if drawing and not reader.faults:
             drawing.check(description)

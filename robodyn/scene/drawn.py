@@ -17,7 +17,10 @@ from collections.abc import Iterator
 from collections.abc import Mapping as Mapped
 from collections.abc import Sequence as Listed
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from robodyn.scene.grammar import FORMS
 from robodyn.scene.point_names import Places
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
 
 FOLLOWS = "follows from the pins: leave it out"
 SAME = 1e-9  # part of the drawing's extent within which pins are at one place
-ROUNDING = 4e-16  # part of the coordinates that a difference of two of them is rounded by
+ROUNDING = 8e-16  # part of the coordinates that a difference of two of them is rounded by
 SINGULAR = 1e-7  # part of the largest singular value of Psi below which another is zero
 APART = 0.01  # part of the extent that pins are moved by to see what holds wherever they are
 
@@ -47,10 +50,18 @@ class Bar:
     along: complex | None  # unit vector, of a link that slides
     above: int | None = None  # the link that it hangs from, or the ground
     origin: complex = 0j  # where its first pin is, m
+    tip: complex | None = None  # where its second pin is, m, of a link that turns
     turn: complex = 1 + 0j  # unit vector along its x axis
+
+    @property
+    def length(self) -> float:
+        """The length of the link, m; a link that slides has none."""
+        return 0.0 if self.tip is None else abs(self.tip - self.origin)
 
     def at(self, z: complex) -> complex:
         """A point of the drawing in the link's frame, m; what is rounding is zero."""
+        if z == self.tip:
+            return complex(self.length)
         apart, rounding = z - self.origin, ROUNDING * (abs(z) + abs(self.origin))
         own = apart * self.turn.conjugate()
         x, y = (0.0 if abs(part) <= rounding else part for part in (own.real, own.imag))
@@ -58,7 +69,7 @@ class Bar:
 
 
 class Joined(NamedTuple):
-    """A loop that closes: a pin of link `first`, and of `second` (None: the ground) or on its line."""
+    """A loop: a pin of link `first` is one of `second` (None: the ground), or on a line of it."""
 
     first: int
     second: int | None
@@ -73,11 +84,6 @@ class Line:
     pin: str
     along: complex
     on: int | None = None
-
-
-def is_drawn(root: Mapping) -> bool:
-    """Whether a scene tells where its pins are."""
-    return any(key.text == "pins" for key, _ in root.pairs)
 
 
 class Drawing:
@@ -176,7 +182,7 @@ class Drawing:
             reader.fault("pins", node, limit, reader.shown(node))
             return
         index = {bar.name: k for k, bar in enumerate(self.bars)}
-        names = Places(index, lambda _: 0j, lambda _: 0j)
+        names, faulty = Places(index, lambda _: 0j, lambda _: 0j), set[str]()
         for key, value in node.pairs:
             place = f"pins.{key.text}"
             if key.text in self.z:
@@ -184,7 +190,10 @@ class Drawing:
             elif limit := names.not_free(key.text):
                 reader.fault(place, key, limit)
             self.lines[key.text] = key.line
+            faults = len(reader.faults)
             self.z[key.text] = reader.vector(value, place, "m")
+            if len(reader.faults) > faults:
+                faulty.add(key.text)
         x, y = (
             [z.real for z in self.z.values()] or [0.0],
             [z.imag for z in self.z.values()] or [0.0],
@@ -192,11 +201,12 @@ class Drawing:
         self.extent = math.hypot(max(x) - min(x), max(y) - min(y))
         if not math.isfinite(self.extent):
             reader.fault("pins", node, "are too far apart: their distances overflow")
+            self.extent = 0.0
         for bar in self.bars:
-            self._check_pins(bar)
+            self._check_pins(bar, faulty)
 
-    def _check_pins(self, bar: Bar) -> None:
-        """Faults of the pins of one link."""
+    def _check_pins(self, bar: Bar, faulty: set[str]) -> None:
+        """Faults of the pins of one link; those in `faulty` are nowhere."""
         node, place, reader = bar.given.get("pins", bar.node), f"{bar.place}.pins", self.reader
         bar.pins = [name for name in bar.pins if self._is_pin(name, node, place)]
         if "pins" in bar.given and bar.along is None and len(bar.pins) == 1:
@@ -204,15 +214,17 @@ class Drawing:
             reader.fault(place, node, f"{limit}; one alone is for a link that slides (`along`)")
         elif isinstance(bar.given.get("pins"), Sequence) and not bar.pins:
             reader.fault(place, node, "needs at least one pin")
-        for k, first in enumerate(bar.pins):
-            for second in bar.pins[k + 1 :]:
-                if abs(self.z[first] - self.z[second]) <= SAME * self.extent:
-                    limit = f"has {first} and {second} at one place: leave one of them out"
-                    reader.fault(place, node, limit)
+        for first, second in combinations([x for x in bar.pins if x not in faulty], 2):
+            apart = abs(self.z[first] - self.z[second])
+            if apart <= SAME * self.extent or not apart:
+                limit = f"has {first} and {second} at one place: leave one of them out"
+                reader.fault(place, node, limit)
 
     def _is_pin(self, name: str, node: Node, place: str) -> bool:
         if name in self.z:
             return True
+        if not isinstance(self.given["pins"], Mapping):
+            return False  # it is told that they are none
         near = self.reader.nearest(name, list(self.z))
         self.reader.fault(place, node, f"names no pin{near}", name)
         return False
@@ -309,7 +321,7 @@ class Drawing:
         return pin in self.fixed and pin not in self.slide_of
 
     def _partner(self, pin: str, k: int) -> int | None:
-        """What link k is joined to by this pin: the ground (None), a link above, or nothing (-1)."""
+        """What this pin joins link k to: the ground (None), a link above, or nothing (-1)."""
         if self._is_fixed(pin):
             return None
         return next((i for i in self._pinned(pin) if i < k), -1)
@@ -365,8 +377,8 @@ class Drawing:
             if bar.along is not None:
                 bar.turn = bar.along
             else:
-                axis = self.z[bar.pins[1]] - bar.origin
-                bar.turn = axis / abs(axis)
+                bar.tip = self.z[bar.pins[1]]
+                bar.turn = (bar.tip - bar.origin) / bar.length
 
     # -- springs, loads and points by pins -----------------------------------------------------
 
@@ -463,7 +475,7 @@ class Drawing:
                 found["r"] = bar.given["centre"]
             return _mapping(found | {"l": _number(0.0, line), "from": _vector(0j, line)}, line)
         above = None if bar.above is None else self.bars[bar.above]
-        found["l"] = _number(0.0 if bar.along else abs(self.z[bar.pins[1]] - bar.origin), line)
+        found["l"] = _number(bar.length, line)
         found["from"] = (
             _vector(bar.origin, line) if above is None else _place(above, bar.origin, line)
         )
@@ -515,8 +527,6 @@ class Drawing:
 
         `description` is that of the explicit form.
         """
-        import numpy as np  # scenes that are not drawn start without it
-
         if not self.joined or not self.sound:
             return
         n, couplings = len(self.bars), np.zeros((len(description.couplings), len(self.bars)))
@@ -572,8 +582,6 @@ class Drawing:
 
     def _psi(self, z: Mapped[str, complex]) -> list[Array]:
         """Psi of each closure with its pins there: rows over the joints, by the extent."""
-        import numpy as np
-
         found = []
         for first, second, pin, along in self.joined:
             row = np.zeros(len(self.bars), complex)
@@ -594,8 +602,6 @@ class Drawing:
         They are those outside of loops, and the first of each group of loops that share joints; a
         joint that a coupling gives is none, and a group with one outside of loops is driven there.
         """
-        import numpy as np
-
         loops = [{*np.flatnonzero(np.abs(x).max(axis=0) > SINGULAR).tolist()} for x in rows]
         in_loops = set().union(*loops)
         groups: list[set[int]] = []
@@ -616,8 +622,6 @@ def _joints(coupling: Coupling) -> set[int]:
 
 def _rank(rows: Array) -> int:
     """The rank, with singular values below a part of the largest taken as zero."""
-    import numpy as np
-
     values = np.linalg.svd(rows, compute_uv=False)
     return int((values > SINGULAR * values.max(initial=0.0)).sum())
 

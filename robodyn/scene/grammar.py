@@ -89,8 +89,8 @@ MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 # A form begins with its name and what it is.  A row has a key, its kind (with [] a list of these),
 # unit, default, help, the symbol of equations and what a message adds; or the form whose keys it
-# takes, less some.  A line that begins deeper goes on with the one above.  Of <one, other> the first is of
-# joints that turn, the other of those that slide.
+# takes, less some.  A line that begins deeper goes on with the one above.  Of <one, other> the
+# first is of joints that turn, the other of those that slide.
 _TABLE = """
 scene: A planar mechanism: rigid links, pins and sliders. SI units.
   name | name | | the file's name less .yaml | text for titles
@@ -236,19 +236,18 @@ load_table: A force or torque by a table, linear between its rows.
   column | name | | needed | the column of the force or torque
 
 drawn_scene: A planar mechanism as drawn: where its pins are in one pose, and which links have them.
-  like scene less closures assembly start
   pins | pins | m | needed | where the pins are in one pose, {A: [0.1, 0.2], B: [0.4, 0.3]}
   links | drawn_link[] | | needed | list of links, at least one
   ground | ground_pin[] | | none | list of the pins that the ground has, or that run on a line of it
   slots | slot[] | | none | list of pins that run on a line of a link
+  like scene less links closures assembly start
 
 drawn_<revolute, prismatic>_link: A <rigid link; its frame has x from its first pin to its second,
     link on a prismatic joint: its frame has x along the line that it slides on>.
-  like <revolute, prismatic>_link less l from joint axis
   pins | pin_names | | needed
     | its pins: the first is its own joint<, ; it may be the only one>
-  r | centre | m | r or centre
-    | centre of gravity: a point [x, y] of the link, or its distance along it
+  like <revolute, prismatic>_link less l from joint axis
+  r | centre | m | r or centre | centre of gravity: [x, y] of the link, or its distance along it
     | r: centre of gravity of {} | ; write [x, y] for a centre of gravity behind or beside the link
   centre | vector | m | r or centre | centre of gravity, [x, y] in the drawing
   <, along> | direction | | needed | which way it slides, [dx, dy] in the drawing

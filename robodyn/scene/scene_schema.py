@@ -37,6 +37,7 @@ def scene_schema() -> Schema:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "robodyn scene",
         "type": "object",
+        "required": FORMS["scene"].named(needed=True),
         "if": {"required": ["pins"]},
         "then": _ref("drawn_scene"),
         "else": _ref("plain_scene"),
