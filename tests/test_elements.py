@@ -9,12 +9,20 @@ from random_mechanisms import seeded_tree
 from robodyn import forward_dynamics, inverse_dynamics, simulate
 from robodyn.dynamics.identities import BOUND, identities, sample_states
 from robodyn.elements.base import SPENT, Element
-from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
+from robodyn.elements.joints import (
+    CompliantStop,
+    DryFriction,
+    HardStop,
+    Rotor,
+    Slipping,
+    SmoothFriction,
+)
 from robodyn.elements.kinds import KINDS
 from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.modes import Mode
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.mechanics.mechanism import build
-from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.mechanics.modes import in_mode
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene import scene as described
 from robodyn.scene.scene import Law, Load, Moment, Motor, Point, Spring
@@ -82,7 +90,11 @@ def dry_friction(rng, scene):
     return on_link(scene, 1, friction=described.DryFriction(torque, torque + 0.1, 0.5))
 
 
-def stops(rng, scene):
+def hard_stops(rng, scene):
+    return on_link(scene, 1, limits=described.Limits(-2.0, 2.5, restitution=rng.uniform(0.2, 0.8)))
+
+
+def compliant_stops(rng, scene):
     return on_link(scene, 1, limits=described.Limits(-0.1, 0.15, rng.uniform(50, 90), 0.5))
 
 
@@ -99,7 +111,8 @@ CASES = {
     SmoothFriction: smooth_friction,
     DryFriction: dry_friction,
     Slipping: dry_friction,
-    Stops: stops,
+    HardStop: hard_stops,
+    CompliantStop: compliant_stops,
     Rotor: rotors,
 }
 

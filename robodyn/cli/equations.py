@@ -65,7 +65,7 @@ def equations(
         check_size(mechanism)
     if mechanism.dry:
         note("dry friction is that in motion; at rest it holds any load up to static")
-    if any(stop.stiffness is None for _, stop in mechanism.limits):
+    if any(x.firm for x in mechanism.ranges):
         note("hard stops and limits are left out: the equations hold between them")
     if format in CODE:
         content = CODE[format](recorded(mechanism, numeric))

@@ -38,10 +38,11 @@ from robodyn.dynamics.placed import (
     matvec,
     placed,
 )
+from robodyn.elements.modes import COMPLIANT, Mode
 from robodyn.engines.row_values import rows_of
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.mechanics.modes import Mode, in_mode, moving_mode, pressed, pushes
+from robodyn.mechanics.modes import in_mode, moving_mode, pressed, pushes
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.tables.arrays import Array, Complex
 
@@ -152,17 +153,15 @@ def _forces_by_modes(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) ->
     shape = np.broadcast_shapes(q.shape, qd.shape, (*np.shape(t), mechanism.n))
     q, qd = (np.broadcast_to(x, shape).reshape(-1, mechanism.n) for x in (q, qd))
     times = np.broadcast_to(np.asarray(t, float), shape[:-1]).ravel()
-    limits, Q = dict(mechanism.limits), np.empty(q.shape)
+    Q = np.empty(q.shape)
 
     def mode_of(at: list[float], rates: list[float]) -> Mode:
         return moving_mode(mechanism, at, rates, [0.0] * mechanism.n)
 
     for mode, which in _by_mode(q, qd, mode_of).items():
         found = other_forces(in_mode(mechanism, mode), q[which], qd[which], times[which])
-        for joint, side in mode.pressed:
-            stop = limits[joint]
-            push = pushes(stop, side, q[which, joint], qd[which, joint])
-            found[:, joint] -= side * (stop.stiffness or 0.0) * push
+        for joint, push in pushes(mechanism, mode, q[which], qd[which]):
+            found[:, joint] += push
         Q[which] = found
     return Q.reshape(shape)
 
@@ -203,7 +202,7 @@ def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
 
 def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
     """KE and PE, (...), J, of the same states: the links' directions are found once."""
-    if any(stop.stiffness is not None for _, stop in mechanism.limits):
+    if COMPLIANT in mechanism.contacts:
         return _energies_by_stops(mechanism, q, qd)
     arrays, at = mechanism.arrays, placed(mechanism, q)
     KE = _kinetic(mechanism, at, qd)

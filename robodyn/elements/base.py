@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from robodyn.elements.modes import End, Guard, Mode
 from robodyn.scene.scene import Signal
 from robodyn.tables.records import Record
 
@@ -96,6 +97,33 @@ class Element(Record):
     def untimed(self) -> Element | None:
         """What remains of it where nothing knows the time."""
         return self
+
+    # -- in modes ----------------------------------------------------------------------------------
+
+    @property
+    def contact(self) -> str:
+        """STICKS, HARD or COMPLIANT where it is a contact, which acts in modes alone."""
+        return ""
+
+    def in_mode(self, mode: Mode) -> Iterable[Element]:
+        """What stands for it where the mechanism is in a mode."""
+        return (self,)
+
+    def guards(self, mode: Mode, touches: Collection[End]) -> Iterator[Guard]:
+        """What ends a mode, where joints rest on the hard ends `touches`."""
+        yield from ()
+
+    # -- what others ask of it ---------------------------------------------------------------------
+
+    @property
+    def bend_rate(self) -> float | None:
+        """The rate of its joint, rad/s or m/s, about which it bends; None: it does not so."""
+        return None
+
+    @property
+    def bell(self) -> float | None:
+        """The width, rad/s or m/s, of a bell over the joint's rate beyond which it vanishes."""
+        return None
 
 
 def conserves(law: Signal | None) -> bool:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
+from robodyn.elements.modes import COMPLIANT, STICKS
 from robodyn.equations.named_laws import SWITCHES, Definition, Formula
 from robodyn.equations.parameters import Parameter, Parameters
 from robodyn.errors import printable
@@ -135,8 +136,7 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
             meaning = f"gradient of the potential energy ({', '.join(potentials)})"
         yield Head("left", "G", meaning, load, "vector")
     acts: list[object] = [*mechanism.forces, *mechanism.varying_moments]
-    acts += [*mechanism.friction, *mechanism.dry]
-    acts += [stop for _, stop in mechanism.limits if stop.stiffness is not None]
+    acts += [*mechanism.friction, *(mechanism.contacts & {STICKS, COMPLIANT})]
     acts += [law for law in laws if not conserves(law)]
     if acts or any(spring.damping for spring in mechanism.springs):
         meaning = f"{unit('torques', 'forces')} of what has no potential"

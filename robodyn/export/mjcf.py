@@ -126,8 +126,8 @@ class _Elements:
             self._couple(f"coupling{c + 1}", coupling)
         for p, spring in enumerate(description.springs):
             self._spring(f"spring{p + 1}", spring)
-        for k, stop in mechanism.limits:
-            if is_slack(stop):
+        for k, stop in enumerate(link.limits for link in self.links):
+            if stop is not None and is_slack(stop):
                 pushes = {
                     "springlength": joint_range(stop),
                     "stiffness": number(stop.stiffness or 0.0),

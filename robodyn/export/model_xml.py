@@ -35,7 +35,6 @@ import numpy as np
 
 from robodyn import __version__
 from robodyn.dynamics.closed_form import mass_matrix
-from robodyn.elements.joints import Stops
 from robodyn.equations.symbolic import Atom, Role, of, summed
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.mechanism import Mechanism
@@ -209,12 +208,12 @@ def joint_contacts(mechanism: Mechanism, joint: int, timestep: float) -> dict[st
     return found
 
 
-def is_slack(stop: Limits | Stops) -> bool:
+def is_slack(stop: Limits) -> bool:
     """Whether it is compliant without damping, so that a tendon slack between its ends is as it."""
     return stop.stiffness is not None and not stop.damping
 
 
-def joint_range(stop: Limits | Stops) -> str:
+def joint_range(stop: Limits) -> str:
     """From where to where a joint goes."""
     low = -FAR if stop.low is None else stop.low
     return f"{number(low)} {number(FAR if stop.high is None else stop.high)}"

@@ -27,6 +27,7 @@ def bare(mechanism: Mechanism, elements: Iterable[Element | None] = ()) -> Mecha
         weights=zero,
         moments=zero,
         energy_offset=0.0,
+        ranges=(),
         elements=tuple(x for x in elements if x is not None),
     )
 

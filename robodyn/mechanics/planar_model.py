@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 from robodyn.elements.base import Element
 from robodyn.elements.base import PlanarPoint as PlanarPoint
 from robodyn.elements.base import conserves as conserves
-from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
+from robodyn.elements.joints import DryFriction, Range, Rotor, SmoothFriction
 from robodyn.elements.kinds import KINDS
 from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.modes import Mode
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
@@ -63,6 +64,8 @@ class Mechanism:
     weights: tuple[complex, ...]  # of gravity and constant forces, N m
     moments: tuple[float, ...]  # constant torques on links, N m
     elements: Sequence[Element] = ()  # all that acts but weights and constant moments
+    ranges: tuple[Range, ...] = ()  # from where to where joints go, of those that have ends
+    mode: Mode | None = None  # whose equations its own are; None: it has none, or may change it
     slides: tuple[int, ...] = ()  # the joints that are prismatic
     frames: tuple[int | None, ...] = ()  # of each link whose E it has; None: the ground's, 1
     unit: float = 1.0  # length that displacements are compared with angles by, m
@@ -116,19 +119,20 @@ class Mechanism:
         return tuple((x.joint, x) for x in self.of(SmoothFriction))
 
     @cached_property
-    def dry(self) -> tuple[tuple[int, DryFriction], ...]:
-        """Friction that sticks, each with its joint: see `modes.py`."""
-        return tuple((x.joint, x) for x in self.of(DryFriction))
+    def dry(self) -> dict[int, DryFriction]:
+        """Friction that sticks, by joint: see `modes.py`."""
+        return {x.joint: x for x in self.of(DryFriction)}
 
     @cached_property
-    def slips(self) -> tuple[tuple[int, Slipping, int], ...]:
-        """Joints that slip, and which way."""
-        return tuple((x.joint, x, x.way) for x in self.of(Slipping))
+    def contacts(self) -> frozenset[str]:
+        """Which of STICKS, HARD and COMPLIANT it has (`elements/modes.py`)."""
+        return frozenset(x.contact for x in self.elements if x.contact)
 
     @cached_property
-    def limits(self) -> tuple[tuple[int, Stops], ...]:
-        """Ends of joints: see `modes.py`."""
-        return tuple((x.joint, x) for x in self.of(Stops))
+    def bells(self) -> tuple[tuple[int, float], ...]:
+        """Joints, and the widths of what rises and falls with their rates (`Element.bell`)."""
+        each = ((x.at, x.bell) for x in self.elements)
+        return tuple((k, width) for k, width in each if k is not None and width is not None)
 
     @cached_property
     def rotors(self) -> tuple[Rotor, ...]:
@@ -212,7 +216,7 @@ class Mechanism:
     @cached_property
     def switches(self) -> bool:
         """Whether its equations of motion change on the way: dry friction, ends of joints."""
-        return bool(self.dry or self.limits)
+        return bool(self.contacts or self.ranges)
 
     @cached_property
     def signals(self) -> tuple[Signal, ...]:
@@ -272,7 +276,7 @@ class Mechanism:
             "signals",
         )
         made += ("damping", "springs", "joint_springs", "forces", "varying_moments")
-        made += ("friction", "dry", "slips", "limits", "rotors")
+        made += ("friction", "dry", "contacts", "bells", "rotors")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 

@@ -26,6 +26,7 @@ from robodyn.dynamics.closed_form import (
 )
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.sticking import held_forces
+from robodyn.elements.modes import Mode
 from robodyn.elements.springs import JointSpring
 from robodyn.engines.factors import damped
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
@@ -33,7 +34,7 @@ from robodyn.loops.assembly import assemble, attempt
 from robodyn.loops.closing import close_positions, half_turn, loop_size, random_states
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.mechanism import Mechanism, joint_index
-from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
+from robodyn.mechanics.modes import beyond, end_word, in_mode, pressed
 from robodyn.rest.balance import Balance, balance, balances, free_motions, single
 from robodyn.rest.linear_model import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
@@ -118,7 +119,7 @@ def equilibria(
     """
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     sprung = {spring.joint for spring in mechanism.joint_springs}
-    counting = {*sprung, *dict(mechanism.limits), *mechanism.slides}
+    counting = {*sprung, *(x.joint for x in mechanism.ranges), *mechanism.slides}
     coupled = {k for x in mechanism.description.couplings for k in (x.joint, *dict(x.terms))}
     turning = [k for k in range(mechanism.n) if k not in counting]
     alone = [k for k in turning if k not in coupled]
@@ -176,7 +177,7 @@ def searched_turns(
     the worst of STARTS random poses, MOST_TURNS turns at most.
     """
     held, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
-    barred = {joint for joint, stop in mechanism.limits if len(stop.ends) == 2}
+    barred = {x.joint for x in mechanism.ranges if len(x.ends) == 2}
     barred |= {*held, *mechanism.slides}
     springs = [x for x in mechanism.joint_springs if x.joint not in barred]
     if not springs:
@@ -297,8 +298,7 @@ def _starts(
     drawn_first = 0
     for count in DRAWN:
         drawn = random_states(mechanism, rng, count)
-        for joint, stop in mechanism.limits:
-            low, high = (dict(stop.ends).get(side) for side in (-1, 1))
+        for joint, low, high, _ in mechanism.ranges:
             if low is not None and high is not None:
                 drawn[:, joint] = rng.uniform(low, high, count)
         shifts = {
