@@ -77,7 +77,7 @@ def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
     Raises InputError where q is not finite or not n wide.
     """
     M = _of_joints(mechanism, absolute_inertia(mechanism, placed(mechanism, q)))
-    return M + rotor_inertia(mechanism) if mechanism.rotors else M
+    return M + rotor_inertia(mechanism) if mechanism.spins else M
 
 
 def rotor_inertia(mechanism: Mechanism) -> Array:
@@ -122,7 +122,7 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     arrays, at = mechanism.arrays, placed(mechanism, q)
     loads = -columns(mechanism, arrays.weights, at.X, at.E).real - arrays.moments
     G: Array = matvec(arrays.J.T, loads)
-    if mechanism.springs or mechanism.joint_springs:
+    if mechanism.stores:
         rows = rows_of(parts.stored, mechanism)
         check_directions(rows.mechanism, np.asarray(q, float))
         G = G + rows("torques", q)
@@ -185,7 +185,7 @@ def _kinetic(mechanism: Mechanism, at: Placed, qd: ArrayLike) -> Array:
     arrays = mechanism.arrays
     v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
     KE: Array = 0.5 * (matvec(arrays.A, v) * v.conj()).real.sum(axis=-1)
-    if mechanism.rotors:
+    if mechanism.spins:
         spins = matvec(arrays.spins, as_states(mechanism, "qd", qd))
         KE = KE + 0.5 * (spins**2 * arrays.rotors).sum(axis=-1)
     return KE
@@ -209,7 +209,7 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
     PE: Array = mechanism.energy_offset - (at.X * arrays.weights).real.sum(axis=-1)
     if any(mechanism.moments):
         PE = PE - (at.x * arrays.moments).sum(axis=-1)
-    if mechanism.springs or mechanism.joint_springs:
+    if mechanism.stores:
         PE = PE + rows_of(parts.stored, mechanism)("PE", q)[..., 0]
     return KE, PE
 

@@ -19,7 +19,7 @@ from robodyn.elements.springs import JointDamper, JointSpring
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder
+    from robodyn.mechanics.force_rows import Builder, Term
     from robodyn.tables.arrays import Array
 
 
@@ -77,6 +77,9 @@ class DryFriction(Element):
         for joint, way in mode.slips:
             if joint == self.joint:
                 yield Slipping(self.joint, self.torque, self.static, self.stribeck, way)
+
+    def gradual(self, rate: float) -> DryFriction:
+        return self._replace(stribeck=self.stribeck or rate)
 
     def guards(self, mode: Mode, touches: Collection[End]) -> Iterator[Guard]:
         for joint, way in mode.slips:
@@ -259,3 +262,14 @@ class Rotor(Element):
         if self.carrier is None:
             return (own,)
         return own, (self.carrier, 1.0 if self.slides else 1.0 - self.ratio)
+
+    @property
+    def at(self) -> int:
+        return self.joint
+
+    def rows(self, b: Builder) -> None:
+        b.rotor(self.joint, self.inertia, self.ratio, self.carrier)
+
+    def kinetic(self, b: Builder) -> Iterator[Term]:
+        half, spin = b.number(0.5 * self.inertia), b.spin(self.joint, self.ratio, self.carrier)
+        yield half, b.product(spin, spin)

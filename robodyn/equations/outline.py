@@ -127,7 +127,7 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
     acting = {
         "gravity": mechanism.gamma != 0.0,
         "springs": any(spring.stiffness for spring in springs) or any(map(conserves, laws)),
-        "loads": len(loads) > len(mechanism.forces) + len(mechanism.varying_moments),
+        "loads": len(loads) > sum(x.is_load for x in mechanism.elements),
     }
     potentials = [name for name, present in acting.items() if present]
     if potentials:
@@ -135,10 +135,8 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         if potentials != ["gravity"]:
             meaning = f"gradient of the potential energy ({', '.join(potentials)})"
         yield Head("left", "G", meaning, load, "vector")
-    acts: list[object] = [*mechanism.forces, *mechanism.varying_moments]
-    acts += [*mechanism.friction, *(mechanism.contacts & {STICKS, COMPLIANT})]
-    acts += [law for law in laws if not conserves(law)]
-    if acts or any(spring.damping for spring in mechanism.springs):
+    spends = any(x.spent() is not None for x in mechanism.elements)
+    if spends or mechanism.contacts & {STICKS, COMPLIANT}:
         meaning = f"{unit('torques', 'forces')} of what has no potential"
         inputs = ("q", "qd", "t") if mechanism.timed else ("q", "qd")
         yield Head("right", "Q", meaning, load, "vector", inputs)

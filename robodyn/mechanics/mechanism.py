@@ -81,7 +81,7 @@ def build(description: Description) -> Mechanism:
         numbers = [*mechanism.B, *mechanism.weights, *largest(Tree(description.links))]
         numbers += [mechanism.energy_offset, *(row.offset for row in mechanism.rows)]
         numbers += mechanism.damping
-        numbers += [x.inertia * x.ratio * x.ratio for x in mechanism.rotors]
+        numbers += [x.inertia * c * c for x in mechanism.spins for c in x.rates.values()]
     except OverflowError:
         raise too_large(description) from None
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):

@@ -31,6 +31,7 @@ from robodyn.dynamics.dynamics import PIVOT_CUT
 from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.dynamics.placed import check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
+from robodyn.elements.springs import JointDamper
 from robodyn.engines.batches import FormulaBatches
 from robodyn.engines.expression import Graph, Value, slopes_by, substituted
 from robodyn.engines.formulas import Formula, Recorded, balance, inverse_of, written
@@ -119,8 +120,8 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
     own = Bodies(m, [Planar(x, y) for x, y in zip(mx, my, strict=True)], J)  # type: ignore[misc]
     scene = base._replace(links=tuple(links), springs=tuple(springs))
     made = constants(with_formulas(scene), own)
-    # d_k is all damping of a joint: of what no scene has, those that are no dampers are added alone
-    made = replace(made, elements=(*made.elements, *mechanism.added))
+    more = (x for x in mechanism.added if not isinstance(x, JointDamper))  # d_k has all dampers
+    made = replace(made, elements=(*made.elements, *more))
     if mechanism.mode is not None:
         made = in_mode(made, mechanism.mode)
     return replace(made, actuated=mechanism.actuated, rows=mechanism.rows)

@@ -19,13 +19,12 @@ Limits hold between the rows too: extremes are found between the samples that fo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.dynamics import inverse_dynamics
-from robodyn.elements.joints import DryFriction
 from robodyn.elements.modes import NEAR
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.loop_rates import loop_accelerations
@@ -156,10 +155,7 @@ def check_starts(motion: ReferenceMotion, limits: Limits) -> None:
         qdd[:, joint] = 0.0
         if mechanism.rows:
             qdd = loop_accelerations(mechanism, q, qd, qdd[:, driven])
-        falls = [
-            friction._replace(stribeck=friction.stribeck or FALLS) for friction in dry.values()
-        ]
-        held = mechanism.exchanged({DryFriction: falls})
+        held = replace(mechanism, elements=tuple(x.gradual(FALLS) for x in mechanism.elements))
         t = motion.begin + high * motion.duration
         tau = inverse_dynamics(held, q, qd, qdd, t)[:, joint]
         worst = int(np.argmax(way[:, joint] * tau))
