@@ -89,7 +89,8 @@ def check_directions(mechanism: Mechanism, q: Array) -> None:
         met = parts.met_ends(mechanism, list(np.moveaxis(q, -1, 0)), np.exp)
     for place, states in met.items():
         if np.any(states):
-            raise parts.no_direction(mechanism, mechanism.elements[place])
+            name = mechanism.name_of(mechanism.elements[place])
+            raise parts.no_direction(mechanism, name)
 
 
 def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, Array]:

@@ -51,7 +51,7 @@ class PointForce(NamedTuple):
 
 
 class NoDirection(ZeroDivisionError):
-    """The ends of this element coincide at every state."""
+    """The ends of the element of this name coincide at every state."""
 
 
 class Element(Record):

@@ -72,10 +72,8 @@ class PointSpring(Element):
     def stored(self) -> PointSpring | None:
         return self._replace(damping=0.0) if conserves(self.law) else None
 
-    def spent(self) -> PointSpring | None:
-        if not conserves(self.law):
-            return self
-        return self._replace(stiffness=0.0, law=None) if self.damping else None
+    def spent(self) -> PointSpring:
+        return self._replace(stiffness=0.0, law=None) if conserves(self.law) else self
 
     def energy(self, b: Builder) -> Iterator[Term]:
         d = b.point(self.between)
@@ -96,7 +94,7 @@ class PointSpring(Element):
         place, number = self.between, b.number
         directed = self.parted is not None
         if directed and not (place.terms or place.constant):
-            raise NoDirection(self)
+            raise NoDirection(b.mechanism.name_of(self))
         d = b.point(place)
         pull: list[Term] = []
         if self.law is not None:

@@ -103,7 +103,8 @@ class RowValues:
         code.arrays.fill(states, (values, squares))
         lost = np.argwhere(squares == 0.0)
         if lost.size:
-            raise no_direction(self.mechanism, self._squares()[lost[0, -1]][0])
+            element, _ = self._squares()[lost[0, -1]]
+            raise no_direction(self.mechanism, self.mechanism.name_of(element))
         if self.mechanism.signals and name not in SIGNALS and not np.isfinite(values).all():
             self.check_signals(q, qd, t)
         return values.reshape(shape)

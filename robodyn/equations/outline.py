@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
+from robodyn.elements.base import SPENT
 from robodyn.elements.modes import COMPLIANT, STICKS
 from robodyn.equations.named_laws import SWITCHES, Definition, Formula
 from robodyn.equations.parameters import Parameter, Parameters
@@ -135,7 +136,7 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         if potentials != ["gravity"]:
             meaning = f"gradient of the potential energy ({', '.join(potentials)})"
         yield Head("left", "G", meaning, load, "vector")
-    spends = any(x.spent() is not None for x in mechanism.elements)
+    spends = any(x.acts == SPENT or (x.acts and x.changes_energy) for x in mechanism.elements)
     if spends or mechanism.contacts & {STICKS, COMPLIANT}:
         meaning = f"{unit('torques', 'forces')} of what has no potential"
         inputs = ("q", "qd", "t") if mechanism.timed else ("q", "qd")

@@ -82,11 +82,10 @@ def met_ends(mechanism: Mechanism, q: Sequence[Any], exp: Callable[[Any], Any]) 
     return met
 
 
-def no_direction(mechanism: Mechanism, element: Element) -> SingularPoseError:
-    """The error of an element of the mechanism whose ends coincide."""
-    place = next(k for k, x in enumerate(mechanism.of(type(element))) if x is element)
+def no_direction(mechanism: Mechanism, name: str) -> SingularPoseError:
+    """The error of the element of this name (`Mechanism.name_of`), whose ends coincide."""
     return SingularPoseError(
-        f"the ends of {element.word} {place + 1} between two points coincide",
+        f"the ends of {name} between two points coincide",
         where=mechanism.source,
         limit="its force has no direction there; only length 0 without damping allows that",
     )

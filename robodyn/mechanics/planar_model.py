@@ -83,6 +83,11 @@ class Mechanism:
         """The elements of a kind, in their order."""
         return tuple(x for x in self.elements if isinstance(x, kind))
 
+    def name_of(self, element: Element) -> str:
+        """What one of the elements is called: its kind, and its number among those from 1."""
+        alike = (x for x in self.elements if x.word == element.word)
+        return f"{element.word} {next(k for k, x in enumerate(alike, start=1) if x is element)}"
+
     def with_added(self, *elements: Element) -> Mechanism:
         """The same with these too, and with the elements that stand for each of them."""
         more = tuple(whole(elements))
