@@ -170,7 +170,7 @@ def test_its_identities_hold(kind, seed):
 @pytest.mark.parametrize("kind", [CompliantStop, DryFriction, HardStop], ids=lambda x: x.__name__)
 @seeds
 def test_identities_hold_in_the_modes_of_contacts(kind, seed):
-    """Each state in its own: stops push at some of them and not at others, joints slip both ways."""
+    """Each state in its own: stops push at some and not at others, joints slip both ways."""
     mechanism = made(kind, seed)
     sample = sample_states(mechanism, 20)
     beyond = (sample.q[:, 1] < -0.1) | (sample.q[:, 1] > 0.15)

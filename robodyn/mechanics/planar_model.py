@@ -279,8 +279,8 @@ class Mechanism:
             "inertias",
             "signals",
         )
-        made += ("damping", "springs", "joint_springs", "forces", "varying_moments")
-        made += ("friction", "dry", "contacts", "parted", "bells", "spins")
+        made += ("damping", "springs", "joint_springs", "forces")
+        made += ("dry", "contacts", "parted", "bells", "spins")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 
