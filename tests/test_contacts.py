@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 import robodyn
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.sticking import forces_between
-from robodyn.elements.modes import Mode
+from robodyn.elements.contacts import Mode
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode

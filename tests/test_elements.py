@@ -6,6 +6,7 @@ import pytest
 from random_mechanisms import seeded_tree
 from robodyn import inverse_dynamics, simulate
 from robodyn.dynamics.identities import BOUND, identities, sample_states
+from robodyn.elements.contacts import Mode
 from robodyn.elements.joints import (
     CompliantStop,
     DryFriction,
@@ -16,7 +17,6 @@ from robodyn.elements.joints import (
 )
 from robodyn.elements.kinds import KINDS
 from robodyn.elements.loads import Force, VaryingMoment
-from robodyn.elements.modes import Mode
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.mechanics.mechanism import build
 from robodyn.mechanics.modes import in_mode

@@ -27,7 +27,7 @@ from random_mechanisms import (
     sliding,
     trees,
 )
-from robodyn.elements.modes import Mode
+from robodyn.elements.contacts import Mode
 from robodyn.errors import InputError
 from robodyn.export.mjcf import DEEPEST, MINIMUM, TIMESTEP, mjcf
 from robodyn.export.model_xml import contact_notes, damping_ratio, restitution

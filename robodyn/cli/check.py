@@ -21,7 +21,7 @@ from robodyn.dynamics.identities import (
     identities,
     sample_states,
 )
-from robodyn.elements.modes import Mode
+from robodyn.elements.contacts import Mode
 from robodyn.errors import InputError
 from robodyn.loops import assembly
 from robodyn.loops.branches import scene_start

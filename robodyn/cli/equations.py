@@ -10,7 +10,7 @@ from typing import Literal
 from robodyn.cli.options import Model, Out, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.progress import progress
-from robodyn.elements.modes import STICKS
+from robodyn.elements.contacts import STICKS
 from robodyn.equations.code import c99, python
 from robodyn.equations.derivation import Derivation, check_size
 from robodyn.equations.derivation_latex import derivation_latex

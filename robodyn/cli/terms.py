@@ -9,7 +9,7 @@ from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import StateOptions, overflow, remarks, single_state
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
-from robodyn.elements.modes import COMPLIANT, HARD, STICKS
+from robodyn.elements.contacts import COMPLIANT, HARD, STICKS
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism

@@ -38,7 +38,7 @@ from robodyn.dynamics.placed import (
     matvec,
     placed,
 )
-from robodyn.elements.modes import COMPLIANT, Mode
+from robodyn.elements.contacts import COMPLIANT, Mode
 from robodyn.engines.row_values import rows_of
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint

@@ -19,7 +19,7 @@ from robodyn.dynamics.dense_dynamics import RANK_CUT, elimination_is_safe
 from robodyn.dynamics.dynamics import PIVOT_CUT
 from robodyn.dynamics.placed import absolute_rates, check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
-from robodyn.elements.modes import Mode
+from robodyn.elements.contacts import Mode
 from robodyn.engines import formulas, straightline
 from robodyn.engines.batches import FormulaBatches
 from robodyn.engines.formulas import (

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from robodyn.dynamics import closed_form, dynamics
 from robodyn.dynamics.placed import absolute_rates, frame_rates, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of
-from robodyn.elements.modes import Mode
+from robodyn.elements.contacts import Mode
 from robodyn.engines.row_values import RowValues, rows_of
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates

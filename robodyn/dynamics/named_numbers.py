@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
-from robodyn.elements.modes import Mode
+from robodyn.elements.contacts import Mode
 from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value, slopes_by, substituted
 from robodyn.engines.formulas import KINDS, Formula, Recorded, residuals

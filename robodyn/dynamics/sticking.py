@@ -24,8 +24,8 @@ from robodyn.dynamics import dynamics
 from robodyn.dynamics.closed_form import energies, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import joint_loads, responses
 from robodyn.dynamics.placed import finite
+from robodyn.elements.contacts import NEAR, Mode
 from robodyn.elements.joints import HardStop
-from robodyn.elements.modes import NEAR, Mode
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode, moving_mode, pressed, resting_friction
 from robodyn.tables.arrays import Array

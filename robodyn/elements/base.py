@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from robodyn.elements.modes import End, Guard, Mode
+from robodyn.elements.contacts import End, Guard, Mode
 from robodyn.scene.scene import Signal
 from robodyn.tables.records import Record
 

@@ -14,7 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robodyn.elements.base import FRICTION, SLIPPING, SPENT, Element
-from robodyn.elements.modes import COMPLIANT, HARD, STICKS, End, Guard, Mode
+from robodyn.elements.contacts import COMPLIANT, HARD, STICKS, End, Guard, Mode
 from robodyn.elements.springs import JointDamper, JointSpring
 from robodyn.tables.records import Record
 

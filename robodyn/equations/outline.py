@@ -13,7 +13,7 @@ from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
 from robodyn.elements.base import SPENT
-from robodyn.elements.modes import COMPLIANT, STICKS
+from robodyn.elements.contacts import COMPLIANT, STICKS
 from robodyn.equations.named_laws import SWITCHES, Definition, Formula
 from robodyn.equations.parameters import Parameter, Parameters
 from robodyn.errors import printable

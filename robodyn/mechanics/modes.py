@@ -13,8 +13,8 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from robodyn.elements.contacts import COMPLIANT, NEAR, End, Mode
 from robodyn.elements.joints import CompliantStop
-from robodyn.elements.modes import COMPLIANT, NEAR, End, Mode
 from robodyn.mechanics.loop_rows import coupling_rows
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Coupling, Link, Point

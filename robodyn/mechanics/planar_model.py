@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 from robodyn.elements.base import Element, whole
 from robodyn.elements.base import PlanarPoint as PlanarPoint
 from robodyn.elements.base import conserves as conserves
+from robodyn.elements.contacts import Mode
 from robodyn.elements.joints import DryFriction, Range, Rotor
 from robodyn.elements.loads import Force
-from robodyn.elements.modes import Mode
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
@@ -124,7 +124,7 @@ class Mechanism:
 
     @cached_property
     def contacts(self) -> frozenset[str]:
-        """Which of STICKS, HARD and COMPLIANT it has (`elements/modes.py`)."""
+        """Which of STICKS, HARD and COMPLIANT it has (`elements/contacts.py`)."""
         return frozenset(x.contact for x in self.elements if x.contact)
 
     @cached_property

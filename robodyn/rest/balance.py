@@ -27,7 +27,7 @@ from robodyn.dynamics.closed_form import closure_bias, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import decompose, joint_loads, required_load
 from robodyn.dynamics.derivatives import InverseDerivatives, inverse_dynamics_derivatives
 from robodyn.dynamics.placed import as_states
-from robodyn.elements.modes import STICKS
+from robodyn.elements.contacts import STICKS
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array

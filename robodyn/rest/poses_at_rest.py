@@ -27,7 +27,7 @@ from robodyn.dynamics.closed_form import (
 )
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.sticking import held_forces
-from robodyn.elements.modes import Mode
+from robodyn.elements.contacts import Mode
 from robodyn.engines.factors import damped
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
 from robodyn.loops.assembly import assemble, attempt

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robodyn.elements.modes import HARD
+from robodyn.elements.contacts import HARD
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism

@@ -26,8 +26,8 @@ from robodyn.dynamics import closed_form, sticking
 from robodyn.dynamics.dense_dynamics import responses
 from robodyn.dynamics.dynamics import motion_dynamics
 from robodyn.dynamics.sticking import AT_REST, TOGETHER, forces_between, mode_at, resting
+from robodyn.elements.contacts import NEAR, End, Guard, Mode
 from robodyn.elements.joints import HardStop
-from robodyn.elements.modes import NEAR, End, Guard, Mode
 from robodyn.errors import InputError, SingularError
 from robodyn.events.functions import EventFunction
 from robodyn.events.single_zeros import ROUNDING

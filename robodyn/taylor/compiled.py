@@ -29,7 +29,7 @@ import numpy as np
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.dynamics.placed import relative_matrix
-from robodyn.elements.modes import Mode
+from robodyn.elements.contacts import Mode
 from robodyn.engines import machine, machine_motion
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.expansion import MotionProgram

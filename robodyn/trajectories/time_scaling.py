@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.dynamics import inverse_dynamics
-from robodyn.elements.modes import NEAR
+from robodyn.elements.contacts import NEAR
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.loop_rates import loop_accelerations
 from robodyn.mechanics.actuation import for_each_actuated
