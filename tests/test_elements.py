@@ -11,13 +11,12 @@ from robodyn.dynamics.identities import BOUND, identities, sample_states
 from robodyn.elements.base import SPENT, Element
 from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
 from robodyn.elements.kinds import KINDS
-from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.mechanics.mechanism import build
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.parameters.regression_matrix import regressor
-from robodyn.scene import scene as described
-from robodyn.scene.scene import Law, Load, Moment, Motor, Point, Spring
+from robodyn.scene.scene import Law, Motor, Point
 
 LINKS = 3
 
@@ -39,27 +38,27 @@ def law(code, *names):
 def point_springs(rng, scene):
     far = Point(None, complex(2.0, *rng.uniform(1.0, 2.0, 1)))
     springs = (
-        Spring(point(rng, 2), far, rng.uniform(5, 20), 0.4, rng.uniform(0.1, 1)),
-        Spring(point(rng, 1), far, 0.0, 0.3, 0.0, law("9.0*x+4.0*x**3", "x")),
-        Spring(point(rng, 0), far, 0.0, 0.3, 0.0, law("3.0*x+0.5*v", "x", "v")),
+        PointSpring(point(rng, 2), far, rng.uniform(5, 20), 0.4, rng.uniform(0.1, 1)),
+        PointSpring(point(rng, 1), far, 0.0, 0.3, 0.0, law("9.0*x+4.0*x**3", "x")),
+        PointSpring(point(rng, 0), far, 0.0, 0.3, 0.0, law("3.0*x+0.5*v", "x", "v")),
     )
     return scene._replace(springs=springs)
 
 
 def joint_springs(rng, scene):
     springs = (
-        described.JointSpring(0, rng.uniform(1, 5), rng.uniform(-1, 1)),
-        described.JointSpring(2, 0.0, 0.2, 0.1, law("2.0*x+x**3", "x")),
-        described.JointSpring(2, 0.0, 0.2, 0.0, law("2.0*x+0.3*v", "x", "v")),
+        JointSpring(0, rng.uniform(1, 5), rng.uniform(-1, 1)),
+        JointSpring(2, 0.0, 0.2, 0.1, law("2.0*x+x**3", "x")),
+        JointSpring(2, 0.0, 0.2, 0.0, law("2.0*x+0.3*v", "x", "v")),
     )
     return scene._replace(springs=springs)
 
 
 def forces(rng, scene):
     loads = (
-        Load(point(rng, 2), complex(*rng.uniform(-3, 3, 2))),
-        Load(point(rng, 1), complex(*rng.uniform(-3, 3, 2)), True),
-        Load(point(rng, 0), 1.5 + 0j, True, (None, law("2.0*q1+qd0", "q1", "qd0"))),
+        Force(point(rng, 2), complex(*rng.uniform(-3, 3, 2))),
+        Force(point(rng, 1), complex(*rng.uniform(-3, 3, 2)), True),
+        Force(point(rng, 0), 1.5 + 0j, True, (None, law("2.0*q1+qd0", "q1", "qd0"))),
     )
     return scene._replace(loads=loads)
 
@@ -74,16 +73,16 @@ def dampers(rng, scene):
 
 
 def smooth_friction(rng, scene):
-    return on_link(scene, 1, friction=described.Friction(rng.uniform(0.1, 0.5), 0.8))
+    return on_link(scene, 1, friction=SmoothFriction(1, rng.uniform(0.1, 0.5), 0.8))
 
 
 def dry_friction(rng, scene):
     torque = rng.uniform(0.1, 0.2)
-    return on_link(scene, 1, friction=described.DryFriction(torque, torque + 0.1, 0.5))
+    return on_link(scene, 1, friction=DryFriction(1, torque, torque + 0.1, 0.5))
 
 
 def stops(rng, scene):
-    return on_link(scene, 1, limits=described.Limits(-0.1, 0.15, rng.uniform(50, 90), 0.5))
+    return on_link(scene, 1, limits=Stops(1, -0.1, 0.15, rng.uniform(50, 90), 0.5))
 
 
 def rotors(rng, scene):
@@ -94,7 +93,7 @@ CASES = {
     PointSpring: point_springs,
     JointSpring: joint_springs,
     Force: forces,
-    VaryingMoment: varying_moments,
+    Moment: varying_moments,
     JointDamper: dampers,
     SmoothFriction: smooth_friction,
     DryFriction: dry_friction,

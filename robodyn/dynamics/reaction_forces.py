@@ -36,12 +36,13 @@ from robodyn.dynamics.dynamics import (
     pins_at,
 )
 from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, matvec, placed
+from robodyn.elements.loads import Moment
 from robodyn.engines.row_values import rows_of
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree, places_of
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.scene.scene import Moment, Point
+from robodyn.scene.scene import Point
 from robodyn.tables.arrays import Array, Complex
 
 Part = Callable[[Mechanism], Mechanism]
@@ -151,11 +152,10 @@ class Felt:
             return
         acting = iter(np.moveaxis(self.rows(parts.acting, "forces"), -1, 0))
         for spring, force in zip(mechanism.springs, acting, strict=False):
-            first, second = map(self._place, spring.ends)
-            yield first, force, spring.first
-            yield second, -force, spring.second
+            for end, sign in (spring.first, 1.0), (spring.second, -1.0):
+                yield self._place(mechanism.tree.point(end)), sign * force, end.link
         for given, force in zip(mechanism.forces, acting, strict=True):
-            yield self._place(given.point), force, given.link
+            yield self._place(mechanism.tree.point(given.point)), force, given.point.link
 
     def _pinned(self, tree: Tree) -> Iterator[tuple[Complex, Complex, Array | float, int]]:
         """What closures do to the links of their sides: where, the force, the moment, the link."""
@@ -179,7 +179,7 @@ class Felt:
         moment = moment + self._moments().sum(axis=-1)
         if self.mechanism.forces:
             F = self.rows(parts.loaded, "forces")
-            points = [x.point for x in self.mechanism.forces]
+            points = [self.mechanism.tree.point(x.point) for x in self.mechanism.forces]
             arms = points_of(self.mechanism, points).place(self.at)
             force = force + F.sum(axis=-1)
             moment = moment + _imaginary(arms.conj() * F).sum(axis=-1)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from robodyn.scene.scene import Signal
+from robodyn.elements.keys import Declared
+from robodyn.elements.values import Signal
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
     from robodyn.mechanics.force_rows import Builder, Term
+    from robodyn.mechanics.link_tree import Tree
 
 STORED, SPENT = "stored", "spent"
 
@@ -35,13 +37,17 @@ class NoDirection(ZeroDivisionError):
     """The ends of the spring between points of this place coincide at every state."""
 
 
-class Element(Record):
+class Element(Declared):
     """One thing that acts; its numbers may be floats or formulas.
 
+    A kind that files have declares its keys, and in `ways` how it is written.
     `acts` is STORED for what has a potential (part of G and of PE), SPENT for what is part of Q,
     and empty for what is constants of the mechanism (D, M) or acts in no mode of its own.  `at` is
     the joint at which it acts; None where it acts on links.  `rank` orders sums.
     """
+
+    # fields that are points of the scene, with their letters and meaning in equations
+    points: ClassVar[dict[str, str]] = {}
 
     @property
     def acts(self) -> str:
@@ -71,12 +77,24 @@ class Element(Record):
     @property
     def signals(self) -> tuple[Signal, ...]:
         """Its laws, expressions and tables."""
-        return ()
+        return tuple(signal for _, signal in self.varies())
 
     @property
     def changes_energy(self) -> bool:
         """Whether the energy of the mechanism changes by it."""
         return self.acts == SPENT and not self.steady
+
+    def placed(self, tree: Tree) -> Iterator[Element]:
+        """The elements that act in a mechanism of these links, of one that a scene has."""
+        yield self
+
+    def varies(self) -> Iterator[tuple[str, Signal]]:
+        """Its signals, each with the place in its mapping."""
+        yield from ()
+
+    def called(self, names: Sequence[str]) -> str:
+        """What a legend adds to its number, of links with these names."""
+        return ""
 
     def rows(self, b: Builder) -> None:
         """Write what it does."""

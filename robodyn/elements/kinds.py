@@ -2,14 +2,14 @@
 
 from robodyn.elements.base import Element
 from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
-from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 
 KINDS: tuple[type[Element], ...] = (
     PointSpring,
     JointSpring,
     Force,
-    VaryingMoment,
+    Moment,
     JointDamper,
     SmoothFriction,
     DryFriction,
@@ -17,3 +17,8 @@ KINDS: tuple[type[Element], ...] = (
     Stops,
     Rotor,
 )
+
+
+def place_of(element: Element) -> int:
+    """The place of an element's kind among the kinds; new ones come last."""
+    return KINDS.index(type(element)) if type(element) in KINDS else len(KINDS)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
+from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.equations.named_laws import SWITCHES, Definition, Formula
 from robodyn.equations.parameters import Parameter, Parameters
 from robodyn.errors import printable
@@ -121,7 +122,7 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         damping = unit("N m s/rad", "N s/m")
         yield Head("left", "D", "damping matrix", damping, "diagonal", (), "qd")
     loads = mechanism.description.loads
-    springs = mechanism.description.springs
+    springs: list[PointSpring | JointSpring] = [*mechanism.springs, *mechanism.joint_springs]
     laws = [spring.law for spring in springs if spring.law is not None]
     acting = {
         "gravity": mechanism.gamma != 0.0,

@@ -66,7 +66,7 @@ def met_ends(mechanism: Mechanism, q: Sequence[Any], exp: Callable[[Any], Any]) 
     complex exponential of them.  Ends that are apart by less than NOTHING of the lengths which lead
     from one to the other meet.
     """
-    directed = {k: x.between for k, x in enumerate(mechanism.springs) if x.directed}
+    directed = {k: mechanism.spans[k] for k, x in enumerate(mechanism.springs) if x.directed}
     x, met = list(q), {}
     for k in mechanism.order if directed else ():
         if (above := mechanism.above[k]) is not None:

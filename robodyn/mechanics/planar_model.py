@@ -8,7 +8,7 @@ floats starts without it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -17,7 +17,7 @@ from robodyn.elements.base import PlanarPoint as PlanarPoint
 from robodyn.elements.base import conserves as conserves
 from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
 from robodyn.elements.kinds import KINDS
-from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
@@ -29,6 +29,8 @@ from robodyn.scene.scene import Description, Signal, Table
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    from robodyn.mechanics.link_tree import Tree
 
 
 Kind = TypeVar("Kind", bound=Element)
@@ -66,6 +68,7 @@ class Mechanism:
     slides: tuple[int, ...] = ()  # the joints that are prismatic
     frames: tuple[int | None, ...] = ()  # of each link whose E it has; None: the ground's, 1
     unit: float = 1.0  # length that displacements are compared with angles by, m
+    tree: Tree = field(kw_only=True)  # the links as the scene has them
 
     def of(self, kind: type[Kind]) -> tuple[Kind, ...]:
         """The elements of a kind, in their order."""
@@ -96,6 +99,11 @@ class Mechanism:
         return self.of(PointSpring)
 
     @cached_property
+    def spans(self) -> tuple[PlanarPoint, ...]:
+        """The first ends of these less their second ones."""
+        return tuple(x.reach(self.tree) for x in self.springs)
+
+    @cached_property
     def joint_springs(self) -> tuple[JointSpring, ...]:
         """Those at joints."""
         return self.of(JointSpring)
@@ -106,9 +114,9 @@ class Mechanism:
         return self.of(Force)
 
     @cached_property
-    def varying_moments(self) -> tuple[VaryingMoment, ...]:
+    def varying_moments(self) -> tuple[Moment, ...]:
         """The torques on links that vary."""
-        return self.of(VaryingMoment)
+        return self.of(Moment)
 
     @cached_property
     def friction(self) -> tuple[tuple[int, SmoothFriction], ...]:
@@ -271,7 +279,7 @@ class Mechanism:
             "inertias",
             "signals",
         )
-        made += ("damping", "springs", "joint_springs", "forces", "varying_moments")
+        made += ("damping", "springs", "spans", "joint_springs", "forces", "varying_moments")
         made += ("friction", "dry", "slips", "limits", "rotors")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 

@@ -15,6 +15,7 @@ from robodyn.dynamics.dynamics import (
 )
 from robodyn.dynamics.placed import placed
 from robodyn.dynamics.reaction_forces import reactions
+from robodyn.elements.loads import Force as LoadForce
 from robodyn.engines.row_values import rows_of
 from robodyn.errors import RobodynError
 from robodyn.loops.loop_rates import check_way_on
@@ -22,7 +23,7 @@ from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.pictures.drawing import at, direction
-from robodyn.scene.scene import Load, Point, Spring
+from robodyn.scene.scene import Point
 from robodyn.tables.arrays import Array, Complex
 
 LONGEST = 0.3  # the longest arrow, as a part of the mechanism's span
@@ -77,13 +78,13 @@ def forces(
     pins = pin_forces(mechanism, multipliers, q) @ np.array([1, 1j])
     for c, force in enumerate(pins.tolist()):
         add("pin", f"f{c + 1}", tree.point(description.closures[c].first), force)
-    springs = [f"s{k + 1}" for k, x in enumerate(description.springs) if isinstance(x, Spring)]
-    loads = [f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, Load)]
-    points = [x.ends[0] for x in mechanism.springs] + [x.point for x in mechanism.forces]
+    springs = [f"s{k + 1}" for k, x in enumerate(description.springs) if x.at is None]
+    loads = [f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, LoadForce)]
+    points = [x.first for x in mechanism.springs] + [x.point for x in mechanism.forces]
     if points:
         acting = rows_of(parts.acting, mechanism).planar("forces", q, qd, 0.0).tolist()
-        for name, point, force in zip(springs + loads, points, acting, strict=True):
-            add("load", name, point, force)
+        for name, there, force in zip(springs + loads, points, acting, strict=True):
+            add("load", name, tree.point(there), force)
     torques = np.zeros(mechanism.n) if tau is None else tau
     for k in mechanism.actuated:
         value, slides = float(torques[k]), k in mechanism.slides
