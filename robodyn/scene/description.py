@@ -32,6 +32,8 @@ from robodyn.scene.varying import SignalReader
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import TooManyFaults
 
+UNIT = 4e-16  # by which rounding may leave a unit vector longer or shorter than 1
+
 
 def read(path: str | Path) -> Description:
     """The description in the scene file at `path`; DescriptionError with all of its faults."""
@@ -187,7 +189,10 @@ class _Reader(PointReader, SignalReader):
         faults, vector = len(self.faults), self.vector(node, place)
         if vector == 0 and len(self.faults) == faults:
             self.fault(place, node, "must point somewhere", "[0, 0]")
-        vector /= max(abs(vector.real), abs(vector.imag)) or 1.0  # no square overflows
+        largest = max(abs(vector.real), abs(vector.imag))
+        if largest <= 1.0 and abs(abs(vector) - 1.0) <= UNIT:
+            return vector
+        vector /= largest or 1.0  # no square overflows
         return vector / (abs(vector) or 1.0)
 
     # -- couplings ---------------------------------------------------------------------------

@@ -231,6 +231,9 @@ def nearest(word: str, known: list[str], guess: bool = True) -> str:
     """The known name that `word` may mean, or some that are known."""
     from difflib import get_close_matches  # only a faulty scene pays for the import
 
+    plain = word.lower().replace("-", "_")
+    if same := [x for x in known if x.lower() == plain]:
+        return f"; did you mean {same[0]}?"
     if guess and len(word) <= LONGEST_GUESS:
         close = get_close_matches(word, [x for x in known if len(x) <= LONGEST_GUESS], n=1)
         if close:
