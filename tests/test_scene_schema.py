@@ -263,7 +263,7 @@ def test_the_schema_knows_the_keys_of_the_grammar() -> None:
         place = f"plain_{kind}" if len(MAPPINGS.get(kind, ())) > 1 else kind
         mapping = SCHEMA if kind == "scene" else SCHEMA["$defs"][place]
         assert set(mapping["properties"]) == set(form.keys)
-        assert mapping["required"] == form.named(needed=True)
+        assert mapping["required"] == form.needed
 
 
 @pytest.mark.parametrize(

@@ -10,35 +10,34 @@ method for and the schema a definition.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+from collections.abc import Callable, Container, Iterable
 
 from robodyn.elements import kinds
-from robodyn.elements.keys import Declared, Key, Way
+from robodyn.elements.keys import NEEDED, Declared, Key, Way
 from robodyn.elements.values import FRAMES, Point, Table
 from robodyn.scene.scene import BRANCHES, JOINTS, Closure, Description, Line, Link, Motor
-from robodyn.tables.records import Record
 
 
-class Form(Record):
-    """A way to write a record as a mapping, with its keys by their names."""
+class Form:
+    """A way to write a record as a mapping.
 
-    way: Way
-    made: type[Declared]  # the record
-    keys: dict[str, Key]
+    `names` are those of its keys, by fields; of the keys `one` a file must have exactly one.
+    """
 
-    @property
-    def one(self) -> tuple[str, ...]:
-        """The keys of which a file must have exactly one."""
-        return tuple(name for name, key in self.keys.items() if key.one)
-
-    @property
-    def names(self) -> dict[str, str]:
-        """The names of the keys, by fields."""
-        return {key.field: name for name, key in self.keys.items()}
-
-    def named(self, needed: bool) -> list[str]:
-        """The keys that a file must have, or the others."""
-        return [name for name, key in self.keys.items() if key.needed == needed]
+    def __init__(self, made: type[Declared], way: Way) -> None:
+        self.made, self.way = made, way
+        self.keys: dict[str, Key] = made.keys_of(way)  # by their names
+        self.names = {key.field: name for name, key in self.keys.items()}
+        self.needed = [name for name, key in self.keys.items() if key.needed]
+        self.optional = [name for name, key in self.keys.items() if not key.needed]
+        self.absent = {  # what stands where a file leaves them out, by fields
+            key.field: None if key.value is NEEDED else key.value
+            for key in self.keys.values()
+            if not key.needed
+        }
+        self.one = tuple(name for name, key in self.keys.items() if key.one)
+        self.has_joint = "joint" in made._fields and "joint" not in self.names
+        self.sided = [x.name for x in made.keys.values() if isinstance(x.name, tuple)]
 
 
 NUMBERS = {  # and their limits
@@ -48,6 +47,12 @@ NUMBERS = {  # and their limits
     "positive": "> 0",
     "nonzero": "not 0",
     "part": "in [0, 1]",
+}
+KEEPS: dict[str, Callable[[float], bool]] = {
+    ">= 0": lambda x: x >= 0.0,
+    "> 0": lambda x: x > 0.0,
+    "not 0": lambda x: x != 0.0,
+    "in [0, 1]": lambda x: 0.0 <= x <= 1.0,
 }
 WORDS = {"branch": BRANCHES, "frame": FRAMES, "joint_kind": JOINTS}
 BY_JOINT = "rad or m"  # as the joint turns or slides
@@ -66,7 +71,7 @@ def declare(records: Iterable[type[Declared]]) -> None:
     MAPPINGS.clear()
     for record in records:
         for way in record.ways:
-            form = FORMS[way.name] = Form(way, record, record.keys_of(way))
+            form = FORMS[way.name] = Form(record, way)
             MAPPINGS.setdefault(way.among, []).append(form)
     for forms in MAPPINGS.values():
         forms.sort(key=lambda form: -len(form.way.marks))

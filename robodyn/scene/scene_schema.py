@@ -109,7 +109,7 @@ def _mapping(form: Form) -> Schema:
         "description": form.way.help,
         "type": "object",
         "properties": {name: _described(key) for name, key in form.keys.items()},
-        "required": form.named(needed=True),
+        "required": form.needed,
         "additionalProperties": False,
     }
     if form.one:

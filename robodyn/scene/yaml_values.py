@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from typing import Any, ClassVar
 
-from robodyn.elements.keys import NEEDED, Key
+from robodyn.elements.keys import Key
 from robodyn.errors import MOST_FAULTS, Fault, nearest_first
 from robodyn.scene.grammar import (
+    KEEPS,
     NUMBERS,
     OR_VECTOR,
     WITH_UNIT,
@@ -55,11 +57,11 @@ class ValueReader:
         needed: list[str],
         optional: list[str],
         kind: str = "key",
-        beside: dict[str, str] | None = None,
+        beside: tuple[str, Collection[str]] | None = None,
     ) -> dict[str, Node]:
         """The known keys of a mapping; faults for unknown, repeated and missing ones.
 
-        `beside` has keys that one of the known ones excludes, and which.
+        `beside` has the kind of the mapping and its keys: some exclude others.
         """
         if not isinstance(node, Mapping):
             limit = f"must be a mapping with {', '.join(needed + optional)}"
@@ -70,8 +72,9 @@ class ValueReader:
         prefix = f"{place}." if place else ""
         for key, value in node.pairs:
             if key.text not in known:
-                if beside and key.text in beside:
-                    limit = f"and {beside[key.text]} exclude each other: give one"
+                others = excluded(*beside) if beside else {}
+                if key.text in others:
+                    limit = f"and {others[key.text]} exclude each other: give one"
                 else:
                     limit = f"is an unknown {kind}{self.nearest(key.text, list(known))}"
                 self.fault(prefix + key.text, key, limit)
@@ -88,15 +91,17 @@ class ValueReader:
         """The record that a mapping of this kind holds; `own` stands where it has no value."""
         faults = len(self.faults)
         form, values = self.form(kind, node, place)
-        if "joint" in form.made._fields and "joint" not in form.names:
+        if form.has_joint:
             own["joint"] = self.joint
-        values |= {x: y for x, y in own.items() if values.get(x) is None}
-        self.fits_joint(form, values, node, place)
+        for field, value in own.items():
+            if values.get(field) is None:
+                values[field] = value
+        if form.sided:
+            self.fits_joint(form, values, node, place)
         made = form.made.from_keys(values)
         if len(self.faults) == faults:
-            names = form.names
-            for field, limit, value in made.misfits(names):
-                where = f"{place}.{names[field]}" if field else place
+            for field, limit, value in made.misfits(form.names):
+                where = f"{place}.{form.names[field]}" if field else place
                 self.fault(where, node, limit, value)
         return made
 
@@ -104,36 +109,28 @@ class ValueReader:
         """The form of a mapping of this kind, and what it holds, by fields."""
         given = {key.text for key, _ in node.pairs} if isinstance(node, Mapping) else ()
         form = form_of(kind, given)
-        names = form.named(needed=True), form.named(needed=False)
-        found = self.keys(node, place, *names, beside=excluded(kind, given))
+        found = self.keys(node, place, form.needed, form.optional, beside=(kind, given))
         prefix = f"{place}." if place else ""
-        given_one = [name for name in form.one if name in found]
-        if form.one and not given_one and isinstance(node, Mapping):
-            self.fault(prefix + form.one[0], node, "is missing")
-        for other in given_one[1:]:
-            self.fault(prefix + other, found[other], f"stands beside {given_one[0]}; give one")
-        return form, {
-            key.field: self.value(key, found[name], prefix + name)
-            if name in found
-            else self.absent(key)
-            for name, key in form.keys.items()
-        }
-
-    def absent(self, key: Key) -> Any:
-        """What stands for a value that a file leaves out."""
-        if key.value is not NEEDED:
-            return key.value
-        if not key.needed:
-            return None
-        return () if key.listed else self.missing.get(key.kind)
+        if form.one:
+            given_one = [name for name in form.one if name in found]
+            if not given_one and isinstance(node, Mapping):
+                self.fault(prefix + form.one[0], node, "is missing")
+            for other in given_one[1:]:
+                self.fault(prefix + other, found[other], f"stands beside {given_one[0]}; give one")
+        values: dict[str, Any] = dict(form.absent)
+        for name, key in form.keys.items():
+            if name in found:
+                values[key.field] = self.value(key, found[name], prefix + name)
+            elif key.needed:
+                values[key.field] = () if key.listed else self.missing.get(key.kind)
+        return form, values
 
     def fits_joint(self, form: Form, values: dict[str, Any], node: Node, place: str) -> None:
         """A fault where a mapping has the keys of joints that turn and names one that slides."""
-        names = [key.name for key in form.made.keys.values() if isinstance(key.name, tuple)]
         slides = values.get("joint") in self.slides
-        if names and slides != form.way.slides:
+        if slides != form.way.slides:
             limit = f"is missing: the joint is {JOINTS[slides]}"
-            self.fault(f"{place}.{names[0][slides]}", node, limit)
+            self.fault(f"{place}.{form.sided[0][slides]}", node, limit)
 
     def value(self, key: Key, node: Node, place: str) -> Any:
         """The value of a key."""
@@ -189,9 +186,7 @@ class ValueReader:
             self.fault(place, node, reason.replace("is not", "must be"), self.shown(node))
             return 0.0
         limit = NUMBERS[key.kind]
-        kept = {">= 0": value >= 0.0, "> 0": value > 0.0, "not 0": value != 0.0}
-        kept["in [0, 1]"] = 0.0 <= value <= 1.0
-        if not kept.get(limit, True):
+        if limit and not KEEPS[limit](value):
             told = "must not be 0" if limit == "not 0" else f"must be {limit}"
             self.fault(place, node, f"{told}{key.hint}", self.shown(node))
             return 0.0
