@@ -70,6 +70,12 @@ class Mechanism:
     unit: float = 1.0  # length that displacements are compared with angles by, m
     tree: Tree = field(kw_only=True)  # the links as the scene has them
 
+    def to_dict(self) -> dict[str, object]:
+        """The scene as the mapping that `robodyn.load` takes: SI units, radians, names of links."""
+        from robodyn.scene.plain_scene import plain_scene
+
+        return plain_scene(self.description)
+
     def of(self, kind: type[Kind]) -> tuple[Kind, ...]:
         """The elements of a kind, in their order."""
         return tuple(x for x in self.elements if isinstance(x, kind))
