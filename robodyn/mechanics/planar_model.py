@@ -82,8 +82,9 @@ class Mechanism:
 
     @property
     def added(self) -> tuple[Element, ...]:
-        """Elements of kinds that no scene has: a description does not give them."""
-        return tuple(x for x in self.elements if type(x) not in KINDS)
+        """Elements of kinds that its description does not give."""
+        given = {*KINDS, *(type(x) for _, x in self.description.elements)}
+        return tuple(x for x in self.elements if type(x) not in given)
 
     def exchanged(self, new: Mapping[type[Element], Sequence[Element]]) -> Mechanism:
         """The same with other elements of these kinds."""
