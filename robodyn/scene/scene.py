@@ -6,7 +6,7 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 from robodyn.elements.base import Element
@@ -21,6 +21,7 @@ from robodyn.elements.values import told as told
 
 BRANCHES = ("open", "crossed")
 JOINTS = ("revolute", "prismatic")
+ROUNDING = 4e-16  # part of J that m r^2 may miss it by in a point mass
 
 
 class Motor(Declared):
@@ -105,7 +106,16 @@ class Link(Declared):
         "amount",
         "moment of inertia about the centre of gravity",
         unit="kg m²",
+        absent=None,
+        told="I or J",
         symbol="I: moment of inertia of {} about its centre of gravity",
+    )
+    J: ClassVar[Any] = key(
+        "amount",
+        "moment of inertia about the link's own joint",
+        unit="kg m²",
+        absent=None,
+        told="I or J",
     )
     hangs_from: Point = key(
         "point", "the point that it hangs from", told="the tip of the link before", name="from"
@@ -159,7 +169,18 @@ class Link(Declared):
     @classmethod
     def from_keys(cls, values: dict[str, Any]) -> Link:
         del values["joint"]
-        return cls(**values | {"r": complex(values["r"])})
+        J, r, m = values.pop("J"), complex(values["r"]), values["m"]
+        values |= {"r": r, "I": values["I"] or 0.0}
+        if J is not None:
+            least = m * (r.real * r.real + r.imag * r.imag)
+            values["I"] = 0.0 if abs(J - least) <= ROUNDING * J else J - least
+        return cls(**values)
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        if self.I < 0.0:  # of J less that of the mass
+            least = self.m * (self.r.real * self.r.real + self.r.imag * self.r.imag)
+            limit = f"must be at least m r^2 = {least:.6g} kg m^2: it is about the link's own joint"
+            yield "J", limit, f"{self.I + least:g}"
 
     def to_keys(self) -> dict[str, Any]:
         return super().to_keys() | {"joint": JOINTS[self.slides]}
@@ -328,6 +349,11 @@ class Description(Declared):
         if not isinstance(gravity, complex):
             gravity = -1j * gravity
         return cls(**values | {"gravity": gravity})
+
+    def begin(self, joints: Sequence[int]) -> tuple[float, ...]:
+        """The values of joints in the `start`, rad or m; empty unless it tells all joints."""
+        whole = [x for x in self.start or () if x is not None]
+        return tuple(whole[k] for k in joints) if len(whole) == len(self.links) else ()
 
     @property
     def elements(self) -> Iterator[tuple[str, Element]]:

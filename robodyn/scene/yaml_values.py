@@ -111,10 +111,10 @@ class ValueReader:
         form = form_of(kind, given)
         found = self.keys(node, place, form.needed, form.optional, beside=(kind, given))
         prefix = f"{place}." if place else ""
-        if form.one:
-            given_one = [name for name in form.one if name in found]
+        for one in form.one:
+            given_one = [name for name in one if name in found]
             if not given_one and isinstance(node, Mapping):
-                self.fault(prefix + form.one[0], node, "is missing")
+                self.fault(prefix + one[0], node, "is missing")
             for other in given_one[1:]:
                 self.fault(prefix + other, found[other], f"stands beside {given_one[0]}; give one")
         values: dict[str, Any] = dict(form.absent)
