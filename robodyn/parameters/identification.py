@@ -527,6 +527,19 @@ def checked(description: Description) -> tuple[Description, tuple[str, ...]]:
     return description, tuple(faults)
 
 
+def _in_drawing(known: SceneValues, name: str, link: int, r: complex) -> dict[str, float]:
+    """A centre of gravity r of a link as the `centre` of this name in a drawing.
+
+    r is the centre less a pin, turned: a step of the centre tells the turn.
+    """
+    first, second = (f"{name}[{k}]" for k in (0, 1))
+    centre = complex(known.number(first), known.number(second))
+    here = known.base.links[link].r
+    turn = known.replaced({first: centre.real + 1.0}).links[link].r - here
+    centre += (r - here) / turn
+    return {first: centre.real, second: centre.imag}
+
+
 def changes(
     before: Description, after: Description, known: SceneValues
 ) -> dict[str, float | Sequence[float]]:
@@ -543,7 +556,10 @@ def changes(
         r = after.links[int(place[1])].r
         if r == before.links[int(place[1])].r:
             continue
-        if f"{name}[0]" in known:
+        place_in_drawing = f"{name.removesuffix('r')}centre"
+        if f"{place_in_drawing}[0]" in known:
+            found |= _in_drawing(known, place_in_drawing, int(place[1]), r)
+        elif f"{name}[0]" in known:
             found |= {f"{name}[0]": r.real, f"{name}[1]": r.imag}
         else:
             alone = abs(r.imag) <= ROUNDED * abs(r) and r.real >= 0.0
