@@ -38,7 +38,7 @@ def init(
     Examples:
       robodyn init
       robodyn init four-bar -o my.yaml
-      robodyn init --from-pmks "https://app.pmksplus.com/?0P.TY.K,0.101.MA,..." -o my.yaml
+      robodyn init --from-pmks "https://...?0P.TY.K,..." -o my.yaml
     """
     if from_pmks is not None:
         if name is not None or names:

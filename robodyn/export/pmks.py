@@ -116,6 +116,8 @@ def scene_from(text: str) -> tuple[str, list[str]]:
     Raises InputError for what is no such text, and for what scenes do not have.
     """
     held = _decoded(text)
+    if not held.links:
+        raise _refused("has no links")
     return _Drawing(held).written(), held.notes
 
 
