@@ -256,6 +256,7 @@ class Description(NamedTuple):
     loads: tuple[Load | Moment, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     points: tuple[tuple[str, Point], ...] = ()  # by their names
+    pins: tuple[tuple[str, Point], ...] = ()  # of several links of a drawing, by their names
     written: Written = Written()
 
     def begin(self, joints: Sequence[int]) -> tuple[float, ...]:
