@@ -66,6 +66,7 @@ def from_tree(
             drawing = Drawing(root, reader)
         description = reader.scene(drawing.explicit() if drawing else root, source)
         if drawing and not reader.faults:
+            description = description._replace(pins=tuple(drawing.shared()))
             drawing.check(description)
         if not reader.faults:
             return description._replace(written=Written(root, (), text, reader.tables))
