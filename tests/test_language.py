@@ -12,22 +12,26 @@ from collections.abc import Iterator
 import pytest
 from each_case import each
 
-from robodyn.scene.expression_units import state_dimension
-from robodyn.scene.expressions import SCOPE, Written, state_names
-from robodyn.scene.quantities import parse_coupling, parse_quantity
+from robodyn.scene.expressions import SCOPE, code_of
+from robodyn.scene.quantities import (
+    Expression,
+    expressions,
+    parse_coupling,
+    parse_quantity,
+    state_variables,
+)
 
 STATE = {"t": 0.75, "q0": 0.4, "qd0": -1.5, "q1": 0.02, "qd1": 0.1}  # q2 slides
 LONGEST = 0.2  # s that a text may take
 
 
-def written(text: str) -> Written:
-    rename, known = state_names(2)
-    return Written(text, rename, known, None, state_dimension({1}))
+def written(text: str) -> list[Expression]:
+    return expressions(text, state_variables(2, {1}))
 
 
 def value(text: str) -> float:
-    (code,) = written(text).codes
-    return float(eval(code, {"__builtins__": {}, **SCOPE, **STATE}))
+    (found,) = written(text)
+    return float(eval(code_of(found.node), {"__builtins__": {}, **SCOPE, **STATE}))
 
 
 @each(
@@ -139,7 +143,7 @@ def _no_collection() -> Iterator[None]:
 
 def harmless(text: str) -> None:
     """Nothing but numbers or ValueError comes of a text, soon."""
-    for read in (lambda: parse_quantity(text, "m"), lambda: parse_coupling(f"q2 = {text}")):
+    for read in (lambda: parse_quantity(text, "m"), lambda: parse_coupling(f"q2 = {text}", ["rad", "m"])):
         begun = time.process_time()
         with contextlib.suppress(ValueError):
             read()
@@ -147,7 +151,7 @@ def harmless(text: str) -> None:
     begun = time.process_time()
     codes: list[str] = []
     with contextlib.suppress(ValueError):
-        codes = written(text).codes
+        codes = [code_of(x.node) for x in written(text)]
     for code in codes:
         with contextlib.suppress(ArithmeticError, ValueError):
             eval(code, {"__builtins__": {}, **SCOPE, **STATE})

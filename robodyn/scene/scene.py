@@ -7,6 +7,8 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from robodyn.scene.syntax import Node
+
 BRANCHES = ("open", "crossed")
 FRAMES = ("ground", "link")  # in which a load's force stays
 JOINTS = ("revolute", "prismatic")
@@ -104,10 +106,10 @@ class Link(NamedTuple):
 
 
 class Law(NamedTuple):
-    """A smooth expression: as its file has it, as code over `names`, and these."""
+    """A smooth expression: as its file has it, its tree over `names`, and these."""
 
     text: str
-    code: str
+    node: Node
     names: frozenset[str]  # t, q0.., qd0..; of a spring x, its extension, and v, its rate
 
 

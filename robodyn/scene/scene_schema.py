@@ -11,8 +11,7 @@ from typing import Any
 
 from robodyn.scene.expressions import SMOOTH
 from robodyn.scene.grammar import FORMS, MAPPINGS, NUMBERS, OR_VECTOR, WORDS, Form, Key
-from robodyn.scene.syntax import CONSTANTS, FUNCTIONS
-from robodyn.scene.unit_arithmetic import CONSTANTS as OF_VALUES
+from robodyn.scene.syntax import CONSTANTS, FUNCTIONS, VALUE_CONSTANTS
 from robodyn.scene.units import UNITS
 
 Schema = dict[str, Any]
@@ -81,7 +80,7 @@ def _expression(variables: str) -> str:
 
 def _quantity() -> str:
     """The pattern of arithmetic with units: which letters and words it has."""
-    words = "|".join(_longest_first({*FUNCTIONS, *OF_VALUES, *UNITS}))
+    words = "|".join(_longest_first({*FUNCTIONS, *VALUE_CONSTANTS, *UNITS}))
     plain = r"\s*[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?\s*$"  # quoted, it is none
     return (
         rf"^(?!{plain})(?:[\s0-9.+*/(),^{LETTERS}-]|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
