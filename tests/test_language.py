@@ -41,7 +41,11 @@ def value(text: str) -> float:
         ("20 mm (1 - cos(q1))", "0.02*(1 - cos(q0))"),
         ("20 mm(1 - cos(q1))", "0.02*(1 - cos(q0))"),
         ("2 N m*sin(3 rad/s*t)", "2*sin(3*t)"),
-        ("2 N m sqrt(4) + 1 N m", None),
+        ("2 N m sqrt(4) + 1 N m", "2*sqrt(4) + 1"),
+        ("0.5 sin(3 t)", "0.5*sin(3*t)"),
+        ("2 q1 sin(t)^2 cos(q1) 3 mm", None),
+        ("2 q1 sin(t)^2 cos(q1) mm", "2*q0*sin(t)**2*cos(q0)*0.001"),
+        ("sin(t) t/2 exp(-t)", "sin(t)*t/2*exp(-t)"),
         ("3 t*q1/2 t", "3*t*q0/2*t"),
         ("2 pi t", "2*pi*t"),
         ("2q1", "2*q0"),
@@ -55,14 +59,14 @@ def value(text: str) -> float:
 )
 def test_products_that_are_left_out(text: str, python: str | None) -> None:
     if python is None:
-        with pytest.raises(ValueError, match="operator is missing before sqrt at character 7"):
+        with pytest.raises(ValueError, match="operator is missing before 3 at character 23"):
             value(text)
         return
     expected = eval(python, {**vars(math), **STATE})
     assert value(text) == pytest.approx(expected, rel=4e-16)
 
 
-@each("text", ["2(3)", "(1)(2)", "q1 2", "2 sin(q1)", "3 mm 2", "1 q1 q2 5"])
+@each("text", ["2(3)", "(1)(2)", "q1 2", "sin(q1) 2", "2 sin(q1)(3)", "3 mm 2", "1 q1 q2 5"])
 def test_an_operator_that_is_missing(text: str) -> None:
     for read in (written, parse_quantity):
         with pytest.raises(ValueError, match=r"operator is missing before .* at character"):
@@ -84,16 +88,12 @@ def test_functions_of_values_are_those_of_expressions() -> None:
         ("hypot(2 m, 3 m, 6 m)", 7.0),
         ("floor(2.5 m)", 2.0),
         ("sign(-3 kg) m", -1.0),
-        ("cosh(0) tanh(0) m + log(8, 2) m", None),
+        ("cosh(0) tanh(1) m + log(8, 2) m", 3.0 + math.tanh(1)),
         ("log(8, 2) m", 3.0),
         ("3 min s^-1 m", 180.0),
     ):
-        if expected is None:
-            with pytest.raises(ValueError, match="operator is missing before tanh"):
-                parse_quantity(text, "m")
-        else:
-            assert parse_quantity(text, "m") == pytest.approx(expected, rel=4e-16), text
-            assert value(text) == pytest.approx(expected, rel=4e-16), text
+        assert parse_quantity(text, "m") == pytest.approx(expected, rel=4e-16), text
+        assert value(text) == pytest.approx(expected, rel=4e-16), text
 
 
 @each(
@@ -110,7 +110,7 @@ def test_functions_of_values_are_those_of_expressions() -> None:
 )
 def test_units_that_do_not_fit(text: str) -> None:
     for read in (written, parse_quantity):
-        with pytest.raises(ValueError, match=r"adds|a sum of|hypot of|atan2 of"):
+        with pytest.raises(ValueError, match=r"a sum of|hypot of|atan2 of"):
             read(text)
 
 

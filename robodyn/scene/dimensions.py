@@ -82,7 +82,8 @@ def _measured(node: tuple[Any, ...], parts: list[Measured]) -> Measured:
     if operation == "sqrt":
         return first and first._replace(of=times(PLAIN, first.of, 0.5))
     for x in parts if operation not in _TAKE_ALL else ():
-        if x and x.sure and (_bare(x.of) or (x.of and operation not in ANGULAR)):
+        angle = operation in ANGULAR and x and (x.of == _RAD or (x.varies and not _bare(x.of)))
+        if x and x.sure and x.of and not angle:
             raise MisfitError(f"{operation} of {shown_dimension(x.of)}", node)
     return Measure(PLAIN, varies=varies)
 

@@ -86,7 +86,7 @@ def names_of(node: Node) -> frozenset[str]:
 def changed(
     node: Node,
     change: Callable[[tuple[Any, ...]], Node],
-    leaf: Callable[[Any], Node] = lambda leaf: leaf,  # type: ignore[no-any-return]
+    leaf: Callable[[Any], Node] = lambda leaf: leaf,
 ) -> Node:
     """The tree with its leaves changed, and its operations after their parts."""
     return fold(node, leaf, lambda old, parts: change((old[0], *parts)))

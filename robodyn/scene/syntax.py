@@ -242,7 +242,8 @@ class _Making:
             return self.made(node, "**" if power.is_integer() else "pow", left, right)
         joins = operation == "@"
         if _is_unit(right) and operation in "@*/":
-            apart = ")" in self.line[node.left.end_col_offset : node.right.col_offset]
+            end = node.left.end_col_offset or 0
+            apart = ")" in self.line[end - 1 : node.right.col_offset]
             number = joins or type(left) is float
             sign = -1 if operation == "/" else 1
             found = None if apart else self.joined(left, right, sign, number)
