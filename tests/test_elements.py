@@ -18,6 +18,7 @@ from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene import scene as described
 from robodyn.scene.scene import Law, Load, Moment, Motor, Point, Spring
+from robodyn.scene.syntax import parsed
 
 LINKS = 3
 
@@ -33,7 +34,7 @@ def on_link(description, k, **fields):
 
 
 def law(code, *names):
-    return Law(code, code, frozenset(names))
+    return Law(code, parsed(code, str).nodes[0], frozenset(names))
 
 
 def point_springs(rng, scene):

@@ -143,7 +143,10 @@ def _no_collection() -> Iterator[None]:
 
 def harmless(text: str) -> None:
     """Nothing but numbers or ValueError comes of a text, soon."""
-    for read in (lambda: parse_quantity(text, "m"), lambda: parse_coupling(f"q2 = {text}", ["rad", "m"])):
+    for read in (
+        lambda: parse_quantity(text, "m"),
+        lambda: parse_coupling(f"q2 = {text}", ["rad", "m"]),
+    ):
         begun = time.process_time()
         with contextlib.suppress(ValueError):
             read()

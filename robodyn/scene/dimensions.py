@@ -126,7 +126,7 @@ def _same(node: Node, what: str, a: Measured, b: Measured) -> Measured:
         alike = _bare(a.of) == _bare(b.of)
     # an angle where a rate is due
     if not alike and (exact or not (other.of and sure.of and fits(sure.of, other.of))):
-        told = " and ".join(shown_dimension(x) if x else "a plain number" for x in (a.of, b.of))
+        told = " and ".join(_told(x.of, not exact) for x in (a, b))
         raise MisfitError(f"{what} of {told}", node)
     return Measure(both if exact else sure.of, sure=True, varies=not exact)
 
@@ -134,6 +134,10 @@ def _same(node: Node, what: str, a: Measured, b: Measured) -> Measured:
 def _bare(of: Dimension) -> Dimension:
     """Without radians, which are 1."""
     return {base: power for base, power in of.items() if base != "rad"}
+
+
+def _told(of: Dimension, varies: bool) -> str:
+    return shown_dimension((varies and _bare(of)) or of) if of else "a plain number"
 
 
 def misfit(found: Measured, unit: str) -> str:
@@ -144,7 +148,7 @@ def misfit(found: Measured, unit: str) -> str:
     if found.varies and _bare(found.of) == _bare(place):
         return ""
     wanted = f"in {unit}" if unit else "a plain number"
-    return f"must be {wanted}, not in {shown_dimension(found.of)}"
+    return f"must be {wanted}, not in {_told(found.of, found.varies)}"
 
 
 @lru_cache
