@@ -157,8 +157,8 @@ REFUSED = {
         sin sin30 sin() 2(3) 2m2 pirpm 1hz q1 1;2 [1] 1+ 1*/2 1e1e1 1..2 a=b
     """,
     "must be a finite number": "nan NaN .nan inf -inf .inf -.INF infinity",
-    "is too large": "1e309 -1e309 1e400deg 1e308*pi*pi 1/1e-320 10^64*1e300 (1e200)^2 exp(1000)",
-    "divides by zero": "1/0 pi/0.0 0^-1 1/(1-1)",
+    "too large": "1e309 -1e309 1e400deg 1e308*pi*pi 1/1e-320 10^64*1e300 (1e200)^2 exp(1000)",
+    "a division by zero": "1/0 pi/0.0 0^-1 1/(1-1)",
     "must be in rad, not in": "30mm 2kg 60rpm 1Hz 2N*m deg^2 °° 1/rad s",
     "a sum of": "30deg+1mm 0.1+1kg 1rad/s+1",
     "is not a number: .*(of|above|in)": """

@@ -57,7 +57,7 @@ def is_large(text: str) -> bool:
 def _is_large(number: Node) -> bool:
     """The same of a tree; False where it is no number."""
     plain = all(type(x) is tuple or (type(x) is float and x != math.pi) for x in walk(number))
-    return plain and abs(number_of(number)) > math.tau
+    return plain and abs(number_of(number) or 0.0) > math.tau
 
 
 def _in_options(
@@ -134,5 +134,5 @@ def _compared(mechanism: Mechanism, text: str) -> list[str]:
                     _, left, right = node
                     for side, other in ((left, right), (right, left)):
                         if is_angle(side) and _is_large(other):
-                            found.append(f"{abs(number_of(other)):g}")
+                            found.append(f"{abs(number_of(other) or 0.0):g}")
     return found

@@ -17,7 +17,7 @@ from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
 from robodyn.scene.dimensions import misfit
-from robodyn.scene.expressions import SCOPE, code_of, names_of, number_of
+from robodyn.scene.expressions import SCOPE, code_of, names_of
 from robodyn.scene.quantities import state_variables
 from robodyn.scene.syntax import LONGEST, Node, NotAllowedError
 from robodyn.tables.short_repr import short_repr
@@ -67,12 +67,13 @@ class Actuation:
     states: int = 0
     # the same torques on a mechanism with other numbers, where they depend on these or on the run
     remade: Callable[[Mechanism], Actuation] | None = None
+    where: str = ""  # the argument that had the expressions
 
     @classmethod
-    def of(cls, torques: Sequence[Node]) -> Actuation:
-        """Torques by expressions, one a joint."""
+    def of(cls, torques: Sequence[Node], where: str = "") -> Actuation:
+        """Torques by expressions, one a joint, that were given as the argument `where`."""
         lines = tuple(f"tau{k} = {code_of(node)}" for k, node in enumerate(torques))
-        return cls(None, lines, tuple(torques), dict(SCOPE))
+        return cls(None, lines, tuple(torques), dict(SCOPE), where=where)
 
     @property
     def told(self) -> Steps | None:
@@ -162,12 +163,13 @@ def expressions(
         if limit := misfit(one.measure, unit or ("N" if joint in mechanism.slides else "N m")):
             raise InputError(f"entry {k + 1}", where=where, value=one.text, limit=limit)
     if not any(map(names_of, nodes)):
-        written = [x.written for x in found] if driving is None else nodes
-        values = [_constant(node, text, where) for node in written]
+        values = [math.nan if x.value is None else x.value for x in found]
+        if not all(map(math.isfinite, values)):
+            raise InputError(repr(text), where=where, limit="must be finite")
         with at_place(where):
             return constant(mechanism, values)
     each = _each_joint(mechanism, nodes, (0.0, ("neg", 0.0)), "expressions", where)
-    return Actuation.of(each)
+    return Actuation.of(each, where)
 
 
 def table(
@@ -253,14 +255,3 @@ def for_each_actuated(mechanism: Mechanism, given: ArrayLike, name: str) -> list
         raise InputError(name, value=shown, limit=limit)
     each: list[float] = np.broadcast_to(values, count).tolist()
     return each
-
-
-def _constant(node: Node, text: str, where: str) -> float:
-    try:
-        value = number_of(node)
-    except (ArithmeticError, ValueError) as error:
-        limit = f"is no real number: {error}"
-        raise InputError(repr(text), where=where, limit=limit) from None
-    if not math.isfinite(value):
-        raise InputError(repr(text), where=where, value=value, limit="must be finite")
-    return value

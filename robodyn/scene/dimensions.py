@@ -12,7 +12,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from robodyn.scene.expressions import COMPARISONS, fold, names_of, number_of
+from robodyn.scene.expressions import COMPARISONS, ExpressionError, fold, number_of
 from robodyn.scene.syntax import Node, parsed
 from robodyn.scene.units import PLAIN, Dimension, Quantity, fits, shown_dimension, times
 
@@ -35,16 +35,8 @@ class Measure(NamedTuple):
 Measured = Measure | None  # None: numbers without units leave it open
 
 
-class MisfitError(ValueError):
-    """Units that do not fit: what is wrong, and the operation that has them."""
-
-    def __init__(self, what: str, node: Node) -> None:
-        super().__init__(what)
-        self.node = node
-
-
 def measured(node: Node, dimensions: Dimensions = lambda name: None) -> Measured:
-    """What an expression is in; MisfitError where units do not fit."""
+    """What an expression is in; ExpressionError where units do not fit."""
 
     def leaf(x: float | str | Quantity) -> Measured:
         if isinstance(x, Quantity):
@@ -84,7 +76,7 @@ def _measured(node: tuple[Any, ...], parts: list[Measured]) -> Measured:
     for x in parts if operation not in _TAKE_ALL else ():
         angle = operation in ANGULAR and x and (x.of == _RAD or (x.varies and not _bare(x.of)))
         if x and x.sure and x.of and not angle:
-            raise MisfitError(f"{operation} of {shown_dimension(x.of)}", node)
+            raise ExpressionError(f"{operation} of {shown_dimension(x.of)}", node)
     return Measure(PLAIN, varies=varies)
 
 
@@ -99,20 +91,21 @@ def _product(a: Measured, b: Measured, power: float) -> Measured:
 
 def _power(node: tuple[Any, ...], base: Measured, exponent: Measured) -> Measured:
     if exponent and exponent.sure and _bare(exponent.of):
-        raise MisfitError(f"a power in {shown_dimension(exponent.of)}", node)
+        raise ExpressionError(f"a power in {shown_dimension(exponent.of)}", node)
     if base is None:
         return None
     if not base.of:
         return base._replace(varies=base.varies or exponent is None or exponent.varies)
-    if names_of(node[2]):
-        if base.sure and _bare(base.of):
-            raise MisfitError(f"a varying power of {shown_dimension(base.of)}", node)
-        return None
-    return base._replace(of=times(PLAIN, base.of, number_of(node[2])))
+    power = number_of(node[2])
+    if power is not None:
+        return base._replace(of=times(PLAIN, base.of, power))
+    if base.sure and _bare(base.of):
+        raise ExpressionError(f"a varying power of {shown_dimension(base.of)}", node)
+    return None
 
 
 def _same(node: Node, what: str, a: Measured, b: Measured) -> Measured:
-    """What two parts are both in; MisfitError where they cannot be."""
+    """What two parts are both in; ExpressionError where they cannot be."""
     if a is None or b is None or not (a.sure or b.sure):
         sure = next((x for x in (a, b) if x and x.sure), None)
         return a if a == b else sure and sure._replace(varies=True)
@@ -127,7 +120,7 @@ def _same(node: Node, what: str, a: Measured, b: Measured) -> Measured:
     # an angle where a rate is due
     if not alike and (exact or not (other.of and sure.of and fits(sure.of, other.of))):
         told = " and ".join(_told(x.of, not exact) for x in (a, b))
-        raise MisfitError(f"{what} of {told}", node)
+        raise ExpressionError(f"{what} of {told}", node)
     return Measure(both if exact else sure.of, sure=True, varies=not exact)
 
 

@@ -42,7 +42,16 @@ BENDS = ("abs", "min", "max", "sign", "floor", "atan2")
 _BENDING = {**dict.fromkeys(COMPARISONS, "a comparison"), "if": "`if`", "%": "%"}
 _BENDING |= {name: f"{name}()" for name in BENDS}
 NO_BENDS = "which bends or jumps: expressions of a scene are smooth; write a table"
+TOO_LARGE = "a number that is too large"
 SMOOTH = tuple(name for name in FUNCTIONS if name not in BENDS)
+
+
+class ExpressionError(ValueError):
+    """What is wrong with an operation of a tree, and which it is."""
+
+    def __init__(self, what: str, node: Node) -> None:
+        super().__init__(what)
+        self.node = node
 
 
 def fold(
@@ -124,20 +133,46 @@ def check_smooth(nodes: Sequence[Node]) -> None:
 _Scaled = tuple[float, int]  # a number, and a power of ten: `(200 + 150) mm` is the float 0.35
 
 
-def number_of(node: Node) -> float:
-    """The number that a tree without variables is, in SI units.
+def number_of(node: Node) -> float | None:
+    """The number that a tree is, in SI units; None for one with variables.
 
-    Raises ArithmeticError, or ValueError with the reason, where it is none.
+    Raises ExpressionError for a part without variables that has no number, and for a division by 0.
     """
-    return float(scaled(*fold(node, _number, _calculated)))
+    found = fold(node, _number, _calculated)
+    if found is None:
+        return None
+    try:
+        return float(scaled(*found))
+    except OverflowError:
+        raise ExpressionError(TOO_LARGE, node) from None
 
 
-def _number(leaf: float | Quantity) -> _Scaled:
-    return (leaf.number, leaf.ten) if isinstance(leaf, Quantity) else (leaf, 0)
+def _number(leaf: float | str | Quantity) -> _Scaled | None:
+    if isinstance(leaf, Quantity):
+        return leaf.number, leaf.ten
+    return None if isinstance(leaf, str) else (leaf, 0)
 
 
-def _calculated(node: tuple[Any, ...], parts: list[_Scaled]) -> _Scaled:
+def _calculated(node: tuple[Any, ...], parts: list[_Scaled | None]) -> _Scaled | None:
+    numbers = [x for x in parts if x is not None]
     operation = node[0]
+    try:
+        if len(numbers) == len(parts):
+            return _operated(operation, numbers)
+        if operation in "/%" and parts[1] and not parts[1][0]:
+            raise ZeroDivisionError
+    except ZeroDivisionError:
+        raise ExpressionError("a division by zero", node) from None
+    except OverflowError:
+        raise ExpressionError(TOO_LARGE, node) from None
+    except ValueError:
+        what = "a root of a negative number" if operation == "pow" else ""
+        told = what or f"{operation} of a number that has none"
+        raise ExpressionError(told, node) from None
+    return None
+
+
+def _operated(operation: str, parts: list[_Scaled]) -> _Scaled:
     (a, i), (b, j) = parts[0], parts[-1]
     match operation:
         case "*":
@@ -152,17 +187,13 @@ def _calculated(node: tuple[Any, ...], parts: list[_Scaled]) -> _Scaled:
             k = scaled(b, j)
             return a**k, int(i * k)
     totals = [scaled(*part) for part in parts]
-    try:
-        return (OPERATIONS.get(operation) or FUNCTIONS[operation])(*totals), 0
-    except ValueError:
-        what = "a root of a negative number" if operation == "pow" else ""
-        raise ValueError(what or f"{operation} of a number that has none") from None
+    return (OPERATIONS.get(operation) or FUNCTIONS[operation])(*totals), 0
 
 
 def linear(node: Node) -> dict[str, float]:
     """The sum of multiples of names that a tree is: their coefficients, that of "" the constant.
 
-    Raises ValueError for what is none, ArithmeticError where a number is none.
+    Raises ValueError for what is none, ArithmeticError where a coefficient is none.
     """
     return fold(node, lambda x: {x: 1.0} if isinstance(x, str) else {"": x}, _linear)
 
@@ -178,7 +209,7 @@ def _linear(node: tuple[Any, ...], parts: list[dict[str, float]]) -> dict[str, f
         return found
     if all(plain):
         numbers = [part.get("", 0.0) for part in parts]
-        return {"": _calculated(node, [(x, 0) for x in numbers])[0]}
+        return {"": value_in((operation, *numbers), {}, {**OPERATIONS, **FUNCTIONS})}
     match operation:
         case "neg":
             return {name: -x for name, x in a.items()}

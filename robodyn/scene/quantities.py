@@ -16,12 +16,18 @@ from robodyn.errors import InputError
 from robodyn.scene.dimensions import (
     Dimensions,
     Measured,
-    MisfitError,
     dimension_of,
     measured,
     misfit,
 )
-from robodyn.scene.expressions import linear, names_of, number_of, without_units
+from robodyn.scene.expressions import (
+    TOO_LARGE,
+    ExpressionError,
+    linear,
+    names_of,
+    number_of,
+    without_units,
+)
 from robodyn.scene.syntax import (
     CONSTANTS,
     FUNCTIONS,
@@ -64,6 +70,7 @@ class Expression(NamedTuple):
     text: str
     written: Node
     measure: Measured = None
+    value: float | None = None  # in SI units, of one without variables
 
     @property
     def node(self) -> Node:
@@ -75,10 +82,18 @@ class Expression(NamedTuple):
         """The variables that it has, as its tree names them."""
         return names_of(self.written)
 
+
+class Value(NamedTuple):
+    """A finite number in SI units, what it is in, if a unit tells, and its tree."""
+
+    number: float
+    measure: Measured
+    written: Node
+
     @property
-    def value(self) -> float:
-        """The number that one without variables is; ArithmeticError or ValueError if none."""
-        return number_of(self.written)
+    def plain(self) -> bool:
+        """Whether it has no dimension."""
+        return self.measure is None or not self.measure.of
 
 
 def state_variables(n: int, slides: Container[int] = ()) -> Variables:
@@ -107,21 +122,27 @@ def expressions(
     """The comma-separated expressions of a text.
 
     Raises NotAllowedError for anything but arithmetic with units that fit, comparisons,
-    `a if b else c`, functions and constants; ValueError for what is no expression.
+    `a if b else c`, functions and constants, and for numbers that are none, such as 1/0;
+    ValueError for what is no expression.
     """
     try:
         found = parsed(text, variables.named, variables.known, constants)
-        each = zip(found.texts, found.nodes, strict=True)
-        if not found.measured:
-            return [Expression(*one) for one in each]
-        return [Expression(*one, measured(one[1], variables.of)) for one in each]
-    except MisfitError as error:
-        at = found.places[id(error.node)]
+        return [
+            Expression(
+                text,
+                node,
+                measured(node, variables.of) if found.measured else None,
+                number_of(node),
+            )
+            for text, node in zip(found.texts, found.nodes, strict=True)
+        ]
+    except ExpressionError as error:
+        at = found.places[id(error.node)] if type(error.node) is tuple else 0
         raise NotAllowedError(f"{error}, at character {at + 1}" if at else str(error)) from None
     except SyntaxError as error:
         raise ValueError(str(error)) from None
     except ArithmeticError:
-        raise ValueError("a number is too large") from None
+        raise ValueError(TOO_LARGE) from None
 
 
 def parse_quantity(text: str, unit: str = "") -> float:
@@ -131,27 +152,19 @@ def parse_quantity(text: str, unit: str = "") -> float:
     """
     if PLAIN_NUMBER.fullmatch(text):
         return _finite(float(text))
-    value = read_value(text)
-    if limit := misfit(value.measure, unit):
+    found = read_value(text)
+    if limit := misfit(found.measure, unit):
         raise ValueError(limit)
-    return value.value
+    return found.number
 
 
-def read_value(text: str) -> Expression:
-    """The expression that has a finite number for its value; ValueError with the reason if none."""
+def read_value(text: str) -> Value:
+    """The finite number that `text` writes; ValueError with the reason where it is none."""
     if text.strip().lstrip("+-.").lower() in ("nan", "inf", "infinity"):
         raise ValueError("must be a finite number")
     found = _one(text, Variables())
-    try:
-        value = found.value
-    except ZeroDivisionError:
-        raise ValueError("divides by zero") from None
-    except ArithmeticError:
-        raise ValueError("is too large for a number") from None
-    except ValueError as error:
-        raise ValueError(f"is not a number: {error}") from None
-    _finite(value)
-    return found
+    assert found.value is not None  # there are no variables
+    return Value(_finite(found.value), found.measure, found.written)
 
 
 def _one(text: str, variables: Variables) -> Expression:
@@ -213,10 +226,6 @@ def parse_coupling(text: str, units: Sequence[str]) -> tuple[int, dict[int, floa
         parts = linear(found.node)
         for x in parts.values():
             _finite(x)
-    except ZeroDivisionError:
-        raise ValueError(
-            f"must be such as q3 = -2 q1 + 0.1: {right.strip()} divides by zero"
-        ) from None
     except (ValueError, ArithmeticError) as error:
         raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {right.strip()} {error}") from None
     constant = parts.pop("", 0.0)

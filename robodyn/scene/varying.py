@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 
 from robodyn.scene.dimensions import dimension_of, misfit
 from robodyn.scene.expressions import check_smooth, number_of
@@ -55,9 +54,9 @@ class SignalReader(ValueReader):
         law = self.expression(node, place, unit)
         if law is None or law.names:
             return law or 0.0
-        with suppress(ArithmeticError, ValueError):
-            if math.isfinite(value := number_of(law.node)):
-                return value
+        value = number_of(law.node)
+        if value is not None and math.isfinite(value):
+            return value
         self.fault(place, node, "must be a finite number", self.shown(node))
         return 0.0
 
