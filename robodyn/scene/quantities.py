@@ -160,8 +160,6 @@ def parse_quantity(text: str, unit: str = "") -> float:
 
 def read_value(text: str) -> Value:
     """The finite number that `text` writes; ValueError with the reason where it is none."""
-    if text.strip().lstrip("+-.").lower() in ("nan", "inf", "infinity"):
-        raise ValueError("must be a finite number")
     found = _one(text, Variables())
     assert found.value is not None  # there are no variables
     return Value(_finite(found.value), found.measure, found.written)
@@ -169,6 +167,8 @@ def read_value(text: str) -> Value:
 
 def _one(text: str, variables: Variables) -> Expression:
     """The one expression of a value's text."""
+    if text.strip().lstrip("+-.").lower() in ("nan", "inf", "infinity"):
+        raise ValueError("must be a finite number")
     if not text.strip():
         raise ValueError("is not a number")
     try:

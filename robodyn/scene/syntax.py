@@ -278,9 +278,7 @@ class _Making:
     def no(self, node: ast.expr, what: str) -> NotAllowedError:
         """What is not allowed, and where it stands."""
         at = self.places[node.col_offset]
-        return NotAllowedError(
-            f"{what}{',' * (what[-1] != '?')} at character {at + 1}" if at else what
-        )
+        return NotAllowedError(f"{what}, at character {at + 1}" if at else what)
 
     def unknown(self, name: str, what: str, known: str, node: ast.expr) -> NotAllowedError:
         if self.known:
@@ -288,7 +286,9 @@ class _Making:
         from robodyn.scene.yaml_values import nearest  # only a fault pays for it
 
         close = nearest(name, [*UNITS, *FUNCTIONS, *self.constants]).partition("; known")[0]
-        return self.no(node, f"{name} is no unit or function{close}")
+        at = self.places[node.col_offset]
+        place = f" at character {at + 1}" if at else ""
+        return NotAllowedError(f"{name} is no unit or function{close}{place}")
 
 
 _OPERATORS: dict[type, str] = {
