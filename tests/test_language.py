@@ -205,7 +205,7 @@ def test_folds_of_one_tree_agree() -> None:
             assert all(abs(x - y) < 1e-6 * s for x, y, s in zip(found, exact, size, strict=True)), (
                 text
             )
-    assert compared[0] > 1000
+    assert compared[0] > 500
     assert compared[1] > 300
 
 
@@ -241,7 +241,7 @@ def test_values_are_expressions_without_variables() -> None:
             continue
         count += 1
         (found,) = written(text)
-        assert (found.value, found.measure) == (number.number, number.measure)
+        assert (found.value, found.measure) == (number.value, number.measure)
 
 
 @each(

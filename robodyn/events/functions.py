@@ -26,9 +26,10 @@ import numpy as np
 
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.time_samples import FUNCTIONS
 from robodyn.scene.expressions import changed, code_of, fold, names_of, walk
 from robodyn.scene.quantities import expressions, state_variables
-from robodyn.scene.syntax import FUNCTIONS, Node, NotAllowedError
+from robodyn.scene.syntax import Node, NotAllowedError
 from robodyn.tables.arrays import Array
 
 Values = Callable[[Array, Array], Array]
@@ -36,21 +37,8 @@ Values = Callable[[Array, Array], Array]
 _NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)
 LARGEST = 1e300  # of numbers in an event: sums of what they make stay among the floats
 WAYS = {">": 1, ">=": 1, "<": -1, "<=": -1}
-_ARRAYS: dict[str, Callable[..., Any]] = {
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "atan2": np.arctan2,
-    "abs": np.abs,
-    "min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
-    "max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
-    "hypot": lambda *x: np.sqrt(sum(each**2 for each in x)),
-    "log": lambda x, base=math.e: np.log(x) / np.log(base),
-    "pow": np.power,
-    "where": np.where,
-}
-_ARRAYS |= {name: getattr(np, name) for name in FUNCTIONS if name not in _ARRAYS}
-_SCOPE = {"__builtins__": {}, **{f"_{name}": function for name, function in _ARRAYS.items()}}
+_SCOPE = {"__builtins__": {}, **{f"_{name}": each for name, each in FUNCTIONS.items()}}
+_SCOPE |= {"_pow": np.power, "_where": np.where}
 
 
 @dataclass(frozen=True)
@@ -419,6 +407,6 @@ def _called(name: str, args: list[Bounded]) -> Bounded:
                 base = _called("log", others)
                 return _operated(("/",), [(value, error + 2.0 * EPS * np.abs(value)), base])
         case _:
-            value = _ARRAYS[name](x)
+            value = FUNCTIONS[name](x)
             error = SLOPES[name](x, dx, value) * dx
     return value, error + 2.0 * EPS * np.abs(value)

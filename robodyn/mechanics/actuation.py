@@ -163,7 +163,7 @@ def expressions(
         if limit := misfit(one.measure, unit or ("N" if joint in mechanism.slides else "N m")):
             raise InputError(f"entry {k + 1}", where=where, value=one.text, limit=limit)
     if not any(map(names_of, nodes)):
-        values = [math.nan if x.value is None else x.value for x in found]
+        values = [x.value for x in found]
         if not all(map(math.isfinite, values)):
             raise InputError(repr(text), where=where, limit="must be finite")
         with at_place(where):

@@ -49,6 +49,19 @@ def _compared(compare: Callable[..., Any]) -> Callable[..., Any]:
     return lambda a, b: np.where(np.isnan(a) | np.isnan(b), np.nan, compare(a, b))
 
 
+_SAME = ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "sqrt", "sign", "floor")
+FUNCTIONS: dict[str, Callable[..., Any]] = {  # of expressions, on arrays
+    **{name: getattr(np, name) for name in _SAME},
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "abs": np.abs,
+    "min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
+    "max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
+    "hypot": lambda *x: np.sqrt(sum(each**2 for each in x)),
+    "log": lambda x, *base: np.log(x) / np.log(*base) if base else np.log(x),
+}
 _ARRAYS: dict[str, Callable[..., Any]] = {
     "+": np.add,
     "-": np.subtract,
@@ -63,14 +76,8 @@ _ARRAYS: dict[str, Callable[..., Any]] = {
     ">": _compared(np.greater),
     ">=": _compared(np.greater_equal),
     "if": lambda test, x, y: np.where(np.isnan(test), np.nan, np.where(test, x, y)),
-    "min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
-    "max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
-    "hypot": lambda *x: np.sqrt(sum(np.square(each) for each in x)),
-    "log": _defined(lambda x, *base: np.log(x) / np.log(*base) if base else np.log(x)),
-    "atan2": np.arctan2,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
+    **FUNCTIONS,
+    "log": _defined(FUNCTIONS["log"]),
     "min_at": lambda *x: _first(np.argmin, x),
     "max_at": lambda *x: _first(np.argmax, x),
     "turns": lambda a, b: np.rint((a - np.mod(a, b)) / b),
@@ -97,7 +104,7 @@ def values_of(node: Node, names: Names, memo: dict[int, Any] | None = None) -> A
         return (names[x] if k is None else names["_s"][k]) + 0.0 * t  # type: ignore[no-any-return]
 
     def apply(node: tuple[Any, ...], parts: list[Array]) -> Array:
-        return (_ARRAYS.get(node[0]) or getattr(np, node[0]))(*parts)  # type: ignore[no-any-return]
+        return _ARRAYS[node[0]](*parts)  # type: ignore[no-any-return]
 
     return fold(node, leaf, apply, memo)
 

@@ -138,7 +138,8 @@ def misfit(found: Measured, unit: str) -> str:
     place = dimension_of(unit)
     if found is None or not found.sure or fits(found.of, place):
         return ""
-    if found.varies and _bare(found.of) == _bare(place):
+    angles = found.of and place and not _bare({**found.of, **place})
+    if found.varies and not angles and _bare(found.of) == _bare(place):
         return ""
     wanted = f"in {unit}" if unit else "a plain number"
     return f"must be {wanted}, not in {_told(found.of, found.varies)}"

@@ -200,24 +200,22 @@ def linear(node: Node) -> dict[str, float]:
 
 def _linear(node: tuple[Any, ...], parts: list[dict[str, float]]) -> dict[str, float]:
     operation, a, b = node[0], parts[0], parts[-1]
+    numbers = [part.get("", 0.0) for part in parts]
     plain = [set(part) <= {""} for part in parts]
-    if operation in ("+", "-"):
-        sign = -1.0 if operation == "-" else 1.0
-        found = dict(a)
-        for name, x in b.items():
-            found[name] = found[name] + sign * x if name in found else sign * x
-        return found
     if all(plain):
-        numbers = [part.get("", 0.0) for part in parts]
         return {"": value_in((operation, *numbers), {}, {**OPERATIONS, **FUNCTIONS})}
     match operation:
+        case "+":
+            return {name: a.get(name, 0.0) + b.get(name, 0.0) for name in {**a, **b}}
+        case "-":
+            return {name: a.get(name, 0.0) - b.get(name, 0.0) for name in {**a, **b}}
         case "neg":
             return {name: -x for name, x in a.items()}
         case "*" if any(plain):
-            factor, other = (a, b) if plain[0] else (b, a)
-            return {name: factor.get("", 0.0) * x for name, x in other.items()}
+            factor, other = (numbers[0], b) if plain[0] else (numbers[1], a)
+            return {name: factor * x for name, x in other.items()}
         case "/" if plain[1]:
-            return {name: x / b.get("", 0.0) for name, x in a.items()}
+            return {name: x / numbers[1] for name, x in a.items()}
     raise ValueError("is no sum of multiples of joints")
 
 

@@ -41,9 +41,10 @@ from robodyn.scene.syntax import (
     plain_text,
     tokens_of,
 )
-from robodyn.scene.units import UNITS
+from robodyn.scene.units import UNITS, Dimension
 from robodyn.tables.csv_fields import shown
 
+_JOINT = re.compile(r"q(\d{1,18})", re.ASCII)
 # of values, by the unit of their place
 EXAMPLES = {
     "": "1.5 or -2e-3",
@@ -70,7 +71,12 @@ class Expression(NamedTuple):
     text: str
     written: Node
     measure: Measured = None
-    value: float | None = None  # in SI units, of one without variables
+    value: float = math.nan  # in SI units, of one without variables
+
+    @property
+    def plain(self) -> bool:
+        """Whether no unit gives it a dimension."""
+        return self.measure is None or not self.measure.of
 
     @property
     def node(self) -> Node:
@@ -81,19 +87,6 @@ class Expression(NamedTuple):
     def names(self) -> frozenset[str]:
         """The variables that it has, as its tree names them."""
         return names_of(self.written)
-
-
-class Value(NamedTuple):
-    """A finite number in SI units, what it is in, if a unit tells, and its tree."""
-
-    number: float
-    measure: Measured
-    written: Node
-
-    @property
-    def plain(self) -> bool:
-        """Whether it has no dimension."""
-        return self.measure is None or not self.measure.of
 
 
 def state_variables(n: int, slides: Container[int] = ()) -> Variables:
@@ -107,7 +100,7 @@ def state_variables(n: int, slides: Container[int] = ()) -> Variables:
         known = kind in ("q", "qd") and number.isdigit() and 1 <= int(number) <= n
         return f"{kind}{int(number) - 1}" if known else None
 
-    def of(name: str) -> Mapping[str, float]:
+    def of(name: str) -> Dimension:
         kind = name.rstrip("0123456789")
         length = kind != name and int(name[len(kind) :]) in slides
         units = {"t": "s", "q": "m" if length else "rad", "qd": "m/s" if length else "rad/s"}
@@ -127,15 +120,12 @@ def expressions(
     """
     try:
         found = parsed(text, variables.named, variables.known, constants)
-        return [
-            Expression(
-                text,
-                node,
-                measured(node, variables.of) if found.measured else None,
-                number_of(node),
-            )
-            for text, node in zip(found.texts, found.nodes, strict=True)
-        ]
+        made = []
+        for own, node in zip(found.texts, found.nodes, strict=True):
+            measure = measured(node, variables.of) if found.measured else None
+            value = number_of(node)
+            made.append(Expression(own, node, measure, math.nan if value is None else value))
+        return made
     except ExpressionError as error:
         at = found.places[id(error.node)] if type(error.node) is tuple else 0
         raise NotAllowedError(f"{error}, at character {at + 1}" if at else str(error)) from None
@@ -155,14 +145,14 @@ def parse_quantity(text: str, unit: str = "") -> float:
     found = read_value(text)
     if limit := misfit(found.measure, unit):
         raise ValueError(limit)
-    return found.number
+    return found.value
 
 
-def read_value(text: str) -> Value:
-    """The finite number that `text` writes; ValueError with the reason where it is none."""
+def read_value(text: str) -> Expression:
+    """The expression whose value is finite; ValueError with the reason where it is none."""
     found = _one(text, Variables())
-    assert found.value is not None  # there are no variables
-    return Value(_finite(found.value), found.measure, found.written)
+    _finite(found.value)
+    return found
 
 
 def _one(text: str, variables: Variables) -> Expression:
@@ -209,23 +199,18 @@ def parse_coupling(text: str, units: Sequence[str]) -> tuple[int, dict[int, floa
     `units` are those of the joints, rad or m.  Raises ValueError with the reason if it is none.
     """
     left, equals, right = text.partition("=")
-    match = re.fullmatch(r"\s*q(\d{1,18})\s*", left, re.ASCII)
+    match = _JOINT.fullmatch(left.strip())
     if match is None or not equals or "=" in right:
         raise ValueError("must be an equation such as q3 = -2 q1 + 0.1")
     joint, n = int(match[1]) - 1, len(units)
 
-    def named(name: str) -> str | None:
-        return name if re.fullmatch(r"q\d{1,18}", name, re.ASCII) else None
-
-    def of(name: str) -> Mapping[str, float] | None:
+    def of(name: str) -> Dimension | None:
         k = int(name[1:])
         return dimension_of(units[k - 1]) if 1 <= k <= n else None
 
     try:
-        found = _one(right, Variables(named, "", of))
-        parts = linear(found.node)
-        for x in parts.values():
-            _finite(x)
+        found = _one(right, Variables(lambda x: x if _JOINT.fullmatch(x) else None, "", of))
+        parts = {name: _finite(x) for name, x in linear(found.node).items()}
     except (ValueError, ArithmeticError) as error:
         raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {right.strip()} {error}") from None
     constant = parts.pop("", 0.0)

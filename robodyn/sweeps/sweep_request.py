@@ -276,8 +276,8 @@ def _count(text: str) -> int | None:
         found = read_value(text)
     except ValueError:
         return None
-    whole = found.plain and "." not in text and found.number.is_integer()
-    return int(found.number) if whole and found.number >= 0.0 else None
+    whole = found.plain and "." not in text and found.value.is_integer()
+    return int(found.value) if whole and found.value >= 0.0 else None
 
 
 @dataclass
