@@ -264,6 +264,7 @@ def test_values_are_expressions_without_variables() -> None:
         ("t/0", "a division by zero"),
         ("q1 + t % (1 - 1)", "a division by zero, at character 6"),
         ("2 mm*(1 m/(0 s))", "a division by zero"),
+        ("1e308 km*q1", "a number that is too large"),
     ],
 )
 def test_dimensions_of_expressions(text: str, told: str) -> None:

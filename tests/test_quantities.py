@@ -317,6 +317,7 @@ def test_units_of_couplings() -> None:
         ("q2 = q4", "names q4; the joints are q1 to q3"),
         ("q0 = q1", "names q0; the joints"),
         ("q2 = q1 - 3 q2", "has q2 on both sides"),
+        ("q2 = 3 deg*q1", r"must be in m, not in rad\^2"),
     ):
         with pytest.raises(ValueError, match=limit):
             parse_coupling(text, units)

@@ -149,6 +149,8 @@ def number_of(node: Node) -> float | None:
 
 def _number(leaf: float | str | Quantity) -> _Scaled | None:
     if isinstance(leaf, Quantity):
+        if math.isinf(leaf.total):
+            raise ExpressionError(TOO_LARGE, leaf)
         return leaf.number, leaf.ten
     return None if isinstance(leaf, str) else (leaf, 0)
 
