@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml import ScalarNode, SequenceNode
 
 from robodyn.errors import DescriptionError, Fault
 from robodyn.tables.input_file import MOST_BYTES
@@ -24,33 +25,38 @@ _INDENTED = re.compile(r"^[ \t?-]{200}", re.MULTILINE)
 _TOO_DEEP = f"nests deeper than {MAX_DEPTH} levels"
 
 
-class Written:
-    """What stands in a text from the character `begin` to `end`, of which the tree knows the line.
+class Scalar:
+    """One scalar: its text, whether it is quoted, its line.
 
-    It is `inline` if it ends where its last character is, as a block does not.
+    It stands from the character `begin` to `end`; it is `inline` if it ends where its last
+    character is, as a block does not.
     """
+
+    __slots__ = ("begin", "end", "inline", "line", "quoted", "text")
+    size = 1
+
+    def __init__(
+        self, text: str, quoted: bool, line: int, begin: int = 0, end: int = 0, inline: bool = False
+    ) -> None:
+        self.text, self.quoted, self.line = text, quoted, line
+        self.begin, self.end, self.inline = begin, end, inline
+
+
+class Sequence:
+    """A list of nodes; `size` counts values, those of aliases too."""
 
     begin = end = 0
     inline = False
-    size = 1  # how many values it has
-
-
-class Scalar(Written):
-    """One scalar: its text, whether it is quoted, its line."""
-
-    def __init__(self, text: str, quoted: bool, line: int) -> None:
-        self.text, self.quoted, self.line = text, quoted, line
-
-
-class Sequence(Written):
-    """A list of nodes."""
 
     def __init__(self, items: list[Node], line: int, size: int = 1) -> None:
         self.items, self.line, self.size = items, line, size
 
 
-class Mapping(Written):
+class Mapping:
     """Pairs of a key and a node, in the order of the file, equal keys kept."""
+
+    begin = end = 0
+    inline = False
 
     def __init__(self, pairs: list[tuple[Scalar, Node]], line: int, size: int = 1) -> None:
         self.pairs, self.line, self.size = pairs, line, size
@@ -73,7 +79,8 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         """See `resolve`."""
 
 
-_STANDARD_TAGS = {f"!!{kind}" for kind in ("str", "int", "float", "bool", "null", "seq", "map")}
+_KINDS = ("str", "int", "float", "bool", "null", "seq", "map")
+_STANDARD_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in _KINDS}
 _BLOCKS = ("|", ">")
 
 
@@ -175,14 +182,14 @@ class _Making:
         if key in self.made:
             return self.made[key]
         begin, end = node.start_mark, node.end_mark
-        if node.tag:
+        if node.tag and node.tag not in _STANDARD_TAGS:
             shown = node.tag.replace("tag:yaml.org,2002:", "!!")
-            if shown not in _STANDARD_TAGS:
-                raise self.fault(f"tag {shown} is refused: a scene is plain data", node)
-        line, style = begin.line + 1, getattr(node, "style", None)
-        if isinstance(node, yaml.ScalarNode):
-            scalar = Scalar(node.value, bool(style), line)
-            scalar.begin, scalar.end, scalar.inline = begin.index, end.index, style not in _BLOCKS
+            raise self.fault(f"tag {shown} is refused: a scene is plain data", node)
+        line = begin.line + 1
+        if type(node) is ScalarNode:
+            style = node.style
+            at = begin.index, end.index
+            scalar = Scalar(node.value, bool(style), line, *at, style not in _BLOCKS)
             self.made[key] = scalar
             return scalar
         if key in self.open:
@@ -192,7 +199,7 @@ class _Making:
             raise self.fault(_TOO_DEEP, node)
         self.open.add(key)
         found: Sequence | Mapping
-        if isinstance(node, yaml.SequenceNode):
+        if type(node) is SequenceNode:
             items = [self.of(item) for item in node.value]
             found = Sequence(items, line, 1 + sum([item.size for item in items]))
         else:
