@@ -144,7 +144,7 @@ def contact_terms(
     """Dry friction in motion and compliant stops, with symbols for their numbers."""
     for j, friction in dry.items():
         link, unit = _joint(mechanism, j)
-        numbers = dict(mechanism.dry)[j]
+        numbers = mechanism.dry[j]
         static, turn = numbers.static > numbers.torque, ("sign", "v")
         tree: Node = ("*", "a", turn)
         if numbers.stribeck is not None and static:
@@ -161,20 +161,17 @@ def contact_terms(
         link, unit = _joint(mechanism, j)
         below: Node = ("-", "l", "q") if stop.low else ("neg", "q")
         above: Node = ("-", "q", "h") if stop.high else "q"
-        pushes: list[Node] = []
-        if stop.low is not None:
-            pushes.append(_push(below, "-", bool(stop.damping)))
-        if stop.high is not None:
-            pushes.append(_push(above, "+", bool(stop.damping)))
-        tree = pushes[0] if stop.low is not None else ("neg", pushes[0])
-        if len(pushes) == 2:
-            tree = "-", *pushes
+        low, high = (_push(x, y, stop.damping) for x, y in ((below, "-"), (above, "+")))
+        if stop.high is None:
+            tree = low
+        else:
+            tree = ("neg", high) if stop.low is None else ("-", low, high)
         told = f"push of the stops of the joint of {link}"
         known = {"k": stop.stiffness, "d": stop.damping, "l": stop.low, "h": stop.high}
         yield _contact(j, 1, "Y", tree, known, unit, told)
 
 
-def _push(beyond: Node, sign: str, damped: bool) -> Node:
+def _push(beyond: Node, sign: str, damped: Any) -> Node:
     """max(0, k x), or step(x) max(0, k x + d v) or - d v, of what is beyond a stop."""
     spring = "*", "k", beyond
     if not damped:
