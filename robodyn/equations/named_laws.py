@@ -162,10 +162,9 @@ def contact_terms(
         below: Node = ("-", "l", "q") if stop.low else ("neg", "q")
         above: Node = ("-", "q", "h") if stop.high else "q"
         low, high = (_push(x, y, stop.damping) for x, y in ((below, "-"), (above, "+")))
+        tree = ("neg", high) if stop.low is None else ("-", low, high)
         if stop.high is None:
             tree = low
-        else:
-            tree = ("neg", high) if stop.low is None else ("-", low, high)
         told = f"push of the stops of the joint of {link}"
         known = {"k": stop.stiffness, "d": stop.damping, "l": stop.low, "h": stop.high}
         yield _contact(j, 1, "Y", tree, known, unit, told)
