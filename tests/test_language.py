@@ -17,7 +17,12 @@ import pytest
 from conftest import ROOT
 from each_case import each
 
+import robodyn
+from robodyn.events.functions import event_function
+from robodyn.mechanics import actuation
+from robodyn.mechanics.mechanism import build
 from robodyn.mechanics.time_samples import values_of
+from robodyn.scene.description import from_text
 from robodyn.scene.expressions import OPERATIONS, SCOPE, code_of, fold, value_in, walk
 from robodyn.scene.quantities import (
     Expression,
@@ -273,6 +278,36 @@ def test_dimensions_of_expressions(text: str, told: str) -> None:
         return
     with pytest.raises(NotAllowedError, match=re.escape(told)):
         written(text)
+
+
+def test_one_language_everywhere() -> None:
+    """In values of scenes, loads, laws, couplings, torques, voltages, events and options."""
+    text = f"""links:
+  - {{name: a, m: 7 % 4, l: 2 sin(30deg) m, r: (200 + 150) mm, I: 1 if 2 > 1 else 3}}
+  - {{name: b, m: "max(250 g, 1 lb)", l: 1, r: 0.5, I: 0.1, motor: {MOTOR}}}
+couplings: q2 = 2 cos(60deg) q1 + 0.5 sin(30deg)
+loads: [{{link: a, torque: 0.5 sin(3 t) + 2 N m/rad q1}}]
+springs: [{{joint: a, law: 2 N m sin(x) + 3 x v, angle: 10deg/2}}]
+"""
+    scene = from_text(text, "scene")
+    a, b = scene.links
+    assert (a.m, a.r, a.I, b.m) == (3.0, 0.35, 1.0, 0.45359237)
+    assert a.l == pytest.approx(1.0)
+    (coupling,) = scene.couplings
+    assert coupling.terms[0][1] == pytest.approx(1.0)
+    assert coupling.angle == pytest.approx(0.25)
+    mechanism = build(scene)
+    slow = robodyn.other_forces(mechanism, [0.2, 0.45], [0.0, 0.0])
+    assert np.isfinite(slow).all()
+    for tau in ("0.5 sin(3 t)", "0.5*sin(3*t)"):
+        torque = actuation.expressions(mechanism, tau, "--tau").function(2)
+        assert torque(0.4, [0.0] * 4)[0] == 0.5 * math.sin(3 * 0.4)
+    event = event_function(mechanism, "e", "2 sin(q1) > 0.5 cos(t)", "")
+    known = 2 * math.sin(0.3) - 0.5 * math.cos(0.1)
+    assert event.values(np.array([0.1]), np.array([[0.3, 0.0, 0.0, 0.0]])) == pytest.approx(known)
+
+
+MOTOR = "{ratio: 2^3 + 2, inertia: 1e-5, torque_constant: 30e-3 N m/A, resistance: 1.2 V/A}"
 
 
 def test_only_the_syntax_knows_the_trees_of_python() -> None:

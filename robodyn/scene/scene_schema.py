@@ -87,11 +87,10 @@ def _expression(variables: str) -> str:
 
 def _quantity() -> str:
     """The pattern of arithmetic with units: which letters and words it has."""
-    words = "|".join(_longest_first({*FUNCTIONS, *VALUE_CONSTANTS, *UNITS}))
+    words = "|".join(_longest_first({*FUNCTIONS, *VALUE_CONSTANTS, *UNITS, "if", "else"}))
     plain = r"\s*[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?\s*$"  # quoted, it is none
-    return (
-        rf"^(?!{plain})(?:[\s0-9.+*/(),^{LETTERS}-]|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
-    )
+    signs = rf"[\s0-9.+*/%<>=(),^{LETTERS}-]"
+    return rf"^(?!{plain})(?:{signs}|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
 
 
 def _longest_first(words: set[str]) -> list[str]:
