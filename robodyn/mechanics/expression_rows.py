@@ -64,9 +64,7 @@ class ExpressionRows:
             return tree
 
         def choose(node: tuple[Any, ...]) -> Node:
-            if node[0] not in ("if", "pick"):
-                return node
-            k = _held(node[1])
+            k = _held(node[1]) if node[0] in ("if", "pick") else None
             if k is None:
                 return node
             parts = node[2:] if node[0] == "pick" else (node[3], node[2])

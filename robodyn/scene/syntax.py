@@ -18,8 +18,10 @@ from __future__ import annotations
 import ast
 import math
 import re
+import sys
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, TypeGuard
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from robodyn.scene.units import ALIASES, PLAIN, UNITS, Quantity, joined, raised
 
@@ -42,6 +44,7 @@ MARK = "__"  # begins the name of a unit in Python
 MISSING = "an expression is missing at the end"
 _BETWEEN = re.compile(r"[<>]=?(?!>)|[*/%]+|[,)]")  # what stands behind an expression
 LONGEST, DEEPEST = 2000, 300  # characters of a text, operations within one another
+LARGEST = sys.float_info.max
 MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
 VALUE_CONSTANTS = {"pi": math.pi}  # without e, which a slip such as e-4 would be
 CONSTANTS = {**VALUE_CONSTANTS, "e": math.e}
@@ -163,29 +166,27 @@ def parsed(
     return Parsed(nodes, tuple(map(making.segment, each)), MARK in line, making.found)
 
 
+@dataclass
 class _Making:
     """Makes the tree; each unit goes to the number before it: in 2 x*3 mm/s to the 3."""
 
-    def __init__(
-        self,
-        text: str,
-        line: str,
-        places: list[int],
-        variable: Variable,
-        known: str,
-        constants: Mapping[str, float],
-    ) -> None:
-        self.text, self.line, self.places = text, line, places
-        self.variable, self.known, self.constants = variable, known, constants
-        self.found: dict[int, int] = {}
+    text: str
+    line: str
+    places: list[int]
+    variable: Variable
+    known: str
+    constants: Mapping[str, float]
+    found: dict[int, int] = field(default_factory=dict)
 
     def of(self, node: ast.expr, depth: int) -> Node:
         """An expression that may have so many operations within one another."""
         if not depth:
             raise NotAllowedError(f"more than {DEEPEST} operations within one another")
         match node:
-            case ast.Constant(value=value) if type(value) in (int, float):
-                return self.number(node, value)  # type: ignore[arg-type]
+            case ast.Constant(value=float() | int() as x) if type(x) is not bool:
+                if x > LARGEST:
+                    raise self.no(node, f"`{self.segment(node)[:80]}`, too large for a number")
+                return float(x)
             case ast.Name(id=name):
                 return self.name(name, node)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -209,15 +210,6 @@ class _Making:
                 raise self.unknown(name, "function", ", ".join(FUNCTIONS), node)
         raise self.no(node, f"`{self.segment(node)[:80]}`")
 
-    def number(self, node: ast.expr, value: float) -> float:
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if math.isinf(number):
-            raise self.no(node, f"`{self.segment(node)[:80]}`, which is too large for a number")
-        return number
-
     def name(self, name: str, node: ast.expr) -> Node:
         if name.startswith(MARK):
             return UNITS[name[len(MARK) :]]
@@ -237,11 +229,11 @@ class _Making:
             power = _constant(right)
             if abs(power) > MAX_POWER:
                 raise self.no(node.right, f"an exponent above {MAX_POWER:g}")
-            if _is_unit(left) and power.is_integer():
+            if isinstance(left, Quantity) and left.unit and power.is_integer():
                 return raised(left, power)
             return self.made(node, "**" if power.is_integer() else "pow", left, right)
         joins = operation == "@"
-        if _is_unit(right) and operation in "@*/":
+        if isinstance(right, Quantity) and right.unit and operation in "@*/":
             end = node.left.end_col_offset or 0
             apart = ")" in self.line[end - 1 : node.right.col_offset]
             number = joins or type(left) is float
@@ -304,10 +296,6 @@ _OPERATORS: dict[type, str] = {
     ast.Gt: ">",
     ast.GtE: ">=",
 }
-
-
-def _is_unit(node: Node) -> TypeGuard[Quantity]:
-    return isinstance(node, Quantity) and node.unit
 
 
 def _constant(exponent: Node) -> float:
