@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+from robodyn.elements.keys import Key
 from robodyn.scene.dimensions import dimension_of, misfit
 from robodyn.scene.expressions import check_smooth, number_of
-from robodyn.scene.grammar import Key
 from robodyn.scene.quantities import Variables, expressions, read_value, state_variables
 from robodyn.scene.scene import Law, Signal, Table, Tables
 from robodyn.scene.syntax import NotAllowedError
@@ -30,7 +30,6 @@ class SignalReader(ValueReader):
         super().__init__()
         self.source = ""
         self.count = 0  # of links
-        self.slides: set[int] = set()
         self.tables: Tables = {}
 
     def law(self, node: Node, place: str, unit: str) -> Law | None:
@@ -72,7 +71,7 @@ class SignalReader(ValueReader):
 
     def load_table(self, node: Node, place: str) -> Table | None:
         """A table over t or a joint."""
-        faults, values = len(self.faults), self.form("load_table", node, place)
+        faults, (_, values) = len(self.faults), self.form("varying", node, place)
         if len(self.faults) > faults:
             return None
         over = values["over"]
@@ -83,7 +82,7 @@ class SignalReader(ValueReader):
             return None
         turns = own != "t" and int(own[1:]) not in self.slides
         where = f"{place}.table"
-        return self.file_table(node, where, values["table"], own, over, values["column"], turns)
+        return self.file_table(node, where, values["file"], own, over, values["column"], turns)
 
     def file_table(
         self, node: Node, place: str, file: str, over: str, x: str, column: str, turns: bool
@@ -121,6 +120,5 @@ def _meant_as_number(node: Scalar) -> bool:
     try:
         read_value(node.text)
     except ValueError as error:
-        truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false", "null", "~", "")
-        return truth or not str(error).startswith("is not a number")
+        return not str(error).startswith("is not a number")
     return True
