@@ -934,7 +934,7 @@ class TestOutcomes:
                 raise SingularError("no way on")
             return [0.0, 0.0]
 
-        tau = Actuation(None, ("tau0, tau1, = _law(t)",), {"_law": law})
+        tau = Actuation(None, ("tau0, tau1, = _law(t)",), (), {"_law": law})
         motion = simulate(scene("2r"), *START, 1.0, tau=tau)
         assert motion.outcome is Outcome.SINGULAR
         assert "singular" in motion.outcome.advice
