@@ -61,7 +61,10 @@ def test_every_example_is_read_back(path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_random_scenes_are_read_back(seed: int) -> None:
-    texts = [seeded_tree(seed, 4).text, seeded_scene(seed, [*LOOPS.values()][seed % len(LOOPS)]).text]
+    texts = [
+        seeded_tree(seed, 4).text,
+        seeded_scene(seed, [*LOOPS.values()][seed % len(LOOPS)]).text,
+    ]
     texts += [forced(seed, seeded_tree(seed, 3)).text]
     for text in texts:
         mechanism = build(from_text(text, "x.yaml"))
