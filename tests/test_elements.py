@@ -1,8 +1,12 @@
 """Each kind of element in random trees: identities, both integrators, the regressor."""
 
+import ast
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import robodyn
 from random_mechanisms import seeded_tree
 from robodyn import inverse_dynamics, simulate
 from robodyn.dynamics.identities import BOUND, identities, sample_states
@@ -190,3 +194,43 @@ def test_both_integrators_agree(kind, seed):
 @seeds
 def test_torques_are_linear_in_its_parameters(kind, seed):
     regressed(made(kind, seed), seed)
+
+
+ROOT = Path(robodyn.__file__).parent
+PICTURES = ("elements/", "pictures/")
+CONTACTS = ("mechanics/modes.py", "dynamics/sticking.py", "simulation/phases.py")
+
+
+def imports(file):
+    """The modules of robodyn that a file imports anywhere in it, each with the names it takes."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("robodyn"):
+            yield node.module, [x.name for x in node.names]
+        elif isinstance(node, ast.Import):
+            yield from ((x.name, []) for x in node.names if x.name.startswith("robodyn."))
+
+
+@pytest.mark.parametrize(
+    ("room", "below"),
+    [
+        ("rows", {"scene", "tables", "errors"}),
+        ("elements", {"rows", "scene", "tables", "errors"}),
+    ],
+)
+def test_what_elements_stand_on(room, below):
+    """Not on the mechanics that reads them: imports inside of functions and for types count."""
+    found = {module.split(".")[1] for x in (ROOT / room).glob("*.py") for module, _ in imports(x)}
+    assert found <= {room, *below}
+
+
+@kinds
+def test_few_files_know_a_kind(kind):
+    """Outside of elements, pictures and contacts: others ask properties."""
+    known = {
+        str(place)
+        for file in ROOT.rglob("*.py")
+        if not str(place := file.relative_to(ROOT)).startswith((*PICTURES, *CONTACTS))
+        for module, names in imports(file)
+        if module.startswith("robodyn.elements") and kind.__name__ in names
+    }
+    assert len(known) <= 8, known

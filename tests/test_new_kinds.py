@@ -27,8 +27,10 @@ from robodyn import (
     simulate,
 )
 from robodyn.dynamics.identities import BOUND, Identity, identities, sample_states
-from robodyn.elements.base import SPENT, STORED, Element, Grip, PlanarPoint, PointForce
+from robodyn.elements.base import SPENT, STORED, Element
+from robodyn.elements.builder import Grip, PointForce
 from robodyn.elements.joints import Rotor
+from robodyn.elements.link_rows import PlanarPoint
 from robodyn.elements.springs import JointDamper
 from robodyn.equations.recorded import recorded
 from robodyn.equations.written import equations

@@ -24,7 +24,8 @@ from robodyn.engines.formulas import RECORDED, Formula
 from robodyn.engines.series import Series, State
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import Actuation, callback, expressions, table
-from robodyn.mechanics.program import (
+from robodyn.mechanics.torque_rows import linear_piece, torque_slots
+from robodyn.rows.program import (
     Anchored,
     Derivative,
     Function,
@@ -46,7 +47,6 @@ from robodyn.mechanics.program import (
     Turn,
     Unknown,
 )
-from robodyn.mechanics.torque_rows import linear_piece, torque_slots
 from robodyn.scene.expressions import FUNCTIONS
 from robodyn.simulation.report import Outcome
 

@@ -14,12 +14,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robodyn.elements.base import FRICTION, SLIPPING, SPENT, Element
+from robodyn.elements.builder import Builder, Term
 from robodyn.elements.contacts import COMPLIANT, HARD, STICKS, End, Guard, Mode
 from robodyn.elements.springs import JointDamper, JointSpring
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, Term
     from robodyn.tables.arrays import Array
 
 

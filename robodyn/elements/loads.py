@@ -6,13 +6,10 @@ gives F_k -= conj(c_k) f.  Loads that vary are signals in place of numbers.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element, PlanarPoint, PointForce
+from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element
+from robodyn.elements.builder import Builder, PlanarTerm, PointForce
+from robodyn.elements.link_rows import PlanarPoint
 from robodyn.scene.scene import Law, Signal, Table
-
-if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, PlanarTerm
 
 
 class Force(Element):

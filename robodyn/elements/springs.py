@@ -11,7 +11,6 @@ law F pulls by F(x, v) in the place of k x, with its extension x = sqrt(s) - L o
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from robodyn.elements.base import (
     LINEAR,
@@ -21,15 +20,11 @@ from robodyn.elements.base import (
     STORED,
     STORED_LAW,
     Element,
-    NoDirection,
-    PlanarPoint,
-    PointForce,
     conserves,
 )
+from robodyn.elements.builder import Builder, NoDirection, PointForce, Slot, Term
+from robodyn.elements.link_rows import PlanarPoint
 from robodyn.scene.scene import Signal
-
-if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, Slot, Term
 
 
 class PointSpring(Element):

@@ -24,12 +24,12 @@ from robodyn.engines.arithmetic import Arithmetic, Planar, Value, convolution, p
 from robodyn.engines.expression import Expression, Graph, needed
 from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.engines.series import Framed, Series, State, start
-from robodyn.mechanics import program as rows
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import COORDINATES, Function, Program, Row, Slot, arguments
 from robodyn.mechanics.torque_rows import torque_slots
+from robodyn.rows import program as rows
+from robodyn.rows.program import COORDINATES, Function, Program, Row, Slot, arguments
 
 FLAT = 45.0  # exp(-FLAT) is nothing beside 1
 _STEEP = {"exp": 1.0, "sinh": 1.0, "cosh": 1.0, "tanh": 2.0}  # as exp(-steep |x|) where x is large

@@ -36,7 +36,7 @@ from robodyn.engines.series import Series, relative, start
 from robodyn.engines.series import absolute as absolute
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import Given, Program
+from robodyn.rows.program import Given, Program
 
 
 def _power(a: Value, exponent: float) -> Value:

@@ -44,9 +44,9 @@ from robodyn.engines.arithmetic import (
     times,
 )
 from robodyn.engines.factors import Factors
-from robodyn.mechanics import program as rows
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import (
+from robodyn.rows import program as rows
+from robodyn.rows.program import (
     COORDINATES,
     Coefficient,
     PlanarCoefficient,

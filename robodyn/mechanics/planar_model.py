@@ -13,10 +13,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from robodyn.elements.base import Element, whole
-from robodyn.elements.base import PlanarPoint as PlanarPoint
 from robodyn.elements.base import conserves as conserves
 from robodyn.elements.contacts import Mode
 from robodyn.elements.joints import DryFriction, Range, Rotor
+from robodyn.elements.link_rows import PlanarPoint as PlanarPoint
 from robodyn.elements.loads import Force
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import printable

@@ -16,10 +16,10 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import accumulate, pairwise
 
+from robodyn.elements.link_rows import LinkRows
 from robodyn.errors import InputError
-from robodyn.mechanics.expression_rows import ExpressionRows
-from robodyn.mechanics.link_rows import LinkRows
-from robodyn.mechanics.program import Product, Slot, Step
+from robodyn.rows.expression_rows import ExpressionRows
+from robodyn.rows.program import Product, Slot, Step
 from robodyn.scene.scene import Law, Signal, Table
 
 NODES = 40  # of the energy's rule, where F is no polynomial

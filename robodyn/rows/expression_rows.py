@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from robodyn.mechanics.program import (
+from robodyn.rows.program import (
     Function,
     Power,
     Primitive,

@@ -1,0 +1,1 @@
+"""What a program of rows consists of, and expressions as rows."""
