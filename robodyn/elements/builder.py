@@ -6,10 +6,11 @@ A force f at a point that has the coefficients c_k gives F_k -= conj(c_k) f.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 from robodyn.elements.link_rows import LinkRows, Links, PlanarPoint
-from robodyn.rows.program import (
+from robodyn.elements.program import (
     Coefficient,
     Derivative,
     Function,
@@ -22,8 +23,8 @@ from robodyn.rows.program import (
     Scaled,
     Sum,
 )
-from robodyn.rows.program import Slot as Slot
-from robodyn.scene.scene import Law, Signal, Table
+from robodyn.elements.program import Slot as Slot
+from robodyn.scene.scene import Signal
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]
@@ -57,7 +58,7 @@ class NoDirection(ZeroDivisionError):
     """The ends of the element of this name coincide at every state."""
 
 
-class Builder(LinkRows):
+class Builder(LinkRows, ABC):
     """What acts, of each force once.
 
     `torques` (n) are all that acts at each joint, None where nothing does; `forces` and `couples`
@@ -71,8 +72,6 @@ class Builder(LinkRows):
         self.torques: list[Slot | None] = [None] * mechanism.n
         self.forces: list[PointForce] = []
         self.couples: list[LinkMoment] = []
-        self.tables: list[tuple[Table, Slot]] = []  # and what they are over
-        self.laws: list[tuple[Law, Slot]] = []  # and what they are
         self.F: list[list[PlanarTerm]] = [[] for _ in self.x]
         self.constants = [-weight.conjugate() for weight in mechanism.weights]
         self.moments: list[list[Term]] = [[] for _ in self.x]
@@ -131,27 +130,13 @@ class Builder(LinkRows):
         """x'."""
         return self.program.add(Derivative(x))
 
-    def stored(self, law: Signal, x: Slot) -> Slot:
-        """The energy of a spring at its extension x."""
-        from robodyn.elements.signal_rows import stored_energy  # only scenes with laws import it
-
-        return stored_energy(self, law, x)
-
+    @abstractmethod
     def signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
         """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
-        from robodyn.elements.signal_rows import signal_rows
 
-        if isinstance(signal, Table):
-            self.tables.append((signal, self.variable(signal.over) if x is None else x))
-        own = {} if x is None else {"x": x, "v": self.rate(x)}
-        slot, watched = signal_rows(self, signal, own)
-        if isinstance(signal, Law):
-            self.laws.append((signal, slot))
-        for each, scale in watched:
-            self.bends(each, arm * scale)
-            if isinstance(signal, Table):
-                self.program.named.setdefault("lines", []).append(each)
-        return slot
+    @abstractmethod
+    def stored(self, law: Signal, x: Slot) -> Slot:
+        """The energy of a spring at its extension x."""
 
     # what elements do
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from robodyn.rows.program import (
+from robodyn.elements.program import (
     Anchored,
     Derivative,
     Given,

@@ -19,6 +19,8 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
+from robodyn.elements import program as rows
+from robodyn.elements.program import COORDINATES, Function, Program, Row, Slot, arguments
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import Arithmetic, Planar, Value, convolution, plus, times, weighted
 from robodyn.engines.expression import Expression, Graph, needed
@@ -28,8 +30,6 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.torque_rows import torque_slots
-from robodyn.rows import program as rows
-from robodyn.rows.program import COORDINATES, Function, Program, Row, Slot, arguments
 
 FLAT = 45.0  # exp(-FLAT) is nothing beside 1
 _STEEP = {"exp": 1.0, "sinh": 1.0, "cosh": 1.0, "tanh": 2.0}  # as exp(-steep |x|) where x is large

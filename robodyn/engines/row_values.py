@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from robodyn.elements.base import Element
 from robodyn.elements.builder import LinkMoment, NoDirection, PointForce
+from robodyn.elements.program import finite
 from robodyn.engines import straightline
 from robodyn.engines.arithmetic import Planar, planar_times
 from robodyn.engines.array_blocks import ArrayFormula
@@ -24,7 +25,6 @@ from robodyn.mechanics import parts
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.parts import no_direction
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.rows.program import finite
 from robodyn.scene.scene import Law, Table, signal_place
 from robodyn.tables.arrays import Array, Complex
 

@@ -29,6 +29,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from robodyn.elements import program as rows
+from robodyn.elements.program import (
+    COORDINATES,
+    Coefficient,
+    PlanarCoefficient,
+    Program,
+    Row,
+    Slot,
+)
 from robodyn.engines.arithmetic import (
     ZERO,
     Arithmetic,
@@ -45,15 +54,6 @@ from robodyn.engines.arithmetic import (
 )
 from robodyn.engines.factors import Factors
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.rows import program as rows
-from robodyn.rows.program import (
-    COORDINATES,
-    Coefficient,
-    PlanarCoefficient,
-    Program,
-    Row,
-    Slot,
-)
 
 
 class State(NamedTuple):

@@ -23,8 +23,7 @@ from collections.abc import Sequence
 
 from robodyn.elements.base import Element
 from robodyn.elements.builder import Builder, PlanarTerm, Term
-from robodyn.mechanics.planar_model import Mechanism
-from robodyn.rows.program import (
+from robodyn.elements.program import (
     Coefficient,
     Derivative,
     Given,
@@ -39,6 +38,8 @@ from robodyn.rows.program import (
     Slot,
     Unknown,
 )
+from robodyn.mechanics.planar_model import Mechanism
+from robodyn.scene.scene import Law, Signal, Table
 
 
 class EquationsOfMotion(Builder):
@@ -49,6 +50,11 @@ class EquationsOfMotion(Builder):
     """
 
     mechanism: Mechanism
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        super().__init__(mechanism)
+        self.tables: list[tuple[Table, Slot]] = []  # and what they are over
+        self.laws: list[tuple[Law, Slot]] = []  # and what they are
 
     def write(
         self,
@@ -126,6 +132,28 @@ class EquationsOfMotion(Builder):
         turning = program.add(Moment(self.x[k], self.P[k], inertia, force))
         moment = program.number(-mechanism.moments[k])
         return program.sum((1.0, turning), *self.moments[k], constant=moment)
+
+    def signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
+        """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
+        from robodyn.mechanics.signal_rows import signal_rows  # only scenes with signals import it
+
+        if isinstance(signal, Table):
+            self.tables.append((signal, self.variable(signal.over) if x is None else x))
+        own = {} if x is None else {"x": x, "v": self.rate(x)}
+        slot, watched = signal_rows(self, signal, own)
+        if isinstance(signal, Law):
+            self.laws.append((signal, slot))
+        for each, scale in watched:
+            self.bends(each, arm * scale)
+            if isinstance(signal, Table):
+                self.program.named.setdefault("lines", []).append(each)
+        return slot
+
+    def stored(self, law: Signal, x: Slot) -> Slot:
+        """The energy of a spring at its extension x."""
+        from robodyn.mechanics.signal_rows import stored_energy
+
+        return stored_energy(self, law, x)
 
     def _scene_forces(self) -> None:
         on_links = (x for x in self.mechanism.elements if x.at is None and x.acts)

@@ -9,10 +9,10 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 
+from robodyn.elements.program import Given, Slot
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.rows.program import Given, Slot
 
 
 def torque_slots(
@@ -35,7 +35,7 @@ def torque_slots(
         raise _refused("a controller that acts continuously", more)
     import ast
 
-    from robodyn.rows.expression_rows import ExpressionRows, Slotted
+    from robodyn.mechanics.expression_rows import ExpressionRows, Slotted
 
     reader = ExpressionRows(equations.program, equations.variable, _refused, held)
     slots: list[Slot | None] = [None] * n

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from robodyn.rows.program import (
+from robodyn.elements.program import (
     Function,
     Power,
     Primitive,

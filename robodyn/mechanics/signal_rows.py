@@ -17,9 +17,9 @@ from collections.abc import Mapping, Sequence
 from itertools import accumulate, pairwise
 
 from robodyn.elements.link_rows import LinkRows
+from robodyn.elements.program import Product, Slot, Step
 from robodyn.errors import InputError
-from robodyn.rows.expression_rows import ExpressionRows
-from robodyn.rows.program import Product, Slot, Step
+from robodyn.mechanics.expression_rows import ExpressionRows
 from robodyn.scene.scene import Law, Signal, Table
 
 NODES = 40  # of the energy's rule, where F is no polynomial

@@ -1,1 +1,0 @@
-"""What a program of rows consists of, and expressions as rows."""
