@@ -24,7 +24,7 @@ from robodyn.elements.program import (
     Sum,
 )
 from robodyn.elements.program import Slot as Slot
-from robodyn.scene.scene import Signal
+from robodyn.elements.values import Signal
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]

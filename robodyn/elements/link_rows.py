@@ -18,6 +18,7 @@ from robodyn.elements.program import (
     Slot,
     Turn,
 )
+from robodyn.elements.values import Point
 from robodyn.tables.records import Record
 
 
@@ -33,6 +34,16 @@ class PlanarPoint(Record):
         return abs(self.constant) + sum(abs(c) for _, c in self.terms)
 
 
+class Tree(Protocol):
+    """What elements ask of the links of a scene, see `link_tree.Tree`."""
+
+    @property
+    def frames(self) -> Sequence[int | None]: ...
+    def turned(self, k: int, at: complex) -> complex: ...
+    def point(self, point: Point) -> PlanarPoint: ...
+    def difference(self, first: Point, second: Point) -> PlanarPoint: ...
+
+
 class Links(Protocol):
     """What rows read of a mechanism, see `planar_model.Mechanism`."""
 
@@ -46,6 +57,8 @@ class Links(Protocol):
     def slides(self) -> tuple[int, ...]: ...
     @property
     def frames(self) -> tuple[int | None, ...]: ...
+    @property
+    def tree(self) -> Tree: ...
     @property
     def weights(self) -> tuple[complex, ...]: ...
     def name_of(self, element: Any) -> str: ...
