@@ -27,8 +27,11 @@ from robodyn import (
     simulate,
 )
 from robodyn.dynamics.identities import BOUND, Identity, identities, sample_states
-from robodyn.elements.base import SPENT, STORED, Element, Grip, PlanarPoint, PointForce
+from robodyn.dynamics.named_numbers import named_values
+from robodyn.elements.base import SPENT, STORED, Element
+from robodyn.elements.builder import Grip, PointForce
 from robodyn.elements.joints import Rotor
+from robodyn.elements.link_rows import PlanarPoint
 from robodyn.elements.springs import JointDamper
 from robodyn.equations.recorded import recorded
 from robodyn.equations.written import equations
@@ -397,6 +400,15 @@ def test_exports_and_equations_refuse_it_by_name(case):
         with pytest.raises(InputError, match=f"{kind}: "):
             write(case.mechanism)
         write(case.plain)
+
+
+def test_a_number_of_the_scene_is_not_varied_without_it(case):
+    """What builds the scene anew with other numbers would leave it out in silence."""
+    q, qd, _ = states(case.seed)
+    with pytest.raises(InputError, match="not that of its scene file"):
+        simulate(case.mechanism, q[0], qd[0], 0.1, sensitivity=["links.link0.m"])
+    with pytest.raises(InputError, match="more than its file"):
+        named_values(case.mechanism, "links.link0.m")
 
 
 # -- what a wrong kind shows -----------------------------------------------------------------------

@@ -53,7 +53,7 @@ def terms(
     if not derivatives:
         refuse("is for --derivatives: give that too", by=by, qdd=qdd, tau=tau)
     q_, qd_ = single_state(mechanism, state.quantities())
-    resting = [k for k in mechanism.dry if not qd_[k]]
+    resting = [k for k in mechanism.sticks if not qd_[k]]
     if resting:
         dry = ", ".join(mechanism.link_names[k] for k in resting)
         note(

@@ -112,7 +112,7 @@ def named_values(mechanism: Mechanism, *names: str) -> SceneValues:
     """
     values = _values(mechanism)
     values.check(names)
-    if values.base != mechanism.description:
+    if values.base != mechanism.description or mechanism.added:
         limit = "no derivative is known by it: the mechanism has more than its file (--force)"
         raise InputError(", ".join(names), where=mechanism.source, limit=limit)
     return values

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar
 
+from robodyn.elements.builder import Builder, Term
 from robodyn.elements.contacts import End, Guard, Mode
 from robodyn.elements.keys import Declared
+from robodyn.elements.link_rows import PlanarPoint, Tree
 from robodyn.elements.values import Signal
-from robodyn.tables.records import Record
-
-if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, Slot, Term
-    from robodyn.mechanics.link_tree import Tree
 
 STORED, SPENT = "stored", "spent"
 
@@ -21,39 +18,6 @@ STORED, SPENT = "stored", "spent"
 # order; a change of it changes the last bits of every result.
 SPRINGS, MOMENTS, FORCES = 0, 1, 2
 FRICTION, SPENT_LAW, STORED_LAW, SLIPPING, LINEAR = 0, 1, 2, 3, 4
-
-
-class PlanarPoint(Record):
-    """A point `constant + sum_k coefficient_k X_k` of the mechanism, m."""
-
-    constant: complex
-    terms: Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
-
-    @property
-    def reach(self) -> float:
-        """How far it may be from the origin at most, m: the arm of a force there."""
-        return abs(self.constant) + sum(abs(c) for _, c in self.terms)
-
-
-Grip = tuple[PlanarPoint, int | None]  # a point, and the link (None: the ground) that it is of
-
-
-class PointForce(NamedTuple):
-    """A force of an element at a point, N: `unit` times the planar slot `force`, or `unit` itself.
-
-    What feels the opposite, if anything does, is `back`.
-    """
-
-    element: Element
-    unit: complex
-    force: Slot | None
-    at: Grip
-    back: Grip | None = None
-    square: Slot | None = None  # of the distance that gives its direction
-
-
-class NoDirection(ZeroDivisionError):
-    """The ends of the element of this name coincide at every state."""
 
 
 class Element(Declared):

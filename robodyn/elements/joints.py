@@ -14,14 +14,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robodyn.elements.base import FRICTION, SLIPPING, SPENT, Element
+from robodyn.elements.builder import Builder, Term
 from robodyn.elements.contacts import COMPLIANT, HARD, STICKS, End, Guard, Mode
 from robodyn.elements.keys import Way, at_joints, key
+from robodyn.elements.link_rows import Tree
 from robodyn.elements.springs import JointDamper, JointSpring
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, Term
-    from robodyn.mechanics.link_tree import Tree
     from robodyn.tables.arrays import Array
 
 TORQUE, TORQUES, RATES = ("torque", "force"), ("N m", "N"), ("rad/s", "m/s")

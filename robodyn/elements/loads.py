@@ -7,15 +7,13 @@ gives F_k -= conj(c_k) f.  Loads that vary are signals in place of numbers.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element, PointForce
+from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element
+from robodyn.elements.builder import Builder, PlanarTerm, PointForce
 from robodyn.elements.keys import Way, key
+from robodyn.elements.link_rows import Tree
 from robodyn.elements.values import Point, Signal
-
-if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, PlanarTerm
-    from robodyn.mechanics.link_tree import Tree
 
 
 class Force(Element):

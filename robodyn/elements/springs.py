@@ -11,7 +11,7 @@ law F pulls by F(x, v) in the place of k x, with its extension x = sqrt(s) - L o
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robodyn.elements.base import (
     LINEAR,
@@ -21,17 +21,12 @@ from robodyn.elements.base import (
     STORED,
     STORED_LAW,
     Element,
-    NoDirection,
-    PlanarPoint,
-    PointForce,
     conserves,
 )
+from robodyn.elements.builder import Builder, NoDirection, PointForce, Slot, Term
 from robodyn.elements.keys import ONE, Way, key
+from robodyn.elements.link_rows import PlanarPoint, Tree
 from robodyn.elements.values import Law, Point, Signal, Table
-
-if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, Slot, Term
-    from robodyn.mechanics.link_tree import Tree
 
 TABLE = "a CSV file of its pull: columns x and F, linear between rows"
 DAMPED = "stands beside law; damping is in the law, by its v"

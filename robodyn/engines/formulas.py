@@ -20,6 +20,7 @@ from contextvars import ContextVar
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
+from robodyn.elements.program import Given, Program
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import (
     Arithmetic,
@@ -36,7 +37,6 @@ from robodyn.engines.series import Series, relative, start
 from robodyn.engines.series import absolute as absolute
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import Given, Program
 from robodyn.scene.expressions import OPERATIONS, value_in
 from robodyn.scene.syntax import Node
 

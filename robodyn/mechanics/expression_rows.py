@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robodyn.mechanics.kinks import switch_number
-from robodyn.mechanics.program import (
+from robodyn.elements.program import (
     Function,
     Power,
     Primitive,
@@ -21,6 +20,7 @@ from robodyn.mechanics.program import (
     Slot,
     Sum,
 )
+from robodyn.mechanics.kinks import switch_number
 from robodyn.scene.expressions import changed, code_of, fold
 from robodyn.scene.syntax import FUNCTIONS, Node
 

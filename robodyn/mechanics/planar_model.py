@@ -13,10 +13,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from robodyn.elements.base import Element, whole
-from robodyn.elements.base import PlanarPoint as PlanarPoint
 from robodyn.elements.base import conserves as conserves
-from robodyn.elements.contacts import Mode
+from robodyn.elements.contacts import STICKS, Mode
 from robodyn.elements.joints import DryFriction, Range, Rotor
+from robodyn.elements.link_rows import PlanarPoint as PlanarPoint
 from robodyn.elements.loads import Force
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import printable
@@ -135,6 +135,11 @@ class Mechanism:
     def dry(self) -> dict[int, DryFriction]:
         """Friction that sticks, by joint: see `modes.py`."""
         return {x.joint: x for x in self.of(DryFriction)}
+
+    @cached_property
+    def sticks(self) -> tuple[int, ...]:
+        """The joints that something holds at rest."""
+        return tuple(x.at for x in self.elements if x.contact == STICKS and x.at is not None)
 
     @cached_property
     def contacts(self) -> frozenset[str]:
@@ -294,7 +299,7 @@ class Mechanism:
             "signals",
         )
         made += ("damping", "springs", "spans", "joint_springs", "forces")
-        made += ("dry", "contacts", "parted", "bells", "spins")
+        made += ("dry", "sticks", "contacts", "parted", "bells", "spins")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 

@@ -16,10 +16,10 @@ from collections.abc import Mapping, Sequence
 from itertools import accumulate, pairwise
 from typing import Any
 
+from robodyn.elements.link_rows import LinkRows
+from robodyn.elements.program import Product, Slot, Step
 from robodyn.errors import InputError
 from robodyn.mechanics.expression_rows import ExpressionRows
-from robodyn.mechanics.link_rows import LinkRows
-from robodyn.mechanics.program import Product, Slot, Step
 from robodyn.scene.expressions import fold
 from robodyn.scene.scene import Law, Signal, Table
 from robodyn.scene.syntax import Node

@@ -196,7 +196,7 @@ def rows_at_rest(
     rates = np.abs(together(mechanism, named)["qd"])
     slow = rates <= (RESTS * rates.max(axis=0, initial=0.0) if rest is None else rest)
     found = np.zeros((len(rates), len(joints)), bool)
-    for k in mechanism.dry:
+    for k in mechanism.sticks:
         for i, joint in enumerate(joints):
             if joint == k or k not in joints:
                 found[:, i] |= slow[:, k] & slow[:, joint]

@@ -99,7 +99,8 @@ class Numbers:
         if others := [name for name in names if name not in self.starts]:
             self.values = SceneValues(mechanism.description.written, where)
             self.values.check(others)
-            if make(self.values.base).description != mechanism.description:
+            made = make(self.values.base).description
+            if made != mechanism.description or mechanism.added:
                 limit = "cannot differentiate by it: the mechanism is not that of its scene file"
                 raise InputError(", ".join(others), where=where, limit=limit)
 
