@@ -389,6 +389,12 @@ def test_what_is_refused() -> None:
     mechanism.link("FG", 9 + 9j)
     refused(mechanism, "links FG = .*|hang on nothing")
     mechanism = four_bar()
+    mechanism.links *= 200
+    refused(mechanism, "has 600 links; scenes are made of up to 500")
+    mechanism = four_bar()
+    mechanism.joints[1] = mechanism.joints[1].replace(thousandths(0.5), "1" * 5000)
+    refused(mechanism, "has too long a number")
+    mechanism = four_bar()
     mechanism.units = "9011"
     refused(mechanism, "has a unit that is not known")
     mechanism = four_bar()

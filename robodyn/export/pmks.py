@@ -38,6 +38,7 @@ POUND_FORCE = Decimal("4.4482216152605")  # N
 ROOTS = "YAMG0123"  # first characters of links; the others are parts of a welded one
 PARTS = "Namg4567"
 LONGEST = 100_000  # characters
+MOST_LINKS = 500
 
 
 @dataclass
@@ -116,8 +117,10 @@ def scene_from(text: str) -> tuple[str, list[str]]:
     Raises InputError for what is no such text, and for what scenes do not have.
     """
     held = _decoded(text)
-    if not held.links:
-        raise _refused("has no links")
+    if not 1 <= len(held.links) <= MOST_LINKS:
+        raise _refused(
+            f"has {len(held.links) or 'no'} links; scenes are made of up to {MOST_LINKS}"
+        )
     return _Drawing(held).written(), held.notes
 
 
@@ -129,6 +132,8 @@ def _refused(limit: str, value: object = None) -> InputError:
 
 
 def _integer(token: str, signed: bool = True) -> int:
+    if len(token) > 12:
+        raise _refused("has too long a number", shown(token))
     sign = -1 if signed and token[:1] == "0" else 1
     value = 0
     for letter in token:

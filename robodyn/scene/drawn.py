@@ -17,7 +17,6 @@ from collections.abc import Iterator
 from collections.abc import Mapping as Mapped
 from collections.abc import Sequence as Listed
 from dataclasses import dataclass
-from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -215,11 +214,16 @@ class Drawing:
             reader.fault(place, node, f"{limit}; one alone is for a link that slides (`along`)")
         elif isinstance(bar.given.get("pins"), Sequence) and not count:
             reader.fault(place, node, "needs at least one pin")
-        for first, second in combinations([x for x in bar.pins if x not in faulty], 2):
-            apart = abs(self.z[first] - self.z[second])
-            if apart <= SAME * self.extent or not apart:
-                limit = f"has {first} and {second} at one place: leave one of them out"
-                reader.fault(place, node, limit)
+        across = sorted((x for x in bar.pins if x not in faulty), key=lambda x: self.z[x].real)
+        for k, first in enumerate(across):
+            for second in across[k + 1 :]:
+                apart = self.z[second] - self.z[first]
+                if apart.real > SAME * self.extent:
+                    break
+                if abs(apart) <= SAME * self.extent:
+                    one, other = sorted((first, second), key=bar.pins.index)
+                    limit = f"has {one} and {other} at one place: leave one of them out"
+                    reader.fault(place, node, limit)
 
     def _is_pin(self, name: str, node: Node, place: str) -> bool:
         if name in self.z:
@@ -439,8 +443,11 @@ class Drawing:
                 line = self.lines[pin]
                 place = _place(self.bars[links[0]], self.z[pin], line)
                 pairs.append((Scalar(pin, False, line), place))
-        if given is not None:
-            pairs += [(key, self._named(value, moving=True)) for key, value in given.pairs]
+        for key, value in given.pairs if given is not None else []:
+            if key.text in self.z:
+                self.reader.fault(f"points.{key.text}", key, "is the name of a pin")
+            else:
+                pairs.append((key, self._named(value, moving=True)))
         return Mapping(pairs, 1) if pairs else None
 
     def shared(self) -> Iterator[tuple[str, Point]]:
