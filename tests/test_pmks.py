@@ -184,6 +184,21 @@ def test_a_piston(angle: float) -> None:
     assert abs(C - B) == pytest.approx(abs(2.5 - 0.8j), rel=1e-12)
 
 
+def test_a_block_without_mass_is_a_line_of_the_ground() -> None:
+    mechanism = Linkage()
+    mechanism.joint("A", 0j, "ig")
+    mechanism.joint("B", 0.5 + 1j)
+    mechanism.joint("C", 3 + 0.2j)
+    mechanism.joint("D", 3 + 0.2j, "sg")
+    mechanism.link("AB", 0.2 + 0.5j)
+    mechanism.link("BC", 1.7 + 0.6j)
+    mechanism.link("CD", 0j, 0.0, 0.0, "YP")
+    found = made(mechanism)
+    assert found.link_names == ("AB", "BC")
+    (closure,) = found.description.closures
+    assert (closure.along, closure.second.at) == (1.0, 3 + 0.2j)
+
+
 def test_a_driven_piston() -> None:
     mechanism = Linkage()
     mechanism.joint("A", 0j, "g")

@@ -264,6 +264,7 @@ class _Drawing:
         self.names: dict[str, str] = {}  # of pins, by the joints' ids
         self.driven: list[Body] = []  # the links that inputs turn or push
         self.ground: list[str] = []  # joints
+        self.on_line: dict[str, complex] = {}  # joints that run on a line of the ground
         self.slots: list[tuple[str, Body, complex]] = []  # a pin, what it runs on, and the way
         self.bodies = [body for body in held.links if not body.block]
         self._weld()
@@ -328,6 +329,9 @@ class _Drawing:
             self._join(rod, weight)
             rod.joints = [pin, *(x for x in rod.joints if x != pin)]
             rod.along, rod.above = way, slide.carrier
+        elif not (slide.carrier or block.mass or slide.driven) and own:
+            self.on_line[pin] = way
+            return
         elif not slide.carrier:
             self.bodies.append(
                 Body(block.name, block.mass, Decimal(0), self.z[pin], [pin], block.ids, along=way)
@@ -446,8 +450,12 @@ class _Drawing:
                 f"  - {{name: {_text(body.name)}, pins: [{pins}]{along}, m: {_number(body.mass)}, "
                 f"centre: {_vector(body.centre)}, I: {_number(body.inertia)}}}"
             )
-        if self.ground:
-            lines.append(f"ground: [{', '.join(self.names[x] for x in self.ground)}]")
+        ground = [self.names[x] for x in self.ground]
+        for pin, line in self.on_line.items():
+            along = _vector((line.real, line.imag))
+            ground.append(f"{{pin: {self.names[pin]}, along: {along}}}")
+        if ground:
+            lines.append(f"ground: [{', '.join(ground)}]")
         if self.slots:
             lines.append("slots:")
         for pin, carrier, line in self.slots:
