@@ -23,6 +23,7 @@ from robodyn.dynamics.closed_form import (
 from robodyn.errors import DescriptionError
 from robodyn.kinematics.named_points import points
 from robodyn.loops.assembly import assemble
+from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene import yaml_tree
 from robodyn.scene.description import _Reader, from_text
@@ -248,6 +249,11 @@ def test_a_random_linkage_is_the_same_in_both_forms(seed: int, slides: bool) -> 
     assert np.abs(np.exp(1j * q) - np.exp(1j * np.array(joints))).max() < 1e-14
     assert np.abs(closure_gap(drawn, q)).max(initial=0.0) < 1e-14
     assert drawn.actuated == explicit.actuated
+    driver = with_independent(drawn)
+    assembled = assemble(driver, q[list(driver.actuated)])
+    turning = [k for k in range(drawn.n) if k not in drawn.slides]
+    assert np.abs(np.exp(1j * assembled) - np.exp(1j * q))[turning].max() < 1e-6
+    assert np.abs(assembled - q)[list(drawn.slides)].max(initial=0.0) < 1e-6
     qd = np.array([linkage.rng.uniform(-1, 1) for _ in q])
     for own, other in (
         (mass_matrix(drawn, q), mass_matrix(explicit, q)),
@@ -641,6 +647,15 @@ def test_a_moment_of_inertia_about_the_own_joint() -> None:
     assert own.description.links == built(plain).description.links
     point = built(plain.replace("[0.3, 0.4], I: 0.25", "0.7, J: 0.98"))
     assert point.description.links[0].I == 0.0  # not rounding
+
+
+def test_equations_have_I_where_a_scene_has_J(robodyn: Run, tmp_path: Path) -> None:
+    scene = tmp_path / "arm.yaml"
+    scene.write_text("links:\n  - {name: a, m: 2, l: 1, r: [0.3, 0.4], J: 0.75}\n")
+    told = robodyn("equations", scene).succeeds().out
+    assert "M11 = m1 (r1x² + r1y²) + I1" in told
+    assert "0.25" in told
+    assert "J1" not in told
 
 
 def test_faults_of_the_drawing_and_of_what_else_there_is_are_told_together() -> None:
