@@ -641,6 +641,22 @@ actuated: [cart]
     assert list(start_of(mechanism)) == [0.0, math.pi / 2]
 
 
+def test_a_piston_in_the_slot_of_a_lever() -> None:
+    """The pin goes along with the piston, though the ground has it as drawn."""
+    text = """\
+gravity: 9.81
+pins: {Q: [0, 0], T: [0.2, 0.6], C: [0.15, 0.45]}
+links:
+  - {name: lever, pins: [Q, T], m: 1, r: 0.3, I: 0.05}
+  - {name: piston, pins: [C], along: [1, 0], m: 0.5, r: 0, I: 0.01}
+ground: [Q, C]
+slots: [{pin: C, on: lever, along: [1, 3]}]
+"""
+    mechanism = built(text)
+    q = assemble(mechanism, [math.radians(80)])
+    assert q[1] == pytest.approx(0.45 / math.tan(math.radians(80)) - 0.15, rel=1e-12)
+
+
 def test_a_moment_of_inertia_about_the_own_joint() -> None:
     plain = "gravity: 9.81\nlinks:\n  - {name: a, m: 2, l: 1, r: [0.3, 0.4], I: 0.25}\n"
     own = built(plain.replace("I: 0.25", "J: 0.75"))

@@ -278,7 +278,7 @@ class Drawing:
             elif link is not None and name in self.bars[link].pins:
                 limit = f"is a pin of {on} itself: a slot holds a pin of another link"
                 reader.fault(f"{place}.pin", found["pin"], limit, name)
-            elif name in self.fixed or (name in self.z and not self.holders[name]):
+            elif name in self.z and not (self.holders[name] and self._moves(name)):
                 limit = "must be a pin of a link that moves"
                 reader.fault(f"{place}.pin", found["pin"], limit, name)
         return Line(name, along, link) if len(reader.faults) == faults else None
@@ -320,6 +320,11 @@ class Drawing:
         """The links that a pin joins: without the one that it slides along."""
         carrier = self.carrier.get(pin)
         return [k for k in self.holders[pin] if pin not in self.carrier or k != carrier]
+
+    def _moves(self, pin: str) -> bool:
+        """Whether a pin is none of the ground, or goes along with a link that slides."""
+        slides = (bar for bar in self.bars if bar.along is not None)
+        return pin not in self.fixed or any(bar.pins[:1] == [pin] for bar in slides)
 
     def _is_fixed(self, pin: str) -> bool:
         """Whether a pin is one of the ground, and goes along with nothing."""
@@ -369,7 +374,7 @@ class Drawing:
                     self.joined.append(Joined(k, None, pin, line.along))
         for line in self.slots:
             self.joined.append(Joined(self._pinned(line.pin)[0], line.on, line.pin, line.along))
-        anchors = {name for _, _, name in self._ends()}
+        anchors = set(self._ends())
         for pin in self.z:
             if not self.holders[pin] and not (pin in self.fixed and pin in anchors):
                 limit = "is on no link: name it in the pins of one, or leave it out"
@@ -387,16 +392,13 @@ class Drawing:
 
     # -- springs, loads and points by pins -----------------------------------------------------
 
-    def _ends(self) -> Iterator[tuple[str, Node, str]]:
-        """The pins that springs, loads and points name: list or mapping, node, name."""
-        for key, inner in (("springs", "between"), ("loads", "point")):
-            listed = self.given.get(key)
-            for entry in listed.items if isinstance(listed, Sequence) else []:
-                for name, node in entry.pairs if isinstance(entry, Mapping) else []:
-                    if name.text == inner:
-                        for item in node.items if isinstance(node, Sequence) else [node]:
-                            if isinstance(item, Scalar):
-                                yield key, item, item.text
+    def _ends(self) -> Iterator[str]:
+        """What the ends of springs are called."""
+        springs = self.given.get("springs")
+        for entry in springs.items if isinstance(springs, Sequence) else []:
+            for key, ends in entry.pairs if isinstance(entry, Mapping) else []:
+                if key.text == "between" and isinstance(ends, Sequence):
+                    yield from (end.text for end in ends.items if isinstance(end, Scalar))
 
     def _named(self, node: Node, moving: bool = False) -> Node:
         """A point, with a pin as a place of its link, or of the ground.
