@@ -75,7 +75,7 @@ class Body:
 
 @dataclass
 class Text:
-    """What a text holds."""
+    """Contents of a text, with lengths in its own units and masses in SI."""
 
     flags: int
     units: str
@@ -148,7 +148,7 @@ def _decimal(token: str) -> Decimal:
 
 
 def _decoded(text: str) -> Text:
-    """What a text holds; of a text without the last character's check the older records."""
+    """Contents of a text.  A text without a check has the older records."""
     old = text.endswith(".")  # no check has that
     if not old:
         text, check = text[:-1], text[-1]
@@ -201,7 +201,7 @@ def _unit(units: str, place: int, count: int) -> int:
 
 
 def _unknown(rest: Sequence[str], flags: int) -> Iterator[str]:
-    """What stands after the forces, and is neither selected, locked, anchored nor coloured."""
+    """Parts after the forces that are neither selected, locked, anchored nor coloured."""
     if flags > 2:
         yield "settings that are not known"
     entries = rest[1].split(",") if len(rest) > 1 else []
@@ -364,7 +364,7 @@ class _Drawing:
         placed: list[Body] = []
 
         def held(pin: str) -> bool:
-            """Whether a link may hang by this pin from the ground, or from what is placed."""
+            """Return whether a link may hang by this pin from the ground or a placed link."""
             if pin in fixed and pin not in sliding:
                 return True
             return any(pin in x.joints and x is not carriers.get(pin) for x in placed)

@@ -205,7 +205,7 @@ class Drawing:
             self._check_pins(bar, faulty)
 
     def _check_pins(self, bar: Bar, faulty: set[str]) -> None:
-        """Faults of the pins of one link; those in `faulty` are nowhere."""
+        """Add the faults of the pins of one link; the places of those in `faulty` are not known."""
         node, place, reader = bar.given.get("pins", bar.node), f"{bar.place}.pins", self.reader
         count = len(bar.pins)
         bar.pins = [name for name in bar.pins if self._is_pin(name, node, place)]
@@ -286,7 +286,7 @@ class Drawing:
     # -- the tree and the loops ----------------------------------------------------------------
 
     def _hang(self) -> None:
-        """What each link hangs from, by its first pin."""
+        """Find the parent of each link, by its first pin."""
         for k, bar in enumerate(self.bars):
             if bar.along is None:
                 continue
@@ -317,27 +317,27 @@ class Drawing:
                     bar.above = partner
 
     def _pinned(self, pin: str) -> list[int]:
-        """The links that a pin joins: without the one that it slides along."""
+        """Links that a pin joins, without the one that it slides along."""
         carrier = self.carrier.get(pin)
         return [k for k in self.holders[pin] if pin not in self.carrier or k != carrier]
 
     def _moves(self, pin: str) -> bool:
-        """Whether a pin is none of the ground, or goes along with a link that slides."""
+        """Return whether a pin is not on the ground, or goes along with a link that slides."""
         slides = (bar for bar in self.bars if bar.along is not None)
         return pin not in self.fixed or any(bar.pins[:1] == [pin] for bar in slides)
 
     def _is_fixed(self, pin: str) -> bool:
-        """Whether a pin is one of the ground, and goes along with nothing."""
+        """Return whether a pin is on the ground, and is not the origin of a link that slides."""
         return pin in self.fixed and pin not in self.slide_of
 
     def _partner(self, pin: str, k: int) -> int | None:
-        """What this pin joins link k to: the ground (None), a link above, or nothing (-1)."""
+        """Return what this pin joins link k to: the ground (None), a link above, nothing (-1)."""
         if self._is_fixed(pin):
             return None
         return next((i for i in self._pinned(pin) if i < k), -1)
 
     def _unheld(self, k: int, pin: str) -> None:
-        """The fault of a link that begins with a pin on nothing above."""
+        """Add the fault of link k, whose first pin is on nothing above."""
         bar = self.bars[k]
         below = [self.bars[i].name for i in self.holders[pin] if i > k]
         begins = f"begins with {pin}, "
@@ -357,7 +357,7 @@ class Drawing:
         self.reader.fault(f"{bar.place}.pins", bar.given["pins"], limit)
 
     def _close(self) -> None:
-        """The loops, and the pins that are on nothing."""
+        """List the loops; add a fault for each pin that is on no link."""
         for k, bar in enumerate(self.bars):
             # a link that slides meets what has its first pin, but for what it slides on
             further = bar.pins if bar.along is not None else bar.pins[1:]
@@ -381,7 +381,7 @@ class Drawing:
                 self.reader.fault(f"pins.{pin}", Scalar(pin, False, self.lines[pin]), limit)
 
     def _frames(self) -> None:
-        """Where the links are in the drawing."""
+        """Find the frames of the links in the drawing."""
         for bar in self.bars:
             bar.origin = self.z[bar.pins[0]]
             if bar.along is not None:
@@ -393,7 +393,7 @@ class Drawing:
     # -- springs, loads and points by pins -----------------------------------------------------
 
     def _ends(self) -> Iterator[str]:
-        """What the ends of springs are called."""
+        """Names of the ends of springs."""
         springs = self.given.get("springs")
         for entry in springs.items if isinstance(springs, Sequence) else []:
             for key, ends in entry.pairs if isinstance(entry, Mapping) else []:
@@ -540,7 +540,7 @@ class Drawing:
     # -- whether it moves, and in one way ------------------------------------------------------
 
     def check(self, description: Description) -> None:
-        """Faults of a drawing without mobility, or whose branch cannot be read.
+        """Add a fault if the drawing cannot move, or if its branch cannot be read.
 
         `description` is that of the explicit form.
         """
@@ -587,18 +587,18 @@ class Drawing:
         self.reader.fault(bar.place, bar.node, limit)
 
     def _elsewhere(self) -> dict[str, complex]:
-        """The pins a little off, in no proportion to one another."""
+        """Pins moved a little, in no proportion to one another: a generic drawing of this kind."""
         way = cmath.rect(APART * self.extent, 1.0)
         return {pin: z + way * cmath.rect(1.0, k * k) for k, (pin, z) in enumerate(self.z.items())}
 
     def _path(self, k: int | None) -> Iterator[int]:
-        """A link, and those that carry it."""
+        """Link k and the links that carry it, down to the ground."""
         while k is not None:
             yield k
             k = self.bars[k].above
 
     def _psi(self, z: Mapped[str, complex]) -> list[Array]:
-        """Psi of each closure with its pins there: rows over the joints, by the extent."""
+        """Psi of each closure with pins at z: rows (1 or 2, n), lengths divided by the extent."""
         found = []
         for first, second, pin, along in self.joined:
             row = np.zeros(len(self.bars), complex)
