@@ -184,6 +184,21 @@ def test_a_piston(angle: float) -> None:
     assert abs(C - B) == pytest.approx(abs(2.5 - 0.8j), rel=1e-12)
 
 
+def test_a_block_without_mass_is_a_line_of_the_ground() -> None:
+    mechanism = Linkage()
+    mechanism.joint("A", 0j, "ig")
+    mechanism.joint("B", 0.5 + 1j)
+    mechanism.joint("C", 3 + 0.2j)
+    mechanism.joint("D", 3 + 0.2j, "sg")
+    mechanism.link("AB", 0.2 + 0.5j)
+    mechanism.link("BC", 1.7 + 0.6j)
+    mechanism.link("CD", 0j, 0.0, 0.0, "YP")
+    found = made(mechanism)
+    assert found.link_names == ("AB", "BC")
+    (closure,) = found.description.closures
+    assert (closure.along, closure.second.at) == (1.0, 3 + 0.2j)
+
+
 def test_a_driven_piston() -> None:
     mechanism = Linkage()
     mechanism.joint("A", 0j, "g")
@@ -388,6 +403,12 @@ def test_what_is_refused() -> None:
     mechanism.joint("G", 8 + 9j)
     mechanism.link("FG", 9 + 9j)
     refused(mechanism, "links FG = .*|hang on nothing")
+    mechanism = four_bar()
+    mechanism.links *= 200
+    refused(mechanism, "has 600 links; scenes are made of up to 500")
+    mechanism = four_bar()
+    mechanism.joints[1] = mechanism.joints[1].replace(thousandths(0.5), "1" * 5000)
+    refused(mechanism, "has too long a number")
     mechanism = four_bar()
     mechanism.units = "9011"
     refused(mechanism, "has a unit that is not known")

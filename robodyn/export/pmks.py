@@ -38,6 +38,7 @@ POUND_FORCE = Decimal("4.4482216152605")  # N
 ROOTS = "YAMG0123"  # first characters of links; the others are parts of a welded one
 PARTS = "Namg4567"
 LONGEST = 100_000  # characters
+MOST_LINKS = 500
 
 
 @dataclass
@@ -74,7 +75,7 @@ class Body:
 
 @dataclass
 class Text:
-    """What a text holds."""
+    """Contents of a text, with lengths in its own units and masses in SI."""
 
     flags: int
     units: str
@@ -116,8 +117,10 @@ def scene_from(text: str) -> tuple[str, list[str]]:
     Raises InputError for what is no such text, and for what scenes do not have.
     """
     held = _decoded(text)
-    if not held.links:
-        raise _refused("has no links")
+    if not 1 <= len(held.links) <= MOST_LINKS:
+        raise _refused(
+            f"has {len(held.links) or 'no'} links; scenes are made of up to {MOST_LINKS}"
+        )
     return _Drawing(held).written(), held.notes
 
 
@@ -129,6 +132,8 @@ def _refused(limit: str, value: object = None) -> InputError:
 
 
 def _integer(token: str, signed: bool = True) -> int:
+    if len(token) > 12:
+        raise _refused("has too long a number", shown(token))
     sign = -1 if signed and token[:1] == "0" else 1
     value = 0
     for letter in token:
@@ -143,7 +148,7 @@ def _decimal(token: str) -> Decimal:
 
 
 def _decoded(text: str) -> Text:
-    """What a text holds; of a text without the last character's check the older records."""
+    """Contents of a text.  A text without a check has the older records."""
     old = text.endswith(".")  # no check has that
     if not old:
         text, check = text[:-1], text[-1]
@@ -196,7 +201,7 @@ def _unit(units: str, place: int, count: int) -> int:
 
 
 def _unknown(rest: Sequence[str], flags: int) -> Iterator[str]:
-    """What stands after the forces, and is neither selected, locked, anchored nor coloured."""
+    """Parts after the forces that are neither selected, locked, anchored nor coloured."""
     if flags > 2:
         yield "settings that are not known"
     entries = rest[1].split(",") if len(rest) > 1 else []
@@ -259,6 +264,7 @@ class _Drawing:
         self.names: dict[str, str] = {}  # of pins, by the joints' ids
         self.driven: list[Body] = []  # the links that inputs turn or push
         self.ground: list[str] = []  # joints
+        self.on_line: dict[str, complex] = {}  # joints that run on a line of the ground
         self.slots: list[tuple[str, Body, complex]] = []  # a pin, what it runs on, and the way
         self.bodies = [body for body in held.links if not body.block]
         self._weld()
@@ -323,6 +329,9 @@ class _Drawing:
             self._join(rod, weight)
             rod.joints = [pin, *(x for x in rod.joints if x != pin)]
             rod.along, rod.above = way, slide.carrier
+        elif not (slide.carrier or block.mass or slide.driven) and own:
+            self.on_line[pin] = way
+            return
         elif not slide.carrier:
             self.bodies.append(
                 Body(block.name, block.mass, Decimal(0), self.z[pin], [pin], block.ids, along=way)
@@ -355,7 +364,7 @@ class _Drawing:
         placed: list[Body] = []
 
         def held(pin: str) -> bool:
-            """Whether a link may hang by this pin from the ground, or from what is placed."""
+            """Return whether a link may hang by this pin from the ground or a placed link."""
             if pin in fixed and pin not in sliding:
                 return True
             return any(pin in x.joints and x is not carriers.get(pin) for x in placed)
@@ -441,8 +450,12 @@ class _Drawing:
                 f"  - {{name: {_text(body.name)}, pins: [{pins}]{along}, m: {_number(body.mass)}, "
                 f"centre: {_vector(body.centre)}, I: {_number(body.inertia)}}}"
             )
-        if self.ground:
-            lines.append(f"ground: [{', '.join(self.names[x] for x in self.ground)}]")
+        ground = [self.names[x] for x in self.ground]
+        for pin, line in self.on_line.items():
+            along = _vector((line.real, line.imag))
+            ground.append(f"{{pin: {self.names[pin]}, along: {along}}}")
+        if ground:
+            lines.append(f"ground: [{', '.join(ground)}]")
         if self.slots:
             lines.append("slots:")
         for pin, carrier, line in self.slots:

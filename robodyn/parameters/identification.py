@@ -567,7 +567,7 @@ def _about_joint(link: Link) -> float:
 
 
 def _as_drawn(description: Description, point: Point) -> tuple[float, float]:
-    """Where a point is in the pose that a scene as drawn starts in, m."""
+    """Position of a point, m, in the pose of a scene's `start`."""
     mechanism = build(description)
     pose = np.array(description.start, float)
     (z,) = point_motion(mechanism, [mechanism.tree.point(point)], pose)[0]
