@@ -142,6 +142,12 @@ class Mechanism:
         return tuple(x.at for x in self.elements if x.contact == STICKS and x.at is not None)
 
     @cached_property
+    def steady_moments(self) -> tuple[tuple[int, float], ...]:
+        """The constant torques that the scene has, each with the link that it acts on, N m."""
+        each = (x.steady_moment for _, x in self.description.elements)
+        return tuple(x for x in each if x is not None)
+
+    @cached_property
     def contacts(self) -> frozenset[str]:
         """Which of STICKS, HARD and COMPLIANT it has (`elements/contacts.py`)."""
         return frozenset(x.contact for x in self.elements if x.contact)
@@ -299,7 +305,7 @@ class Mechanism:
             "signals",
         )
         made += ("damping", "springs", "spans", "joint_springs", "forces")
-        made += ("dry", "sticks", "contacts", "parted", "bells", "spins")
+        made += ("dry", "sticks", "steady_moments", "contacts", "parted", "bells", "spins")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 
