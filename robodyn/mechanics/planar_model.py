@@ -17,8 +17,7 @@ from robodyn.elements.base import conserves as conserves
 from robodyn.elements.contacts import STICKS, Mode
 from robodyn.elements.joints import DryFriction, Range, Rotor
 from robodyn.elements.link_rows import PlanarPoint as PlanarPoint
-from robodyn.elements.loads import Force
-from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
+from robodyn.elements.springs import JointDamper
 from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
 from robodyn.mechanics.model_parts import Inertias as Inertias
@@ -110,26 +109,6 @@ class Mechanism:
             before = found[x.joint]
             found[x.joint] = x.damping if before is None else before + x.damping
         return tuple(0.0 if x is None else x for x in found)
-
-    @cached_property
-    def springs(self) -> tuple[PointSpring, ...]:
-        """Those between points."""
-        return self.of(PointSpring)
-
-    @cached_property
-    def spans(self) -> tuple[PlanarPoint, ...]:
-        """The first ends of these less their second ones."""
-        return tuple(x.reach(self.tree) for x in self.springs)
-
-    @cached_property
-    def joint_springs(self) -> tuple[JointSpring, ...]:
-        """Those at joints."""
-        return self.of(JointSpring)
-
-    @cached_property
-    def forces(self) -> tuple[Force, ...]:
-        """The forces at points."""
-        return self.of(Force)
 
     @cached_property
     def dry(self) -> dict[int, DryFriction]:
@@ -295,17 +274,7 @@ class Mechanism:
         return mechanism_html(self)
 
     def __getstate__(self) -> dict[str, object]:
-        made: tuple[str, ...] = (
-            "arrays",
-            "above",
-            "lines",
-            "held",
-            "has_angles",
-            "inertias",
-            "signals",
-        )
-        made += ("damping", "springs", "spans", "joint_springs", "forces")
-        made += ("dry", "sticks", "steady_moments", "contacts", "parted", "bells", "spins")
+        made = self.__dict__.keys() - self.__dataclass_fields__.keys()  # on demand, and again
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 
