@@ -37,7 +37,6 @@ from robodyn.dynamics.dynamics import (
 )
 from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, matvec, placed
 from robodyn.elements.builder import LinkMoment, PointForce
-from robodyn.elements.loads import Moment
 from robodyn.engines.row_values import rows_of
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
@@ -144,9 +143,8 @@ class Felt:
         moments = np.concatenate([own, np.zeros_like(own[..., :1])], axis=-1)
         for spin, back in zip(mechanism.spins, self.spun, strict=True):
             moments[..., -1 if spin.carrier is None else spin.carrier] += back
-        for entry in mechanism.description.loads:
-            if isinstance(entry, Moment):
-                moments[..., entry.link] += entry.torque
+        for link, torque in mechanism.steady_moments:
+            moments[..., link] += torque
         for couple, value in self.rows(part).moments:
             moments[..., -1 if couple.link is None else couple.link] += value
         return moments

@@ -10,7 +10,7 @@ from robodyn.elements.builder import Builder, Term
 from robodyn.elements.contacts import End, Guard, Mode
 from robodyn.elements.keys import Declared
 from robodyn.elements.link_rows import PlanarPoint, Tree
-from robodyn.elements.values import Signal
+from robodyn.elements.values import Point, Signal
 
 STORED, SPENT = "stored", "spent"
 
@@ -56,6 +56,16 @@ class Element(Declared):
     def steady(self) -> bool:
         """Whether it is among the constant weights and moments of the mechanism."""
         return False
+
+    @property
+    def steady_force(self) -> tuple[Point, complex] | None:
+        """A constant force that is among the weights, N in the ground's frame, and its point."""
+        return None
+
+    @property
+    def steady_moment(self) -> tuple[int, float] | None:
+        """A link, and the constant torque on it that is among the moments, N m."""
+        return None
 
     @property
     def signals(self) -> tuple[Signal, ...]:

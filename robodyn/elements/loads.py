@@ -104,6 +104,10 @@ class Force(Element):
     def steady(self) -> bool:
         return not self.turns and not self.varied
 
+    @property
+    def steady_force(self) -> tuple[Point, complex] | None:
+        return (self.point, self.force) if self.steady else None
+
     def untimed(self) -> Force:
         if not self.varied:
             return self
@@ -168,6 +172,10 @@ class Moment(Element):
 
     def called(self, names: Sequence[str]) -> str:
         return f" on {names[self.link]}"
+
+    @property
+    def steady_moment(self) -> tuple[int, float] | None:
+        return (self.link, self.torque) if self.varying is None else None
 
     def placed(self, tree: Tree) -> Iterator[Moment]:
         """A constant one is among the constant moments of the mechanism."""

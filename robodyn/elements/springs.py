@@ -266,6 +266,10 @@ class JointSpring(Element):
         if self.stiffness or self.law:
             yield self._replace(damping=0.0)
 
+    def also(self) -> Iterator[JointDamper]:
+        if self.damping:
+            yield JointDamper(self.joint, self.damping)
+
     @property
     def acts(self) -> str:
         return STORED if conserves(self.law) else SPENT

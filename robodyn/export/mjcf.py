@@ -192,7 +192,7 @@ class _Elements:
                 found["armature"] = number(spin.inertia * spin.rates[joint] ** 2)
         if self.mechanism.damping[joint]:
             found["damping"] = number(self.mechanism.damping[joint])
-        known = self.mechanism.joint_springs
+        known = self.mechanism.of(JointSpring)
         springs = [spring for spring in known if spring.joint == joint and spring.law is None]
         if springs:
             stiffness = sum(spring.stiffness for spring in springs)

@@ -17,8 +17,7 @@ from robodyn.elements.base import conserves as conserves
 from robodyn.elements.contacts import STICKS, Mode
 from robodyn.elements.joints import DryFriction, Range, Rotor
 from robodyn.elements.link_rows import PlanarPoint as PlanarPoint
-from robodyn.elements.loads import Force
-from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
+from robodyn.elements.springs import JointDamper
 from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
 from robodyn.mechanics.model_parts import Inertias as Inertias
@@ -112,26 +111,6 @@ class Mechanism:
         return tuple(0.0 if x is None else x for x in found)
 
     @cached_property
-    def springs(self) -> tuple[PointSpring, ...]:
-        """Those between points."""
-        return self.of(PointSpring)
-
-    @cached_property
-    def spans(self) -> tuple[PlanarPoint, ...]:
-        """The first ends of these less their second ones."""
-        return tuple(x.reach(self.tree) for x in self.springs)
-
-    @cached_property
-    def joint_springs(self) -> tuple[JointSpring, ...]:
-        """Those at joints."""
-        return self.of(JointSpring)
-
-    @cached_property
-    def forces(self) -> tuple[Force, ...]:
-        """The forces at points."""
-        return self.of(Force)
-
-    @cached_property
     def dry(self) -> dict[int, DryFriction]:
         """Friction that sticks, by joint: see `modes.py`."""
         return {x.joint: x for x in self.of(DryFriction)}
@@ -140,6 +119,12 @@ class Mechanism:
     def sticks(self) -> tuple[int, ...]:
         """The joints that something holds at rest."""
         return tuple(x.at for x in self.elements if x.contact == STICKS and x.at is not None)
+
+    @cached_property
+    def steady_moments(self) -> tuple[tuple[int, float], ...]:
+        """The constant torques that the scene has, each with the link that it acts on, N m."""
+        each = (x.steady_moment for _, x in self.description.elements)
+        return tuple(x for x in each if x is not None)
 
     @cached_property
     def contacts(self) -> frozenset[str]:
@@ -289,17 +274,7 @@ class Mechanism:
         return mechanism_html(self)
 
     def __getstate__(self) -> dict[str, object]:
-        made: tuple[str, ...] = (
-            "arrays",
-            "above",
-            "lines",
-            "held",
-            "has_angles",
-            "inertias",
-            "signals",
-        )
-        made += ("damping", "springs", "spans", "joint_springs", "forces")
-        made += ("dry", "sticks", "contacts", "parted", "bells", "spins")
+        made = self.__dict__.keys() - self.__dataclass_fields__.keys()  # on demand, and again
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.placed import Placed, placed
+from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.errors import RobodynError
 from robodyn.kinematics.named_points import NamedPoint
 from robodyn.loops.assembly import assembly_plan, attempt
@@ -262,10 +263,10 @@ def bodies(
         else:
             way = way.leaving(link_points(mechanism, way.link, marked), w)
         ways.append(way)
-    for spring in mechanism.springs:
+    for spring in mechanism.of(PointSpring):
         ends = tree.point(spring.first), tree.point(spring.second)
         yield _spring(bool(spring.stiffness or spring.law), *ends, poses, w)
-    for coil in mechanism.joint_springs:
+    for coil in mechanism.of(JointSpring):
         if (k := coil.joint) in mechanism.slides:
             slid = tree.point(Point(k, 0j))
             yield _spring(bool(coil.stiffness or coil.law), mechanism.pivots[k], slid, poses, w)
@@ -350,7 +351,7 @@ def _joined(mechanism: Mechanism) -> list[Point]:
 
 
 def _spring_ends(mechanism: Mechanism) -> list[Point]:
-    return [end for spring in mechanism.springs for end in (spring.first, spring.second)]
+    return [end for spring in mechanism.of(PointSpring) for end in (spring.first, spring.second)]
 
 
 def _link(
@@ -375,7 +376,7 @@ def _link(
     for end in _spring_ends(mechanism):
         if end.link == k:
             yield Shape("tip", end.at + circle(0.3 * w))
-    if not link.slides and any(spring.joint == k for spring in mechanism.joint_springs):
+    if not link.slides and any(spring.joint == k for spring in mechanism.of(JointSpring)):
         angle = np.linspace(0.0, 4.5 * np.pi, 60)
         spiral: Complex = w * (1.15 + 0.07 * angle) * np.exp(1j * angle)
         yield Shape("spring", spiral, False)
