@@ -458,26 +458,25 @@ def turns(
     place, found, left = np.empty_like(begin), np.empty_like(begin), np.arange(len(begin))
     with np.errstate(all="ignore"):
         low, high, width, sign = begin, end, end - begin, np.sign(first)
-        bow = 6.0 * rise / width - 3.0 * (first + last)
+        bow, least = 6.0 * rise / width - 3.0 * (first + last), FLAT * np.abs(width)
         steep = last - first + bow
-        x = steep - sign * np.sqrt(steep * steep + 4.0 * bow * first)
-        x = begin - 2.0 * first / x * width
-        x = np.where((x - begin) * (x - end) <= 0.0, x, 0.5 * (begin + end))
+        part = -2.0 * first / (steep - sign * np.sqrt(steep * steep + 4.0 * bow * first))
+        x = begin + np.where((part >= 0.0) & (part <= 1.0), part, 0.5) * width
         for _ in range(NEWTON):
             value, slope, bend = with_bend(series, x)
-            same = slope * sign > 0.0
-            low, high, step = np.where(same, x, low), np.where(same, high, x), -slope / bend
-            newton = x + step
-            inside = (newton - low) * (newton - high) <= 0.0
-            found[left] = np.where(inside, value + 0.5 * slope * step, value)
-            x = np.where(inside, newton, 0.5 * (low + high))
-            place[left] = x
-            (far,) = np.nonzero(~(inside & (np.abs(step) <= FLAT * np.abs(width))))
+            step = -slope / bend
+            place[left], found[left] = x + step, value + 0.5 * slope * step
+            (far,) = np.nonzero(~(np.abs(step) <= least))
             if not len(far):
                 break
-            if len(far) < len(x):
-                series, left = series.take(far, axis=1), left[far]
-                x, low, high, sign, width = (each[far] for each in (x, low, high, sign, width))
+            series, left = series.take(far, axis=1), left[far]
+            kept = x, low, high, sign, least, value, slope, step
+            x, low, high, sign, least, value, slope, step = (each[far] for each in kept)
+            place[left], found[left] = x, value  # where the steps should never end
+            same, newton = slope * sign > 0.0, x + step
+            low, high = np.where(same, x, low), np.where(same, high, x)
+            inside = (newton - low) * (newton - high) <= 0.0
+            x = np.where(inside, newton, 0.5 * (low + high))
     return place, found
 
 
