@@ -520,7 +520,8 @@ def test_pins_are_ends_of_springs_points_of_loads_and_points() -> None:
     assert list(named) == ["P", "Q", "G"]
     mechanism = build(description)
     q = start_of(mechanism)
-    of = ["O=joint1", "B=tip2", "P", "Q", "R=rocker"]
+    assert points(mechanism, q).names == ("P", "Q", "G")
+    of = ["O=joint1", "B", "P", "Q", "R=rocker"]
     places = points(mechanism, q, of=of).position @ [1, 1j]
     wanted = [0, 1.046 + 0.798j, 0.62 + 0.85j, 1.046 + 0.798j, 1.046 + 0.798j]
     assert np.abs(places - wanted).max() < 1e-15

@@ -45,7 +45,7 @@ def read_again(scene: Description, source: str) -> Description:
 def test_shipped_scenes() -> None:
     for path in SHIPPED:
         with case(path):
-            described = load(path).description
+            described = load(path).description._replace(pins=())  # a drawing's alone
             assert read_again(described, str(path)) == described
 
 

@@ -146,7 +146,7 @@ class Command(TyperCommand):
         """Tell how a negative number is given that an unknown option begins, or of two dashes."""
         from difflib import get_close_matches  # only a faulty option pays for the import
 
-        from robodyn.scene.unit_arithmetic import read_value
+        from robodyn.scene.quantities import read_value
 
         word = next((x for x in words if unknown and x.startswith(unknown)), "")
         flags = [flag for parameter in self.params for flag in parameter.opts]

@@ -15,7 +15,7 @@ from robodyn.elements.values import FRAMES
 from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
 from robodyn.scene.point_values import PointReader
-from robodyn.scene.quantities import in_unit, parse_coupling
+from robodyn.scene.quantities import parse_coupling
 from robodyn.scene.scene import (
     BRANCHES,
     JOINTS,
@@ -66,6 +66,7 @@ def from_tree(
             drawing = Drawing(root, reader)
         description = reader.scene(drawing.explicit() if drawing else root, source)
         if drawing and not reader.faults:
+            description = description._replace(pins=tuple(drawing.shared()))
             drawing.check(description)
         if not reader.faults:
             return description._replace(written=Written(root, (), text, reader.tables))
@@ -221,22 +222,14 @@ class _Reader(PointReader, SignalReader):
 
     def coupling(self, node: Node, place: str, count: int) -> Coupling | None:
         text = self.name(node, place)
+        units = ["m" if k in self.slides else "rad" for k in range(count)]
         try:
-            joint, value = parse_coupling(text)
-            named = joint, *value.joints
-            if unknown := [k for k in named if not 1 <= k <= count]:
-                raise ValueError(f"names q{unknown[0]}; the joints are q1 to q{count}")
-            if joint in value.joints:
-                raise ValueError(f"has q{joint} on both sides")
-            units = {k: "m" if k - 1 in self.slides else "rad" for k in named}
-            own = units[joint]
-            ratios = {k: in_unit(x, f"{own}/{units[k]}") for k, x in value.joints.items()}
-            constant = in_unit(value._replace(joints={}), own)
+            joint, ratios, constant = parse_coupling(text, units)
         except ValueError as error:
             if text:  # else it is told that it is no name
                 self.fault(place, node, str(error), self.shown(node))
             return None
-        return Coupling(joint - 1, tuple((k - 1, x) for k, x in ratios.items() if x), constant)
+        return Coupling(joint, tuple((k, x) for k, x in ratios.items() if x), constant)
 
 
 def _scalars(node: Node) -> Iterator[tuple[str, Scalar]]:

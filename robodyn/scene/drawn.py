@@ -24,7 +24,7 @@ import numpy as np
 
 from robodyn.scene.grammar import FORMS
 from robodyn.scene.point_names import Places
-from robodyn.scene.scene import Coupling, Description
+from robodyn.scene.scene import Coupling, Description, Point
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.tables.arrays import Array
 
@@ -442,6 +442,13 @@ class Drawing:
         if given is not None:
             pairs += [(key, self._named(value, moving=True)) for key, value in given.pairs]
         return Mapping(pairs, 1) if pairs else None
+
+    def shared(self) -> Iterator[tuple[str, Point]]:
+        """The pins that move and are on several links, each on the first that has it."""
+        for pin, links in self.holders.items():
+            if len(links) > 1 and not self._is_fixed(pin):
+                k = self._pinned(pin)[0]
+                yield pin, Point(k, self.bars[k].at(self.z[pin]))
 
     # -- the explicit form ---------------------------------------------------------------------
 

@@ -84,8 +84,11 @@ class _Writer:
         names = (link.name for link in self.links)
         return {name: x for name, x in zip(names, angles, strict=True) if x is not None}
 
-    def point(self, point: Point) -> dict[str, Any] | list[float]:
-        return self.vector(point.at) if point.link is None else self.mapping(point)
+    def point(self, point: Point) -> str | dict[str, Any] | list[float]:
+        if point.link is None:
+            return self.vector(point.at)
+        link = self.links[point.link]
+        return link.name if point.at == link.l else self.mapping(point)
 
     moving_point = point
 

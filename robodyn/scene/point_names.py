@@ -65,7 +65,7 @@ def places_of(description: Description) -> Places:
         {link.name: k for k, link in enumerate(links)},
         lambda k: links[k].l + 0j,
         lambda k: links[k].r,
-        dict(description.points),
+        dict(description.pins + description.points),
     )
 
 

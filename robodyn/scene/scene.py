@@ -337,6 +337,7 @@ class Description(Declared):
         "names of points of links, {P: {link: coupler, at: [0.5, 0.2]}, Q: rocker}",
         default=(),
     )
+    pins: tuple[tuple[str, Point], ...] = ()  # of several links of a drawing, by their names
     written: Written = Written()
 
     ways: ClassVar[tuple[Way, ...]] = (

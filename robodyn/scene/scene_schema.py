@@ -18,8 +18,7 @@ from robodyn.scene.grammar import (
     WORDS,
     Form,
 )
-from robodyn.scene.syntax import CONSTANTS, FUNCTIONS
-from robodyn.scene.unit_arithmetic import CONSTANTS as OF_VALUES
+from robodyn.scene.syntax import CONSTANTS, FUNCTIONS, VALUE_CONSTANTS
 from robodyn.scene.units import UNITS
 
 Schema = dict[str, Any]
@@ -100,11 +99,10 @@ def _expression(variables: str) -> str:
 
 def _quantity() -> str:
     """The pattern of arithmetic with units: which letters and words it has."""
-    words = "|".join(_longest_first({*FUNCTIONS, *OF_VALUES, *UNITS}))
+    words = "|".join(_longest_first({*FUNCTIONS, *VALUE_CONSTANTS, *UNITS, "if", "else"}))
     plain = r"\s*[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?\s*$"  # quoted, it is none
-    return (
-        rf"^(?!{plain})(?:[\s0-9.+*/(),^{LETTERS}-]|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
-    )
+    signs = rf"[\s0-9.+*/%<>=(),^{LETTERS}-]"
+    return rf"^(?!{plain})(?:{signs}|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
 
 
 def _longest_first(words: set[str]) -> list[str]:

@@ -18,9 +18,8 @@ from robodyn.elements.keys import Key
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
 from robodyn.scene.grammar import BY_JOINT, NUMBERS, OR_VECTOR, form_of
-from robodyn.scene.quantities import parse_quantity
+from robodyn.scene.quantities import parse_quantity, read_value
 from robodyn.scene.scene import Description, Tables, Written
-from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 from robodyn.scene.yaml_values import nearest
 

@@ -28,7 +28,7 @@ from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed, loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.scene.quantities import dimension_of
+from robodyn.scene.dimensions import dimension_of
 from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues
 from robodyn.simulation.report import Outcome, Report
