@@ -105,7 +105,7 @@ class _Reader(PointReader, SignalReader):
     def assembly(self, node: Node, place: str) -> str | tuple[str, ...]:
         if not isinstance(node, Sequence):
             return self.word(node, place, BRANCHES)
-        if len(node.items) != self.closures:
+        if not 0 < len(node.items) <= self.closures:  # a closure may close in one way alone
             limit = f"must be one word, or one for each of the {self.closures} closures"
             self.fault(place, node, limit, f"{len(node.items)} words")
         return tuple(
