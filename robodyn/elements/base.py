@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from robodyn.elements.keys import Declared
-from robodyn.elements.values import Signal
+from robodyn.elements.values import Point, Signal
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
@@ -87,6 +87,15 @@ class Element(Declared):
     def placed(self, tree: Tree) -> Iterator[Element]:
         """The elements that act in a mechanism of these links, of one that a scene has."""
         yield self
+
+    def moved(
+        self, point: Callable[[Point], Point], turn: Callable[[int | None], complex]
+    ) -> Element | None:
+        """It on other links: `point` takes its points there, whose frames have a `turn` there.
+
+        None if it then acts on the ground alone.
+        """
+        return self
 
     def varies(self) -> Iterator[tuple[str, Signal]]:
         """Its signals, each with the place in its mapping."""

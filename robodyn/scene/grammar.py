@@ -15,7 +15,7 @@ from collections.abc import Callable, Container, Iterable
 from robodyn.elements import kinds
 from robodyn.elements.keys import NEEDED, Declared, Key, Way
 from robodyn.elements.values import FRAMES, Point, Table
-from robodyn.scene.scene import BRANCHES, JOINTS, Closure, Description, Line, Link, Motor
+from robodyn.scene.scene import BRANCHES, JOINTS, Closure, Description, Line, Link, Motor, Weld
 
 
 class Form:
@@ -58,7 +58,7 @@ WORDS = {"branch": BRANCHES, "frame": FRAMES, "joint_kind": JOINTS}
 BY_JOINT = "rad or m"  # as the joint turns or slides
 WITH_UNIT = ("vector", "varying", "varying_vector", "law")  # beside numbers
 OR_VECTOR = {"gravity": "number", "centre": "amount"}  # a number of this kind, or [x, y]
-OTHERS: tuple[type[Declared], ...] = (Description, Link, Motor, Point, Closure, Line, Table)
+OTHERS: tuple[type[Declared], ...] = (Description, Link, Weld, Motor, Point, Closure, Line, Table)
 
 FORMS: dict[str, Form] = {}
 # The forms of a mapping of this kind, by the keys that tell them; the last has none.

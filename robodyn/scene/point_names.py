@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from robodyn.errors import InputError
 from robodyn.scene.quantities import parse_vector
 from robodyn.scene.scene import Description, Point
+from robodyn.scene.welds import Welded
 from robodyn.tables.csv_fields import shown
 
 PARTS = ("joint", "tip", "centre")
@@ -20,16 +21,23 @@ _NAME = r"[A-Za-z][\w-]{0,63}"
 
 
 class Places:
-    """The links by their names, where their tips and centres are in their frames, m, and points."""
+    """The links by their names, where their tips and centres are in their frames, m, and points.
+
+    `count` is that of the links with numbers, which welds have not; `whole` makes a point of a weld
+    one of the link that it is part of.
+    """
 
     def __init__(
         self,
         links: Mapping[str, int],
         tip: Callable[[int], complex],
         centre: Callable[[int], complex],
+        count: Callable[[], int],
         points: dict[str, Point] | None = None,
+        whole: Callable[[Point], Point] = lambda point: point,
     ) -> None:
-        self.links, self.tip, self.centre, self.points = links, tip, centre, points or {}
+        self.links, self.tip, self.centre, self.count = links, tip, centre, count
+        self.points, self.whole = points or {}, whole
 
     def point(self, text: str) -> Point | None:
         """The point that is written, None for a name that is not known.
@@ -37,14 +45,14 @@ class Places:
         Raises ValueError where what follows an @ is no place.
         """
         if text in self.links:
-            return Point(self.links[text], self.tip(self.links[text]))
+            return self.whole(Point(self.links[text], self.tip(self.links[text])))
         if text in self.points:
             return self.points[text]
         link, at, offset = text.rpartition("@")
         if at and link in self.links:
-            return Point(self.links[link], _vector(offset, link))
+            return self.whole(Point(self.links[link], _vector(offset, link)))
         part = re.fullmatch(_PART, text)
-        if part is None or not 1 <= int(part[2]) <= len(self.links):
+        if part is None or not 1 <= int(part[2]) <= self.count():
             return None
         k = int(part[2]) - 1
         return Point(k, {"joint": lambda _: 0j, "tip": self.tip, "centre": self.centre}[part[1]](k))
@@ -60,12 +68,14 @@ class Places:
 
 def places_of(description: Description) -> Places:
     """The places of a scene."""
-    links = description.links
+    bodies = description.bodies
     return Places(
-        {link.name: k for k, link in enumerate(links)},
-        lambda k: links[k].l + 0j,
-        lambda k: links[k].r,
+        {body.name: k for k, body in enumerate(bodies)},
+        lambda k: bodies[k].l + 0j,
+        lambda k: bodies[k].r,
+        lambda: len(description.links),
         dict(description.points),
+        Welded(description).point,
     )
 
 

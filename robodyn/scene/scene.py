@@ -20,7 +20,7 @@ from robodyn.elements.values import Tables as Tables
 from robodyn.elements.values import told as told
 
 BRANCHES = ("open", "crossed")
-JOINTS = ("revolute", "prismatic")
+JOINTS = ("revolute", "prismatic", "fixed")
 
 
 class Motor(Declared):
@@ -79,12 +79,8 @@ class Motor(Declared):
             yield missing[0], f"is missing: {other} needs it beside itself", None
 
 
-class Link(Declared):
-    """A rigid link, how it hangs, and what stands at its own joint.
-
-    A link on a prismatic joint has an `axis`: the unit vector along which it slides, and along
-    which its own x axis lies, in the frame of what it hangs from.
-    """
+class Body(Declared):
+    """A rigid body and the point that it hangs from: a link, or a weld."""
 
     name: str = key("name", "any text; no two links share one")
     m: float = key("amount", "mass", unit="kg", symbol="m: mass of {}")
@@ -117,6 +113,16 @@ class Link(Declared):
         default=0.0,
         symbol="mp: payload at the tip of {}",
     )
+
+
+class Link(Body):
+    """A rigid link, how it hangs, and what stands at its own joint.
+
+    A link on a prismatic joint has an `axis`: the unit vector along which it slides, and along
+    which its own x axis lies, in the frame of what it hangs from.  A link that hangs from a weld
+    has the `turn` of the weld's frame, once the weld is part of what carries it.
+    """
+
     joint: ClassVar[Any] = key(
         "joint_kind", ("of its own joint", "prismatic"), told=(JOINTS[0], "")
     )
@@ -140,6 +146,7 @@ class Link(Declared):
     motor: Motor | None = key(
         ("motor", "slide_motor"), "motor and gear at its own joint", default=None
     )
+    turn: complex = 1.0 + 0j
 
     ways: ClassVar[tuple[Way, ...]] = (
         Way(
@@ -168,6 +175,31 @@ class Link(Declared):
     def slides(self) -> bool:
         """Whether its joint is prismatic."""
         return self.axis is not None
+
+
+class Weld(Body):
+    """A link without a joint: it is part of what it hangs from.  It has no coordinate.
+
+    `place` is its place among the links of the file.
+    """
+
+    joint: ClassVar[Any] = key("joint_kind", "fixed", told="")
+    angle: float = key(
+        "angle", "from the x axis of what it hangs from to its own", unit="rad", default=0.0
+    )
+    place: int = -1
+
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way("weld", "weld", "A link without a joint, part of what it hangs from."),
+    )
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> Weld:
+        del values["joint"]
+        return cls(**values | {"r": complex(values["r"])})
+
+    def to_keys(self) -> dict[str, Any]:
+        return super().to_keys() | {"joint": JOINTS[2]}
 
 
 class Line(Declared):
@@ -267,7 +299,8 @@ class Written:
 class Description(Declared):
     """What a scene file says; `source` is the file's name for messages.
 
-    `branches` has a word for each closure, or none where the `start` picks them.
+    `branches` has a word for each closure, or none where the `start` picks them.  Points of weld w
+    have the link n + w, n the number of links that move.
     """
 
     source: str
@@ -316,6 +349,7 @@ class Description(Declared):
         "names of points of links, {P: {link: coupler, at: [0.5, 0.2]}, Q: rocker}",
         default=(),
     )
+    welds: tuple[Weld, ...] = ()
     written: Written = Written()
 
     ways: ClassVar[tuple[Way, ...]] = (
@@ -327,7 +361,26 @@ class Description(Declared):
         gravity = values["gravity"]
         if not isinstance(gravity, complex):
             gravity = -1j * gravity
-        return cls(**values | {"gravity": gravity})
+        each = values["links"]
+        welds = [x._replace(place=i) for i, x in enumerate(each) if isinstance(x, Weld)]
+        links = tuple(x for x in each if isinstance(x, Link))
+        return cls(**values | {"gravity": gravity, "links": links, "welds": tuple(welds)})
+
+    def to_keys(self) -> dict[str, Any]:
+        return super().to_keys() | {"links": self.listed}
+
+    @property
+    def listed(self) -> tuple[Body, ...]:
+        """Links and welds in the order of the file."""
+        each: list[Body] = [*self.links]
+        for weld in self.welds:
+            each.insert(weld.place, weld)
+        return tuple(each)
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """Links, and behind them welds: what the link of a `Point` counts."""
+        return (*self.links, *self.welds)
 
     @property
     def elements(self) -> Iterator[tuple[str, Element]]:

@@ -64,6 +64,8 @@ def _other_kinds() -> dict[str, Schema]:
     return {
         "name": {"type": any_name, "pattern": r"\S"},
         "link_name": _ref("name"),
+        "joint_name": _ref("name"),
+        "link": _any("prismatic_link", "revolute_link", "weld"),
         "joints": {**_list("name"), "uniqueItems": True},
         "quantity": {"type": "string", "pattern": _quantity()},
         "vector": {**pair, "items": _ref("number")},

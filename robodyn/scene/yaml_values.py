@@ -47,6 +47,7 @@ class ValueReader:
     def __init__(self) -> None:
         self.faults: list[Fault] = []
         self.compared = 0
+        self.count = 0  # of links that move: welds come behind them
         self.slides: set[int] = set()  # joints
         self.joint = -1  # of the link that is read
 
