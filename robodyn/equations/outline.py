@@ -7,6 +7,8 @@ Their entries are formulas to read (`written.py`) or recorded arithmetic (`recor
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -228,6 +230,8 @@ class Equations(Generic[Entry]):
         for k, link in enumerate(links):
             carrier = link.hangs_from.link
             zero = "+X" if carrier is None else links[carrier].name
+            if link.turn != 1.0:
+                zero += f" turned by {math.degrees(cmath.phase(link.turn)):.9g} deg"
             unit, meaning = "rad", f"angle of {link.name} from {zero}"
             if link.slides:
                 unit, meaning = "m", f"displacement of {link.name} along its axis"

@@ -163,7 +163,7 @@ class _Elements:
             self.order.append(k)
             name, place, begin = self.names[k], link.hangs_from.at, self.q[k]
             if link.axis is None:
-                kind, axis, along = "hinge", "0 0 1", rect(1.0, begin)
+                kind, axis, along = "hinge", "0 0 1", link.turn * rect(1.0, begin)
             else:
                 kind, axis, along = "slide", "1 0 0", link.axis
                 place += begin * along

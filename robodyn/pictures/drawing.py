@@ -26,6 +26,7 @@ from robodyn.loops.assembly import assembly_plan, attempt
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Point
+from robodyn.scene.welds import Welded
 from robodyn.tables.arrays import Array, Complex
 
 ARC = 15  # points of half a circle
@@ -333,7 +334,15 @@ def link_points(mechanism: Mechanism, k: int, marked: Sequence[Point] = ()) -> C
     found = [0j, complex(mechanism.description.links[k].l), *_attached(mechanism, k)]
     found += [point.at for _, point in mechanism.description.points if point.link == k]
     found += [point.at for point in marked if point.link == k]
+    found += [point.at for point in _welded(mechanism) if point.link == k]
     return np.array(list(dict.fromkeys(found)))
+
+
+def _welded(mechanism: Mechanism) -> list[Point]:
+    """Joints and tips of welds, on the links that they are part of."""
+    welded = Welded(mechanism.description)
+    ends = enumerate(mechanism.description.welds, start=mechanism.n)
+    return [welded.point(Point(k, at)) for k, weld in ends for at in (0j, weld.l + 0j)]
 
 
 def _attached(mechanism: Mechanism, k: int) -> list[complex]:
