@@ -18,7 +18,7 @@ from named_case import case
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn.errors import DescriptionError
 from robodyn.scene.description import from_text
-from robodyn.scene.grammar import FORMS, MAPPINGS, NUMBERS, OR_VECTOR
+from robodyn.scene.grammar import FORMS, MAPPINGS, key_table
 from robodyn.scene.scene_schema import scene_schema
 
 SCHEMA = scene_schema()
@@ -291,14 +291,9 @@ def test_the_tables_of_the_guide_are_the_grammar(form: str) -> None:
         "hard_stops": "key of limits with hard stops",
     }
     header = f"| {named.get(form, f'key of a {form}'.replace('_', ' '))} | unit | value | default |"
-    lines = [header.replace("a joint spring", "a spring at a joint"), "|---|---|---|---|"]
-    for name, key in FORMS[form].keys.items():
-        limit = NUMBERS.get(OR_VECTOR.get(key.kind, key.kind), "")
-        told = f"{key.help}, {limit}" if limit else key.help
-        lines.append(
-            f"| `{name}` | {key.unit} | {told} | {key.shown_default} |".replace("|  |", "| |")
-        )
-    table = "\n".join(lines).replace("a point spring", "a spring between points")
+    header = header.replace("a joint spring", "a spring at a joint")
+    header = header.replace("a point spring", "a spring between points")
+    table = f"{header}\n|---|---|---|---|\n{key_table(form)}"
     assert table in PAGES["scene"], f"the grammar says\n{table}"
 
 

@@ -136,7 +136,8 @@ class PointSpring(Element):
         return bool(self.damping) or not conserves(self.law)
 
     def stored(self) -> PointSpring | None:
-        return self._replace(damping=0.0) if conserves(self.law) else None
+        holds = conserves(self.law) and (self.stiffness or self.law)
+        return self._replace(damping=0.0) if holds else None
 
     def spent(self) -> PointSpring:
         return self._replace(stiffness=0.0, law=None) if conserves(self.law) else self

@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
-from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.equations.named_laws import SWITCHES, Definition, Formula
 from robodyn.equations.parameters import Parameter, Parameters
 from robodyn.errors import printable
-from robodyn.mechanics.planar_model import Mechanism, conserves
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Point
 
 Entry = TypeVar("Entry", covariant=True)  # true unless it is zero
@@ -123,13 +122,11 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
     if any(mechanism.damping):
         damping = unit("N m s/rad", "N s/m")
         yield Head("left", "D", "damping matrix", damping, "diagonal", (), "qd")
-    loads = mechanism.description.loads
-    springs: list[PointSpring | JointSpring] = [*mechanism.springs, *mechanism.joint_springs]
-    laws = [spring.law for spring in springs if spring.law is not None]
+    elements = mechanism.elements
     acting = {
         "gravity": mechanism.gamma != 0.0,
-        "springs": any(spring.stiffness for spring in springs) or any(map(conserves, laws)),
-        "loads": len(loads) > len(mechanism.forces) + len(mechanism.varying_moments),
+        "springs": any(x.stored() is not None for x in elements),
+        "loads": any(x.steady for x in elements) or any(mechanism.moments),
     }
     potentials = [name for name, present in acting.items() if present]
     if potentials:
@@ -137,11 +134,8 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         if potentials != ["gravity"]:
             meaning = f"gradient of the potential energy ({', '.join(potentials)})"
         yield Head("left", "G", meaning, load, "vector")
-    acts: list[object] = [*mechanism.forces, *mechanism.varying_moments]
-    acts += [*mechanism.friction, *mechanism.dry]
-    acts += [stop for _, stop in mechanism.limits if stop.stiffness is not None]
-    acts += [law for law in laws if not conserves(law)]
-    if acts or any(spring.damping for spring in mechanism.springs):
+    spent = any(x.changes_energy and x.spent() is not None for x in elements)
+    if spent or mechanism.dry or any(x.stiffness is not None for _, x in mechanism.limits):
         meaning = f"{unit('torques', 'forces')} of what has no potential"
         inputs = ("q", "qd", "t") if mechanism.timed else ("q", "qd")
         yield Head("right", "Q", meaning, load, "vector", inputs)

@@ -70,14 +70,21 @@ class Mechanism:
     unit: float = 1.0  # length that displacements are compared with angles by, m
     tree: Tree = field(kw_only=True)  # the links as the scene has them
 
+    def to_dict(self) -> dict[str, object]:
+        """The scene as the mapping that `robodyn.load` takes: SI units, radians, names of links."""
+        from robodyn.scene.plain_scene import plain_scene
+
+        return plain_scene(self.description)
+
     def of(self, kind: type[Kind]) -> tuple[Kind, ...]:
         """The elements of a kind, in their order."""
         return tuple(x for x in self.elements if isinstance(x, kind))
 
     @property
     def added(self) -> tuple[Element, ...]:
-        """Elements of kinds that no scene has: a description does not give them."""
-        return tuple(x for x in self.elements if type(x) not in KINDS)
+        """Elements of kinds that its description does not give."""
+        given = {*KINDS, *(type(x) for _, x in self.description.elements)}
+        return tuple(x for x in self.elements if type(x) not in given)
 
     def exchanged(self, new: Mapping[type[Element], Sequence[Element]]) -> Mechanism:
         """The same with other elements of these kinds."""

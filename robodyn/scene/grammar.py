@@ -90,3 +90,13 @@ def excluded(kind: str, keys: Container[str]) -> dict[str, str]:
     own = form_of(kind, keys)
     others = (form.way.marks for form in MAPPINGS[kind] if form is not own)
     return {x: y for marks in others for x in marks for y in own.way.marks[:1]}
+
+
+def key_table(form: str) -> str:
+    """The rows of the guide's table of a form: key, unit, value and default."""
+    rows = []
+    for name, key in FORMS[form].keys.items():
+        limit = NUMBERS.get(str(OR_VECTOR.get(key.kind, key.kind)), "")
+        told = f"{key.help}, {limit}" if limit else key.help
+        rows.append(f"| `{name}` | {key.unit} | {told} | {key.shown_default} |")
+    return "\n".join(rows).replace("|  |", "| |")

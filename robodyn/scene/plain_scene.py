@@ -133,7 +133,7 @@ def _terms(coupling: Coupling) -> Iterator[str]:
 
 def _stands(key: Key, value: Any) -> bool:
     """Whether a file must say this value."""
-    return value not in (None, (), key.value, key.told)
+    return value not in (None, ()) and (key.one or value not in (key.value, key.told))
 
 
 def _form_of(record: Declared, values: dict[str, Any], slides: bool) -> Form:

@@ -126,6 +126,5 @@ def _meant_as_number(node: Scalar) -> bool:
     try:
         read_value(node.text)
     except ValueError as error:
-        truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false", "null", "~", "")
-        return truth or not str(error).startswith("is not a number")
+        return not str(error).startswith("is not a number")
     return True

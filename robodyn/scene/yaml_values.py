@@ -177,11 +177,10 @@ class ValueReader:
             return 0.0
         try:
             if node.quoted and is_plain(node.text):
-                raise ValueError("is quoted text, not a number")
+                raise ValueError("is not a number")
             value = parse_quantity(node.text, key.unit)
         except ValueError as error:
-            truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false")
-            reason = "is a truth value, not a number" if truth else str(error)
+            reason = str(error)
             if name := _VARIABLE.search(reason):
                 reason = f"must be a number: this key cannot vary, and has no {name[1]}"
             self.fault(place, node, reason.replace("is not", "must be"), self.shown(node))
