@@ -377,10 +377,11 @@ def _link(
             yield from on_link(way, w)
     if link.payload and link.l not in sliding:
         yield Shape("payload", link.l + circle(1.5 * w))
-    yield Shape("centre", link.r + circle(0.8 * w))
-    for begin in (0.0, np.pi):  # two dark quarters
-        arc: Complex = 0.8 * w * np.exp(1j * np.linspace(begin, begin + np.pi / 2, 9))
-        yield Shape("quarter", link.r + np.append(0j, arc))
+    if link.has_mass:
+        yield Shape("centre", link.r + circle(0.8 * w))
+        for begin in (0.0, np.pi):  # two dark quarters
+            arc: Complex = 0.8 * w * np.exp(1j * np.linspace(begin, begin + np.pi / 2, 9))
+            yield Shape("quarter", link.r + np.append(0j, arc))
     for end in _spring_ends(mechanism):
         if end.link == k:
             yield Shape("tip", end.at + circle(0.3 * w))

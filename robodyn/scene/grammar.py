@@ -21,7 +21,8 @@ from robodyn.scene.scene import BRANCHES, JOINTS, Closure, Description, Line, Li
 class Form:
     """A way to write a record as a mapping.
 
-    `names` are those of its keys, by fields; of the keys `one` a file must have exactly one.
+    `names` are those of its keys, by fields; of the keys `one` a file must have exactly one, of
+    those `together` all or none.
     """
 
     def __init__(self, made: type[Declared], way: Way) -> None:
@@ -36,6 +37,7 @@ class Form:
             if not key.needed
         }
         self.one = tuple(name for name, key in self.keys.items() if key.one)
+        self.together = [name for name, key in self.keys.items() if key.together]
         self.has_joint = "joint" in made._fields and "joint" not in self.names
         self.sided = [x.name for x in made.keys.values() if isinstance(x.name, tuple)]
 

@@ -35,7 +35,9 @@ class Places:
         count: Callable[[], int],
         points: dict[str, Point] | None = None,
         whole: Callable[[Point], Point] = lambda point: point,
+        has_mass: Callable[[int], bool] = lambda k: True,
     ) -> None:
+        self.has_mass = has_mass
         self.links, self.tip, self.centre, self.count = links, tip, centre, count
         self.points, self.whole = points or {}, whole
 
@@ -55,6 +57,10 @@ class Places:
         if part is None or not 1 <= int(part[2]) <= self.count():
             return None
         k = int(part[2]) - 1
+        if part[1] == "centre" and not self.has_mass(k):
+            raise ValueError(
+                f"is a centre of gravity, which link {k + 1} has not: it has no mass m"
+            )
         return Point(k, {"joint": lambda _: 0j, "tip": self.tip, "centre": self.centre}[part[1]](k))
 
     def not_free(self, name: str) -> str:
@@ -76,6 +82,7 @@ def places_of(description: Description) -> Places:
         lambda: len(description.links),
         dict(description.points),
         Welded(description).point,
+        lambda k: bodies[k].has_mass,
     )
 
 

@@ -7,11 +7,11 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from robodyn.elements.base import Element
 from robodyn.elements.joints import DryFriction, SmoothFriction, Stops
-from robodyn.elements.keys import Declared, Way, at_joints, key
+from robodyn.elements.keys import TOGETHER, Declared, Way, at_joints, key
 from robodyn.elements.values import Law as Law
 from robodyn.elements.values import Point as Point
 from robodyn.elements.values import Signal as Signal
@@ -20,6 +20,7 @@ from robodyn.elements.values import Tables as Tables
 from robodyn.elements.values import told as told
 
 BRANCHES = ("open", "crossed")
+MASS = ("m", "r", "I")  # what a link has of its own, or has not, all three
 JOINTS = ("revolute", "prismatic", "fixed")
 
 
@@ -83,7 +84,13 @@ class Body(Declared):
     """A rigid body and the point that it hangs from: a link, or a weld."""
 
     name: str = key("name", "any text; no two links share one")
-    m: float = key("amount", "mass", unit="kg", symbol="m: mass of {}")
+    m: float = key(
+        "amount",
+        "mass; m, r and I may be left out of a link together",
+        unit="kg",
+        told=TOGETHER,
+        symbol="m: mass of {}",
+    )
     l: float = key(
         "amount",
         "length from the link's own joint to its tip",
@@ -94,6 +101,7 @@ class Body(Declared):
         "centre",
         "centre of gravity: a point [x, y] of the link, or its distance along it",
         unit="m",
+        told=TOGETHER,
         symbol="r: centre of gravity of {}",
         hint="; write [x, y] for a centre of gravity behind or beside the link",
     )
@@ -101,6 +109,7 @@ class Body(Declared):
         "amount",
         "moment of inertia about the centre of gravity",
         unit="kg m²",
+        told=TOGETHER,
         symbol="I: moment of inertia of {} about its centre of gravity",
     )
     hangs_from: Point = key(
@@ -113,6 +122,19 @@ class Body(Declared):
         default=0.0,
         symbol="mp: payload at the tip of {}",
     )
+
+    has_mass: bool = True  # whether its file says m, r and I
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> Self:
+        values.pop("joint")
+        given = [values[name] for name in MASS]
+        known = {name: 0.0 if values[name] is None else values[name] for name in MASS}
+        known["r"] = complex(known["r"])
+        return cls(**values | known, has_mass=given != [None] * 3)
+
+    def to_keys(self) -> dict[str, Any]:
+        return super().to_keys() | ({} if self.has_mass else dict.fromkeys(MASS))
 
 
 class Link(Body):
@@ -163,11 +185,6 @@ class Link(Body):
         ),
     )
 
-    @classmethod
-    def from_keys(cls, values: dict[str, Any]) -> Link:
-        del values["joint"]
-        return cls(**values | {"r": complex(values["r"])})
-
     def to_keys(self) -> dict[str, Any]:
         return super().to_keys() | {"joint": JOINTS[self.slides]}
 
@@ -192,11 +209,6 @@ class Weld(Body):
     ways: ClassVar[tuple[Way, ...]] = (
         Way("weld", "weld", "A link without a joint, part of what it hangs from."),
     )
-
-    @classmethod
-    def from_keys(cls, values: dict[str, Any]) -> Weld:
-        del values["joint"]
-        return cls(**values | {"r": complex(values["r"])})
 
     def to_keys(self) -> dict[str, Any]:
         return super().to_keys() | {"joint": JOINTS[2]}

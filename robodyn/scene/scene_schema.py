@@ -114,6 +114,9 @@ def _mapping(form: Form) -> Schema:
         "required": form.needed,
         "additionalProperties": False,
     }
+    if form.together:
+        others = {x: [y for y in form.together if y != x] for x in form.together}
+        schema["dependentRequired"] = others
     if form.one:
         schema["anyOf"] = [{"required": [name]} for name in form.one]
         pairs = combinations(form.one, 2)

@@ -116,7 +116,8 @@ def _composite(link: Link, parts: list[Weld], scene: Description, welded: Welded
             first = first + tip * part.payload
             about = about + part.payload * _square(tip)
     centre = first * (1.0 / mass) if mass else link.r
-    return link._replace(m=mass, r=centre, I=about - mass * _square(centre))
+    known = link.has_mass and all(part.has_mass for part in parts)
+    return link._replace(m=mass, r=centre, I=about - mass * _square(centre), has_mass=known)
 
 
 def _square(z: complex) -> float:

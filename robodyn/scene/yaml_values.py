@@ -118,6 +118,11 @@ class ValueReader:
                 self.fault(prefix + form.one[0], node, "is missing")
             for other in given_one[1:]:
                 self.fault(prefix + other, found[other], f"stands beside {given_one[0]}; give one")
+        if not found.keys().isdisjoint(form.together):
+            for name in form.together:
+                if name not in found:
+                    limit = f"is missing: give {', '.join(form.together)}, or none of them"
+                    self.fault(prefix + name, node, limit)
         values: dict[str, Any] = dict(form.absent)
         for name, key in form.keys.items():
             if name in found:
