@@ -105,9 +105,12 @@ def driver_of(mechanism: Mechanism, name: str = "q") -> Mechanism:
 
 
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
-    """The source that the quantity's option is; zero where there is none."""
+    """The source that the quantity's option is; zero, or the scene's start, where there is none."""
     driver = driver_of(mechanism, quantity.name)
     if quantity.option is None:
+        begin = mechanism.description.begin(driver.actuated) if quantity.required else ()
+        if begin:
+            return Source(quantity, list(begin), [], False)
         if quantity.required:
             limit = "missing: give it"
             limit += ", or a CSV of states (- for stdin)" if quantity.tabled else ""

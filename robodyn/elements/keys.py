@@ -14,8 +14,10 @@ from typing import Any, ClassVar, Final, Self, dataclass_transform
 from robodyn.tables.records import Record
 
 NEEDED: Final[Any] = object()  # the default of what a file must have
-ONE = "one of the three"  # what stands for a key of several that exclude one another
+ONE = "one of the three"
 TOGETHER = "none of the three"  # what stands for a key of several that a file has all, or none
+# what stands for a key of several that exclude one another, one of which a file must have
+ONES = (ONE, "I or J", "r or centre")
 Sided = Any  # a text, or a pair of texts: of joints that turn, and of those that slide
 
 
@@ -67,7 +69,7 @@ class Key(Record):
     @property
     def one(self) -> bool:
         """Whether it is one of several, of which a file must have exactly one."""
-        return bool(self.told == ONE)
+        return self.told in ONES
 
     @property
     def together(self) -> bool:
@@ -120,11 +122,18 @@ class Declared(Record):
     """
 
     ways: ClassVar[tuple[Way, ...]] = ()  # to write it; none: files do not have it
+    # a record whose keys it has too, less those of some fields
+    like: ClassVar[tuple[type[Declared], frozenset[str]] | None] = None
     keys: ClassVar[dict[str, Key]] = {}  # by fields, in the order of declaration
 
     def __init_subclass__(cls) -> None:
         own = {x: y for x in cls.__annotations__ if isinstance(y := vars(cls).get(x), Key)}
-        cls.keys = cls.keys | {x: y._replace(field=x) for x, y in own.items()}
+        more = {}
+        if cls.like:
+            more = {x: y for x, y in cls.like[0].keys.items() if x not in cls.like[1]}
+        first = {x: y for x, y in own.items() if x not in more}
+        keys = {x: y._replace(field=x) for x, y in (first | more | own).items()}
+        cls.keys = cls.keys | keys
         for name, each in own.items():
             if each.default is NEEDED or "ClassVar[" in str(cls.__annotations__[name]):
                 delattr(cls, name)

@@ -60,7 +60,14 @@ def from_tree(
         raise DescriptionError(source, [fault])
     reader = _Reader(tables)
     with suppress(TooManyFaults):
-        description = reader.scene(root, source)
+        drawing = None
+        if any(key.text == "pins" for key, _ in root.pairs):
+            from robodyn.scene.drawn import Drawing  # other scenes start without it
+
+            drawing = Drawing(root, reader)
+        description = reader.scene(drawing.explicit() if drawing else root, source)
+        if drawing and not reader.faults:
+            drawing.check(description)
         if not reader.faults:
             return description._replace(written=Written(root, (), text, reader.tables))
     raise DescriptionError(source, sorted(reader.faults, key=lambda fault: fault.line or 0))

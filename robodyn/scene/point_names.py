@@ -32,13 +32,14 @@ class Places:
         links: Mapping[str, int],
         tip: Callable[[int], complex],
         centre: Callable[[int], complex],
-        count: Callable[[], int],
+        count: Callable[[], int] | None = None,
         points: dict[str, Point] | None = None,
         whole: Callable[[Point], Point] = lambda point: point,
         has_mass: Callable[[int], bool] = lambda k: True,
     ) -> None:
         self.has_mass = has_mass
-        self.links, self.tip, self.centre, self.count = links, tip, centre, count
+        self.links, self.tip, self.centre = links, tip, centre
+        self.count = count or (lambda: len(links))
         self.points, self.whole = points or {}, whole
 
     def point(self, text: str) -> Point | None:

@@ -6,7 +6,7 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 from robodyn.elements.base import Element
@@ -21,6 +21,7 @@ from robodyn.elements.values import told as told
 
 BRANCHES = ("open", "crossed")
 MASS = ("m", "r", "I")  # what a link has of its own, or has not, all three
+ROUNDING = 4e-16  # part of J that m r^2 may miss it by in a point mass
 JOINTS = ("revolute", "prismatic", "fixed")
 
 
@@ -109,8 +110,16 @@ class Body(Declared):
         "amount",
         "moment of inertia about the centre of gravity",
         unit="kg m²",
-        told=TOGETHER,
+        absent=None,
+        told="I or J",
         symbol="I: moment of inertia of {} about its centre of gravity",
+    )
+    J: ClassVar[Any] = key(
+        "amount",
+        "moment of inertia about the link's own joint",
+        unit="kg m²",
+        absent=None,
+        told="I or J",
     )
     hangs_from: Point = key(
         "point", "the point that it hangs from", told="the tip of the link before", name="from"
@@ -128,10 +137,20 @@ class Body(Declared):
     @classmethod
     def from_keys(cls, values: dict[str, Any]) -> Self:
         values.pop("joint")
-        given = [values[name] for name in MASS]
-        known = {name: 0.0 if values[name] is None else values[name] for name in MASS}
-        known["r"] = complex(known["r"])
-        return cls(**values | known, has_mass=given != [None] * 3)
+        J = values.pop("J")
+        has_mass = J is not None or any(values[name] is not None for name in MASS)
+        values |= {name: values[name] or 0.0 for name in MASS}
+        values["r"] = r = complex(values["r"])
+        if J is not None:
+            least = values["m"] * (r.real * r.real + r.imag * r.imag)
+            values["I"] = 0.0 if abs(J - least) <= ROUNDING * J else J - least
+        return cls(**values, has_mass=has_mass)
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        if self.I < 0.0:  # of J less that of the mass
+            least = self.m * (self.r.real * self.r.real + self.r.imag * self.r.imag)
+            limit = f"must be at least m r^2 = {least:.6g} kg m^2: it is about the link's own joint"
+            yield "J", limit, f"{self.I + least:g}"
 
     def to_keys(self) -> dict[str, Any]:
         return super().to_keys() | ({} if self.has_mass else dict.fromkeys(MASS))
@@ -393,6 +412,11 @@ class Description(Declared):
     def bodies(self) -> tuple[Body, ...]:
         """Links, and behind them welds: what the link of a `Point` counts."""
         return (*self.links, *self.welds)
+
+    def begin(self, joints: Sequence[int]) -> tuple[float, ...]:
+        """The values of joints in the `start`, rad or m; empty unless it tells all joints."""
+        whole = [x for x in self.start or () if x is not None]
+        return tuple(whole[k] for k in joints) if len(whole) == len(self.links) else ()
 
     @property
     def elements(self) -> Iterator[tuple[str, Element]]:

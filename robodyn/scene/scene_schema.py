@@ -6,7 +6,6 @@ exist, links that hang from themselves and the like are found by robodyn alone.
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import Any
 
 from robodyn.elements.keys import Key
@@ -45,10 +44,15 @@ def scene_schema() -> Schema:
         if kind not in FORMS or len(forms) > 1
     }
     kinds |= {_place(name): _mapping(form) for name, form in FORMS.items()}
+    del kinds["scene"]  # it is the whole
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "robodyn scene",
-        **kinds.pop("scene"),
+        "type": "object",
+        "required": FORMS["scene"].needed,
+        "if": {"required": ["pins"]},
+        "then": _ref("drawn_scene"),
+        "else": _ref("plain_scene"),
         "$defs": kinds | _other_kinds(),
     }
 
@@ -71,6 +75,9 @@ def _other_kinds() -> dict[str, Schema]:
         "vector": {**pair, "items": _ref("number")},
         "direction": {**_ref("vector"), "contains": {"not": {"const": 0}}},
         "points": {"type": "object", "additionalProperties": _ref("moving_point")},
+        "pins": {"type": "object", "additionalProperties": _ref("vector"), "minProperties": 1},
+        "pin_names": {**_list("name"), "minItems": 1, "uniqueItems": True},
+        "ground_pin": _any("name", "ground_line"),
         "start": {"type": "object", "additionalProperties": _ref("angle")},
         "assembly": {"anyOf": [_ref("branch"), _list("branch")]},
         "coupling": {"type": "string", "pattern": r"^\s*q\s*[0-9][0-9\s]*=\s*\S"},
@@ -114,13 +121,13 @@ def _mapping(form: Form) -> Schema:
         "required": form.needed,
         "additionalProperties": False,
     }
+    ones: list[Schema] = [{"oneOf": [{"required": [name]} for name in one]} for one in form.one]
     if form.together:
-        others = {x: [y for y in form.together if y != x] for x in form.together}
-        schema["dependentRequired"] = others
-    if form.one:
-        schema["anyOf"] = [{"required": [name]} for name in form.one]
-        pairs = combinations(form.one, 2)
-        schema["not"] = {"anyOf": [{"required": list(pair)} for pair in pairs]}
+        none = [{"required": [name]} for group in form.together for name in group]
+        all_of = [{"oneOf": [{"required": [name]} for name in one]} for one in form.together]
+        ones.append({"anyOf": [{"not": {"anyOf": none}}, {"allOf": all_of}]})
+    if ones:
+        schema["allOf"] = ones
     return schema
 
 

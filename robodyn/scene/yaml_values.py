@@ -112,17 +112,16 @@ class ValueReader:
         form = form_of(kind, given)
         found = self.keys(node, place, form.needed, form.optional, beside=(kind, given))
         prefix = f"{place}." if place else ""
-        if form.one:
-            given_one = [name for name in form.one if name in found]
+        names = [name for group in form.together for name in group]
+        some = not found.keys().isdisjoint(names)
+        for one in (*form.one, *(form.together if some else ())):
+            given_one = [name for name in one if name in found]
             if not given_one and isinstance(node, Mapping):
-                self.fault(prefix + form.one[0], node, "is missing")
+                all_or_none = ", ".join(group[0] for group in form.together)
+                other = one in form.together and f": give {all_or_none}, or none of them"
+                self.fault(prefix + one[0], node, f"is missing{other or ''}")
             for other in given_one[1:]:
                 self.fault(prefix + other, found[other], f"stands beside {given_one[0]}; give one")
-        if not found.keys().isdisjoint(form.together):
-            for name in form.together:
-                if name not in found:
-                    limit = f"is missing: give {', '.join(form.together)}, or none of them"
-                    self.fault(prefix + name, node, limit)
         values: dict[str, Any] = dict(form.absent)
         for name, key in form.keys.items():
             if name in found:
