@@ -392,7 +392,7 @@ links:
 
 def test_an_empty_link_lacks_every_key() -> None:
     assert [(place, limit) for place, _, limit, _ in faults_of("links: [{}]")] == [
-        (f"links[0].{key}", "is missing") for key in ("name", "m", "l", "r", "I")
+        (f"links[0].{key}", "is missing") for key in ("name", "l")
     ]
 
 

@@ -27,7 +27,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from robodyn import __version__
 from robodyn.cli import progress
-from robodyn.errors import RobodynError, printable_lines
+from robodyn.errors import MassError, RobodynError, printable_lines
 from robodyn.tables.csv_fields import plain_digits
 
 USAGE_ERROR: Any = BadParameter.__base__  # click's, of which typer has its own
@@ -240,6 +240,8 @@ def run(arguments: list[str]) -> int:
             return 128 + progress.received[-1]  # compiled code makes another error of a signal
         if debug:
             raise
+        if isinstance(error, MassError):
+            error.limit = error.limit.replace("dynamics need", f"{_called(arguments)} needs")
         print(printable_lines(_described(error)), file=sys.stderr)
         return error.exit_code if isinstance(error, RobodynError) else 1
     return code if isinstance(code, int) else 0
@@ -262,9 +264,14 @@ def _described(error: Exception) -> str:
     return f"Error: {text}"
 
 
+def _called(arguments: list[str]) -> str:
+    """The word that names the command, empty if there is none."""
+    return next((word for word in arguments if not word.startswith("-")), "")
+
+
 def _application(arguments: list[str], whole: bool = True) -> typer.Typer:
     """The command that is called; where none is, all, `whole` or as a list of their names."""
-    called = next((word for word in arguments if not word.startswith("-")), "")
+    called = _called(arguments)
     is_called = called in COMMANDS
     application = typer.Typer(
         cls=Commands,

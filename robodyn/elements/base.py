@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from typing import ClassVar
 
 from robodyn.elements.builder import Builder, Term
@@ -80,6 +80,15 @@ class Element(Declared):
     def placed(self, tree: Tree) -> Iterator[Element]:
         """The elements that act in a mechanism of these links, of one that a scene has."""
         yield self
+
+    def moved(
+        self, point: Callable[[Point], Point], turn: Callable[[int | None], complex]
+    ) -> Element | None:
+        """It on other links: `point` takes its points there, whose frames have a `turn` there.
+
+        None if it then acts on the ground alone.
+        """
+        return self
 
     def varies(self) -> Iterator[tuple[str, Signal]]:
         """Its signals, each with the place in its mapping."""

@@ -304,7 +304,10 @@ class Stops(Element):
         if self.low is None and self.high is None:
             yield "", "needs a min, a max, or both", None
         elif self.low is not None and self.high is not None and not self.low < self.high:
-            yield "high", f"must be above min, {self.low:g}", f"{self.high:g}"
+            limit = f"must be above min, {self.low:g}"
+            if self.low == self.high:
+                limit += "; a joint that cannot move is `joint: fixed`"
+            yield "high", limit, f"{self.high:g}"
 
     def placed(self, tree: Tree) -> Iterator[Element]:
         for side, end in Range(self.joint, self.low, self.high).ends:

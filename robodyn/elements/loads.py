@@ -6,7 +6,7 @@ gives F_k -= conj(c_k) f.  Loads that vary are signals in place of numbers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
 from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element
@@ -45,6 +45,7 @@ class Force(Element):
         name="frame",
     )
     varying: tuple[Signal | None, Signal | None] = (None, None)
+    turn: complex = 1.0 + 0j  # from the link's frame to that which a turning force is told in
 
     points: ClassVar[dict[str, str]] = {"point": "c: point of {}"}
     ways: ClassVar[tuple[Way, ...]] = (
@@ -67,6 +68,12 @@ class Force(Element):
         place = {"link": self.point.link, "at": self.point.at}
         return place | {"force": parts, "turns": self.turns}
 
+    def moved(
+        self, point: Callable[[Point], Point], turn: Callable[[int | None], complex]
+    ) -> Force | None:
+        there, turned = point(self.point), self.turn * turn(self.point.link)
+        return None if there.link is None else self._replace(point=there, turn=turned)
+
     @property
     def varied(self) -> bool:
         """Whether it is not constant."""
@@ -86,7 +93,7 @@ class Force(Element):
         if not self.turns or k is None or tree.frames[k] is not None or self.varied:
             yield self
         else:
-            yield self._replace(force=tree.turned(k, self.force), turns=False)
+            yield self._replace(force=tree.turned(k, self.turn * self.force), turns=False)
 
     @property
     def acts(self) -> str:
@@ -120,7 +127,8 @@ class Force(Element):
         point, whole, turned = tree.point(self.point), self.force, 1.0 + 0j
         E = b.direction(link) if self.turns else None  # without it it is among the weights
         if self.turns:
-            turned, whole = tree.turned(link, turned), tree.turned(link, whole)
+            turned = tree.turned(link, self.turn)
+            whole = tree.turned(link, whole if self.turn == 1.0 else self.turn * whole)
         if not self.varied:
             b.force(PointForce(self, whole, E, (point, link)))
             if b.work and E is not None:
@@ -169,6 +177,12 @@ class Moment(Element):
     def varies(self) -> Iterator[tuple[str, Signal]]:
         if self.varying is not None:
             yield "torque", self.varying
+
+    def moved(
+        self, point: Callable[[Point], Point], turn: Callable[[int | None], complex]
+    ) -> Moment | None:
+        link = point(Point(self.link, 0j)).link
+        return None if link is None else self._replace(link=link)
 
     def called(self, names: Sequence[str]) -> str:
         return f" on {names[self.link]}"

@@ -10,7 +10,7 @@ law F pulls by F(x, v) in the place of k x, with its extension x = sqrt(s) - L o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 from robodyn.elements.base import (
@@ -106,6 +106,11 @@ class PointSpring(Element):
         if isinstance(self.law, Law) and self.damping:
             yield "damping", DAMPED, self.damping
 
+    def moved(
+        self, point: Callable[[Point], Point], turn: Callable[[int | None], complex]
+    ) -> PointSpring:
+        return self._replace(first=point(self.first), second=point(self.second))
+
     def varies(self) -> Iterator[tuple[str, Signal]]:
         yield from _law_of(self)
 
@@ -192,7 +197,7 @@ class JointSpring(Element):
     """A spring and damper at a joint; in a mechanism its damper is an element of its own."""
 
     joint: int = key(
-        "link_name",
+        "joint_name",
         (
             "the link whose own joint it is; its angle counts from turn to turn",
             "the link whose own joint it is",

@@ -70,6 +70,7 @@ class EquationsOfMotion(Builder):
         times the way.  With `chained` the sums over A run along the tree: fewer in deep ones.
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
+        mechanism.check_masses()
         number = program.planar_number
         inertia: list[Coefficient] = [0.0] * n
         slides = set(mechanism.slides)

@@ -44,6 +44,7 @@ from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
 from robodyn.scene.scene import Description, Point
+from robodyn.scene.welds import without_welds
 
 
 def load(path: str | Path) -> Mechanism:
@@ -61,10 +62,10 @@ def build(description: Description) -> Mechanism:
     closure of points that cannot move apart.
     """
     try:
+        description = without_welds(description)
         mechanism = constants(description)
-        moments = mechanism.steady_moments
-        if mechanism.slides and moments:  # their PE is zero where the link points along +X
-            phases = Tree(description.links).phases
+        moments, phases = mechanism.steady_moments, Tree(description.links).phases
+        if moments and any(x != 1.0 for x in phases):  # PE is zero where the link lies along +X
             turned = sum(torque * cmath.phase(phases[k]) for k, torque in moments)
             mechanism = replace(mechanism, energy_offset=mechanism.energy_offset - turned)
         if description.couplings:

@@ -18,7 +18,7 @@ from robodyn.elements.contacts import STICKS, Mode
 from robodyn.elements.joints import DryFriction, Range, Rotor
 from robodyn.elements.link_rows import PlanarPoint as PlanarPoint
 from robodyn.elements.springs import JointDamper
-from robodyn.errors import printable
+from robodyn.errors import MassError, printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
 from robodyn.mechanics.model_parts import Inertias as Inertias
 from robodyn.mechanics.model_parts import OnDemand as OnDemand
@@ -256,6 +256,19 @@ class Mechanism:
     def arrays(self) -> Arrays:
         """The constants as dense numpy arrays (numpy is imported here)."""
         return _arrays(self)
+
+    @cached_property
+    def massless(self) -> tuple[int, ...]:
+        """The links of which the scene does not say m, r and I."""
+        links = self.description.links if isinstance(self.A, Inertias) else ()
+        return tuple(k for k, link in enumerate(links) if not link.has_mass)
+
+    def check_masses(self) -> None:
+        """Raise MassError if a link has no mass: what is asked for needs it."""
+        if self.massless:
+            k = self.massless[0]
+            place = self.description.listed.index(self.description.links[k])
+            raise MassError(f"links[{place}] ({self.link_names[k]})", where=self.source)
 
     def __repr__(self) -> str:
         from robodyn.tables.short_repr import named

@@ -27,6 +27,7 @@ from robodyn.loops.assembly import assembly_plan, attempt
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Point
+from robodyn.scene.welds import Welded
 from robodyn.tables.arrays import Array, Complex
 
 ARC = 15  # points of half a circle
@@ -334,7 +335,15 @@ def link_points(mechanism: Mechanism, k: int, marked: Sequence[Point] = ()) -> C
     found = [0j, complex(mechanism.description.links[k].l), *_attached(mechanism, k)]
     found += [point.at for _, point in mechanism.description.points if point.link == k]
     found += [point.at for point in marked if point.link == k]
+    found += [point.at for point in _welded(mechanism) if point.link == k]
     return np.array(list(dict.fromkeys(found)))
+
+
+def _welded(mechanism: Mechanism) -> list[Point]:
+    """Joints and tips of welds, on the links that they are part of."""
+    welded = Welded(mechanism.description)
+    ends = enumerate(mechanism.description.welds, start=mechanism.n)
+    return [welded.point(Point(k, at)) for k, weld in ends for at in (0j, weld.l + 0j)]
 
 
 def _attached(mechanism: Mechanism, k: int) -> list[complex]:
@@ -369,10 +378,11 @@ def _link(
             yield from on_link(way, w)
     if link.payload and link.l not in sliding:
         yield Shape("payload", link.l + circle(1.5 * w))
-    yield Shape("centre", link.r + circle(0.8 * w))
-    for begin in (0.0, np.pi):  # two dark quarters
-        arc: Complex = 0.8 * w * np.exp(1j * np.linspace(begin, begin + np.pi / 2, 9))
-        yield Shape("quarter", link.r + np.append(0j, arc))
+    if link.has_mass:
+        yield Shape("centre", link.r + circle(0.8 * w))
+        for begin in (0.0, np.pi):  # two dark quarters
+            arc: Complex = 0.8 * w * np.exp(1j * np.linspace(begin, begin + np.pi / 2, 9))
+            yield Shape("quarter", link.r + np.append(0j, arc))
     for end in _spring_ends(mechanism):
         if end.link == k:
             yield Shape("tip", end.at + circle(0.3 * w))

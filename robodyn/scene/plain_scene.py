@@ -25,6 +25,7 @@ class _Writer:
 
     def __init__(self, description: Description) -> None:
         self.links = description.links
+        self.bodies = description.bodies
 
     def mapping(self, record: Declared, joint: int | None = None) -> dict[str, Any]:
         """The mapping of a record; of what stands at a joint, that joint's keys."""
@@ -44,7 +45,8 @@ class _Writer:
         if key.listed:
             one, each = key._replace(listed=False), enumerate(value)
             if key.kind == "link":
-                return [self.mapping(link, k) for k, link in each]
+                joints = {link.name: k for k, link in enumerate(self.links)}
+                return [self.mapping(link, joints.get(link.name)) for _, link in each]
             return [self.value(one, x) for _, x in each]
         if key.kind in NUMBERS:
             return value
@@ -72,7 +74,9 @@ class _Writer:
     # -- names and points ----------------------------------------------------------------------
 
     def link_name(self, link: int) -> str:
-        return self.links[link].name
+        return self.bodies[link].name
+
+    joint_name = link_name
 
     def joints(self, joints: tuple[int, ...]) -> list[str]:
         return [self.links[k].name for k in joints]

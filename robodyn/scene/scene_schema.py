@@ -67,6 +67,8 @@ def _other_kinds() -> dict[str, Schema]:
     return {
         "name": {"type": any_name, "pattern": r"\S"},
         "link_name": _ref("name"),
+        "joint_name": _ref("name"),
+        "link": _any("prismatic_link", "revolute_link", "weld"),
         "joints": {**_list("name"), "uniqueItems": True},
         "quantity": {"type": "string", "pattern": _quantity()},
         "vector": {**pair, "items": _ref("number")},
@@ -117,8 +119,13 @@ def _mapping(form: Form) -> Schema:
         "required": form.needed,
         "additionalProperties": False,
     }
-    if form.one:
-        schema["allOf"] = [{"oneOf": [{"required": [name]} for name in one]} for one in form.one]
+    ones: list[Schema] = [{"oneOf": [{"required": [name]} for name in one]} for one in form.one]
+    if form.together:
+        none = [{"required": [name]} for group in form.together for name in group]
+        all_of = [{"oneOf": [{"required": [name]} for name in one]} for one in form.together]
+        ones.append({"anyOf": [{"not": {"anyOf": none}}, {"allOf": all_of}]})
+    if ones:
+        schema["allOf"] = ones
     return schema
 
 

@@ -108,7 +108,7 @@ class SceneValues:
         places = dict(_numbers(_Place(self.root, ""), self.root, "", "scene"))
         for name, place in list(places.items()):
             if match := _OF_LINK.match(name):
-                named = f"links.{self.base.links[int(match[1])].name}.{name[match.end() :]}"
+                named = f"links.{self.base.listed[int(match[1])].name}.{name[match.end() :]}"
                 places.setdefault(named, place)
         return places
 

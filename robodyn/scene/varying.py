@@ -29,7 +29,6 @@ class SignalReader(ValueReader):
     def __init__(self) -> None:
         super().__init__()
         self.source = ""
-        self.count = 0  # of links
         self.tables: Tables = {}
 
     def law(self, node: Node, place: str, unit: str) -> Law | None:
