@@ -17,7 +17,8 @@ from robodyn.scene.scene import Closure, Coupling, Description
 
 def plain_scene(description: Description) -> dict[str, Any]:
     """The mapping of a scene file, as JSON has it."""
-    return _Writer(description).mapping(description)
+    scene = description.apart or description
+    return _Writer(scene).mapping(scene)
 
 
 class _Writer:
@@ -91,7 +92,7 @@ class _Writer:
     def point(self, point: Point) -> str | dict[str, Any] | list[float]:
         if point.link is None:
             return self.vector(point.at)
-        link = self.links[point.link]
+        link = self.bodies[point.link]
         return link.name if point.at == link.l else self.mapping(point)
 
     moving_point = point

@@ -382,6 +382,7 @@ class Description(Declared):
     )
     pins: tuple[tuple[str, Point], ...] = ()  # of several links of a drawing, by their names
     welds: tuple[Weld, ...] = ()
+    apart: Any = None  # the scene whose welds are parts of its links here
     written: Written = Written()
 
     ways: ClassVar[tuple[Way, ...]] = (

@@ -55,7 +55,7 @@ class Welded:
 
 
 def without_welds(description: Description) -> Description:
-    """The scene with each weld as a part of what it hangs from.
+    """The scene with each weld as a part of what it hangs from; `apart` is the scene as it was.
 
     Its welds remain, without masses, for their names.  Raises InputError for a closure that joins
     two points of one link so.
@@ -72,6 +72,7 @@ def without_welds(description: Description) -> Description:
     for k, parts in carried.items():
         links[k] = _composite(links[k], parts, description, welded)
     found = description._replace(
+        apart=description.apart or description,
         links=tuple(links),
         closures=tuple(_closed(closure, welded) for closure in description.closures),
         springs=tuple(_acting(description.springs, welded)),
