@@ -121,7 +121,7 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     arrays, at = mechanism.arrays, placed(mechanism, q)
     loads = -columns(mechanism, arrays.weights, at.X, at.E).real - arrays.moments
     G: Array = matvec(arrays.J.T, loads)
-    if mechanism.springs or mechanism.joint_springs:
+    if mechanism.stores_energy:
         rows = rows_of(parts.stored, mechanism)
         check_directions(rows.mechanism, np.asarray(q, float))
         G = G + rows("torques", q)
@@ -210,7 +210,7 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
     PE: Array = mechanism.energy_offset - (at.X * arrays.weights).real.sum(axis=-1)
     if any(mechanism.moments):
         PE = PE - (at.x * arrays.moments).sum(axis=-1)
-    if mechanism.springs or mechanism.joint_springs:
+    if mechanism.stores_energy:
         PE = PE + rows_of(parts.stored, mechanism)("PE", q)[..., 0]
     return KE, PE
 

@@ -33,6 +33,19 @@ class PlanarPoint(Record):
         return abs(self.constant) + sum(abs(c) for _, c in self.terms)
 
 
+class Name(Record):
+    """What written equations call a slot of an element: letters before its number, and after.
+
+    `meaning` has {} for the element; `link` orders what acts on a link.
+    """
+
+    letter: str
+    unit: str
+    meaning: str
+    axis: str = ""
+    link: int | None = None
+
+
 class NoDirection(ZeroDivisionError):
     """The ends of the spring between points of this place coincide at every state."""
 

@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element
+from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element, Name
 from robodyn.elements.keys import Way, key
 from robodyn.elements.values import Point, Signal
 
 if TYPE_CHECKING:
     from robodyn.mechanics.force_rows import Builder, PlanarTerm
     from robodyn.mechanics.link_tree import Tree
+
+AXES = tuple(Name("F", "N", f"force of {{}}, {axis}", axis) for axis in "xy")
 
 
 class Force(Element):
@@ -130,8 +132,9 @@ class Force(Element):
         force: list[PlanarTerm] = []
         numbers = self.force.real, self.force.imag
         units = turned, 1j * turned
-        for unit, number, signal in zip(units, numbers, self.varying, strict=True):
-            slot = b.number_slot(number) if signal is None else b.signal(signal, point.reach)
+        each = zip(units, numbers, self.varying, AXES, strict=True)
+        for unit, number, signal, name in each:
+            slot = b.number_slot(number) if signal is None else b.signal(signal, point, name)
             if frame is not None:
                 slot = b.scaled(slot, b.x[frame])
             force.append((b.planar_number(unit), slot))
@@ -195,4 +198,5 @@ class Moment(Element):
 
     def rows(self, b: Builder) -> None:
         if self.varying is not None:
-            b.moment(self.link, b.signal(self.varying, 1.0))
+            name = Name("T", "N m", "torque of {}", link=self.link)
+            b.moment(self.link, b.signal(self.varying, 1.0, name))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from robodyn.elements.base import Element, PlanarPoint
+from robodyn.elements.base import Element, Name, PlanarPoint
 from robodyn.elements.base import NoDirection as NoDirection
 from robodyn.mechanics.link_rows import LinkRows
 from robodyn.mechanics.planar_model import Mechanism
@@ -123,8 +123,10 @@ class Builder(LinkRows):
 
         return stored_energy(self, law, x)
 
-    def signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
-        """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
+    def signal(
+        self, signal: Signal, arm: PlanarPoint | float, name: Name, x: Slot | None = None
+    ) -> Slot:
+        """What a signal is, of a spring's extension x; the arm makes a torque of it."""
         from robodyn.mechanics.signal_rows import signal_rows
 
         if isinstance(signal, Table):
@@ -133,13 +135,34 @@ class Builder(LinkRows):
         slot, watched = signal_rows(self, signal, own)
         if isinstance(signal, Law):
             self.laws.append((signal, slot))
+        length = arm.reach if isinstance(arm, PlanarPoint) else arm
         for each, scale in watched:
-            self.bends(each, arm * scale)
+            self.bends(each, length * scale)
             if isinstance(signal, Table):
                 self.program.named.setdefault("lines", []).append(each)
         return slot
 
+    # what equations call it
+
+    def named(self, name: Name, slot: Slot, sign: float = 1.0) -> Slot:
+        """The slot; in written equations the name stands there, for `sign` times it."""
+        return slot
+
+    def span(self, name: Name, place: PlanarPoint, always: bool) -> Slot:
+        """A point less another, planar.
+
+        In written equations two names stand there, `always` or if it joins two branches of links.
+        """
+        return self.point(place)
+
+    def root(self, name: Name, square: Slot) -> None:
+        """In written equations the name stands for the square root of a slot."""
+
     # what elements do
+
+    def write_rows(self, element: Element) -> None:
+        """Write the rows of an element."""
+        element.rows(self)
 
     def force(
         self,
@@ -184,11 +207,11 @@ class Builder(LinkRows):
         self.program.named["bends"].append(slot)
         self.program.arms[slot] = arm
 
-    def bends_planar(self, slot: Slot, arm: float) -> None:
-        """The same of both parts of a planar slot."""
+    def bends_planar(self, slot: Slot, place: PlanarPoint) -> None:
+        """The same of both parts of a planar slot, a force at a place."""
         for along in ((1.0, 0.0), (0.0, -1.0)):
             part = self.program.add(RealPart(self.planar_sum((along, slot))))
-            self.bends(part, arm)
+            self.bends(part, place.reach)
 
     # what gathers them
 
@@ -200,7 +223,7 @@ class Builder(LinkRows):
     def _scene_forces(self) -> None:
         on_links = (x for x in self.mechanism.elements if x.at is None and x.acts)
         for element in sorted(on_links, key=lambda x: x.rank):
-            element.rows(self)
+            self.write_rows(element)
 
     def _joints(self, torques: Sequence[Slot | None], steady: bool) -> None:
         """Torques at the joints: what a link gets its parent gives."""
@@ -216,7 +239,7 @@ class Builder(LinkRows):
             if self.mechanism.damping[j]:
                 self.torque(j, self.number(-self.mechanism.damping[j]), self.v(j))
             for element in sorted(here[j], key=lambda x: x.rank):
-                element.rows(self)
+                self.write_rows(element)
             acting, constant = self._acting[j], self._constant[j]
             if acting or constant:
                 self.torques[j] = self.sum(*acting, constant=self.number(constant))

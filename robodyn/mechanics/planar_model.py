@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from robodyn.elements.base import Element
+from robodyn.elements.base import STORED, Element
 from robodyn.elements.base import PlanarPoint as PlanarPoint
 from robodyn.elements.base import conserves as conserves
 from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
@@ -218,6 +218,11 @@ class Mechanism:
     def has_state_forces(self) -> bool:
         """Whether anything acts but gravity, constant forces and torques, and joint dampers."""
         return any(x.acts and not x.steady for x in self.elements)
+
+    @cached_property
+    def stores_energy(self) -> bool:
+        """Whether any element has a potential."""
+        return any(x.acts == STORED for x in self.elements)
 
     @cached_property
     def changes_energy(self) -> bool:
