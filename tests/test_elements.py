@@ -14,14 +14,16 @@ from jsonschema import Draft202012Validator
 from read_equations import evaluated, module
 
 from random_mechanisms import seeded_tree
-from robodyn import forward_dynamics, inverse_dynamics, simulate
+from robodyn import forward_dynamics, inverse_dynamics, reactions, simulate
 from robodyn.dynamics.identities import BOUND, identities, sample_states
+from robodyn.dynamics.placed import absolute_rates, placed
 from robodyn.elements import kinds
 from robodyn.elements.base import SPENT, STORED, Element, Name
 from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
 from robodyn.elements.keys import Way, key
 from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
+from robodyn.elements.values import Point
 from robodyn.equations.derivation import Derivation
 from robodyn.equations.text import as_json, text
 from robodyn.equations.written import equations
@@ -95,7 +97,33 @@ class Magnet(Element):
         b.torque(self.joint, b.number(-self.k), turned, spends=False)
 
 
-NEW = QuadraticDrag, Magnet
+class Drag(Element):
+    """-c v at a point whose velocity is v: a third."""
+
+    point: Point = key("moving_point", "where it acts")
+    c: float = key(
+        "amount", "its factor", unit="N s/m", symbol="ca: drag of {}", linear="ca", name="drag"
+    )
+
+    points: ClassVar[dict[str, str]] = {"point": "c: point of {}"}
+    ways: ClassVar[tuple[Way, ...]] = (Way("air", "load", "A drag.", ("point", "drag")),)
+
+    @property
+    def acts(self) -> str:
+        return SPENT
+
+    def grips(self):
+        return ((self.point, 1.0),)
+
+    def rows(self, b) -> None:
+        place = b.mechanism.tree.point(self.point)
+        v = b.rate(b.point(place))
+        b.force(place, -self.c, v, self.point.link)
+        if b.work:
+            b.works(b.number(-self.c), b.inner(v, v))
+
+
+NEW = QuadraticDrag, Magnet, Drag
 
 
 def numbers(rng, low, high, count=2):
@@ -180,6 +208,10 @@ def magnets(rng, scene):
     scene["springs"] = [{"joint": NAMES[2], "hold": number(rng, 0.3, 0.9)}]
 
 
+def air(rng, scene):
+    scene["loads"] = [{"point": point(rng, 2), "drag": number(rng, 0.3, 0.9)}]
+
+
 CASES = {
     PointSpring: point_springs,
     JointSpring: joint_springs,
@@ -193,6 +225,7 @@ CASES = {
     Rotor: rotors,
     QuadraticDrag: drags,
     Magnet: magnets,
+    Drag: air,
 }
 # in which they act, where that is not the mode of a joint that is free
 MODES = {
@@ -382,6 +415,24 @@ def test_a_new_kind_is_in_the_torques(seed):
     assert np.allclose(forward_dynamics(mechanism, q, qd, tau), qdd, atol=1e-9)
     assert mechanism.changes_energy
     assert mechanism.has_state_forces
+
+
+@seeds
+def test_joints_carry_the_force_of_a_new_kind(seed):
+    """Those on the way to the ground, and those alone."""
+    bare, mechanism = build(plain(seed)), made(Drag, seed)
+    (drag,) = mechanism.of(Drag)
+    above, loaded = mechanism.path(drag.point.link), np.zeros((5, LINKS, 2))
+    q, qd, qdd = states(seed)
+    place = mechanism.tree.point(drag.point)
+    at = placed(mechanism, q)
+    moving = at.rates(mechanism, absolute_rates(mechanism, qd)).X
+    v = sum(c * moving[:, k] for k, c in place.terms)
+    for k in above:
+        loaded[:, k] = drag.c * np.stack([v.real, v.imag], axis=-1)
+    none = np.zeros((5, 0))
+    more = reactions(mechanism, q, qd, qdd, none) - reactions(bare, q, qd, qdd, none)
+    assert np.allclose(more, loaded, atol=1e-11)
 
 
 @seeds

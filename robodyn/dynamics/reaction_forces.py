@@ -148,14 +148,12 @@ class Felt:
     def _acting(self) -> Iterator[tuple[Complex, Complex, int | None]]:
         """The forces of springs and loads: where each acts, and on which link."""
         mechanism = self.mechanism
-        if not (mechanism.springs or mechanism.forces):
+        if not mechanism.gripping:
             return
-        acting = iter(np.moveaxis(self.rows(parts.acting, "forces"), -1, 0))
-        for spring, force in zip(mechanism.springs, acting, strict=False):
-            for end, sign in (spring.first, 1.0), (spring.second, -1.0):
-                yield self._place(mechanism.tree.point(end)), sign * force, end.link
-        for given, force in zip(mechanism.forces, acting, strict=True):
-            yield self._place(mechanism.tree.point(given.point)), force, given.point.link
+        acting = np.moveaxis(self.rows(parts.acting, "forces"), -1, 0)
+        for element, force in zip(mechanism.gripping, acting, strict=True):
+            for point, sign in element.grips():
+                yield self._place(mechanism.tree.point(point)), sign * force, point.link
 
     def _pinned(self, tree: Tree) -> Iterator[tuple[Complex, Complex, Array | float, int]]:
         """What closures do to the links of their sides: where, the force, the moment, the link."""
@@ -177,9 +175,10 @@ class Felt:
         # moments on links that cannot turn are no load of the mechanism's, but of the ground's
         moment = _imaginary(self.place.conj() * self.load).sum(axis=-1)
         moment = moment + self._moments().sum(axis=-1)
-        if self.mechanism.forces:
+        loads = [x for x in self.mechanism.gripping if x.is_load]
+        if loads:
             F = self.rows(parts.loaded, "forces")
-            points = [self.mechanism.tree.point(x.point) for x in self.mechanism.forces]
+            points = [self.mechanism.tree.point(point) for x in loads for point, _ in x.grips()]
             arms = points_of(self.mechanism, points).place(self.at)
             force = force + F.sum(axis=-1)
             moment = moment + _imaginary(arms.conj() * F).sum(axis=-1)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from robodyn.elements.keys import Declared
-from robodyn.elements.values import Signal
+from robodyn.elements.values import Point, Signal
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
@@ -109,8 +109,12 @@ class Element(Declared):
         """What a legend adds to its number, of links with these names."""
         return ""
 
+    def grips(self) -> tuple[tuple[Point, float], ...]:
+        """The points of links on which its force acts, times 1, or -1 for the opposite."""
+        return ()
+
     def rows(self, b: Builder) -> None:
-        """Write what it does."""
+        """Write what it does: a force once, if it `grips` anything."""
 
     def energy(self, b: Builder) -> Iterator[Term]:
         """What it holds, J."""

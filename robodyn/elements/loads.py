@@ -84,6 +84,9 @@ class Force(Element):
     def called(self, names: Sequence[str]) -> str:
         return f", in {'its link' if self.turns else 'the ground'}'s frame"
 
+    def grips(self) -> tuple[tuple[Point, float], ...]:
+        return ((self.point, 1.0),)
+
     def placed(self, tree: Tree) -> Iterator[Force]:
         """It is one of the ground's frame where its link cannot turn."""
         k = self.point.link

@@ -154,6 +154,9 @@ class PointSpring(Element):
                 square = b.product(longer, longer)
             yield b.number(0.5 * self.stiffness), square
 
+    def grips(self) -> tuple[tuple[Point, float], ...]:
+        return (self.first, 1.0), (self.second, -1.0)
+
     def reach(self, tree: Tree) -> PlanarPoint:
         """Its first end less its second."""
         return tree.difference(self.first, self.second)

@@ -111,6 +111,12 @@ class Mechanism:
         return tuple(x.reach(self.tree) for x in self.springs)
 
     @cached_property
+    def gripping(self) -> tuple[Element, ...]:
+        """The elements whose forces act at points, in the order in which they are written."""
+        found = [x for x in self.elements if x.acts and x.grips()]
+        return tuple(sorted(found, key=lambda x: x.rank))
+
+    @cached_property
     def joint_springs(self) -> tuple[JointSpring, ...]:
         """Those at joints."""
         return self.of(JointSpring)
@@ -291,7 +297,15 @@ class Mechanism:
             "inertias",
             "signals",
         )
-        made += ("damping", "springs", "spans", "joint_springs", "forces", "varying_moments")
+        made += (
+            "damping",
+            "springs",
+            "spans",
+            "gripping",
+            "joint_springs",
+            "forces",
+            "varying_moments",
+        )
         made += ("friction", "dry", "slips", "limits", "rotors")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 

@@ -15,7 +15,6 @@ from robodyn.dynamics.dynamics import (
 )
 from robodyn.dynamics.placed import placed
 from robodyn.dynamics.reaction_forces import reactions
-from robodyn.elements.loads import Force as LoadForce
 from robodyn.engines.row_values import rows_of
 from robodyn.errors import RobodynError
 from robodyn.loops.loop_rates import check_way_on
@@ -78,12 +77,16 @@ def forces(
     pins = pin_forces(mechanism, multipliers, q) @ np.array([1, 1j])
     for c, force in enumerate(pins.tolist()):
         add("pin", f"f{c + 1}", tree.point(description.closures[c].first), force)
-    springs = [f"s{k + 1}" for k, x in enumerate(description.springs) if x.at is None]
-    loads = [f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, LoadForce)]
-    points = [x.first for x in mechanism.springs] + [x.point for x in mechanism.forces]
-    if points:
+    gripping = [
+        (_called(place), x.rank, x.grips()[0][0])
+        for place, element in description.elements
+        for x in element.placed(tree)
+        if x.acts and x.grips()
+    ]
+    if gripping:
         acting = rows_of(parts.acting, mechanism).planar("forces", q, qd, 0.0).tolist()
-        for name, there, force in zip(springs + loads, points, acting, strict=True):
+        gripping.sort(key=lambda x: x[1])
+        for (name, _, there), force in zip(gripping, acting, strict=True):
             add("load", name, tree.point(there), force)
     torques = np.zeros(mechanism.n) if tau is None else tau
     for k in mechanism.actuated:
@@ -95,6 +98,12 @@ def forces(
     least = SEEN * max(abs(item.force) for item in found)
     small = SEEN * max(abs(item.torque) for item in found) + least * mechanism.unit
     return [item for item in found if abs(item.force) > least or abs(item.torque) > small]
+
+
+def _called(place: str) -> str:
+    """The name of the force of an element at a place of the scene: s1, load 2."""
+    name, _, number = place.rstrip("]").partition("[")
+    return f"s{int(number) + 1}" if name == "springs" else f"load {int(number) + 1}"
 
 
 def forces_at(
