@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -18,8 +17,17 @@ from robodyn import forward_dynamics, inverse_dynamics, reactions, simulate
 from robodyn.dynamics.identities import BOUND, identities, sample_states
 from robodyn.dynamics.placed import absolute_rates, placed
 from robodyn.elements import kinds
-from robodyn.elements.base import SPENT, STORED, Element, Name
-from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
+from robodyn.elements.base import SPENT, STORED, Element, Name, PointForce
+from robodyn.elements.contacts import Mode
+from robodyn.elements.joints import (
+    CompliantStop,
+    DryFriction,
+    HardStop,
+    Rotor,
+    Slipping,
+    SmoothFriction,
+    Stops,
+)
 from robodyn.elements.keys import Way, key
 from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
@@ -31,7 +39,7 @@ from robodyn.errors import InputError
 from robodyn.export.mjcf import mjcf
 from robodyn.export.urdf import urdf
 from robodyn.mechanics.mechanism import build
-from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.mechanics.modes import in_mode
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene import grammar
 from robodyn.scene.description import from_text
@@ -112,13 +120,10 @@ class Drag(Element):
     def acts(self) -> str:
         return SPENT
 
-    def grips(self):
-        return ((self.point, 1.0),)
-
     def rows(self, b) -> None:
         place = b.mechanism.tree.point(self.point)
         v = b.rate(b.point(place))
-        b.force(place, -self.c, v, self.point.link)
+        b.force(PointForce(self, -self.c, v, (place, self.point.link)))
         if b.work:
             b.works(b.number(-self.c), b.inner(v, v))
 
@@ -195,6 +200,11 @@ def stops(rng, scene):
     scene["links"][1]["limits"] = {**ends, "stiffness": number(rng, 50, 90), "damping": 0.5}
 
 
+def hard_stops(rng, scene):
+    ends = {"min": -2.0, "max": 2.5}
+    scene["links"][1]["limits"] = {**ends, "restitution": number(rng, 0.2, 0.8)}
+
+
 def rotors(rng, scene):
     motor = {"ratio": number(rng, 5, 20), "inertia": number(rng, 0.001, 0.01)}
     scene["links"][2]["motor"] = motor
@@ -222,6 +232,8 @@ CASES = {
     DryFriction: dry_friction,
     Slipping: dry_friction,
     Stops: stops,
+    HardStop: hard_stops,
+    CompliantStop: stops,
     Rotor: rotors,
     QuadraticDrag: drags,
     Magnet: magnets,
@@ -232,6 +244,7 @@ MODES = {
     DryFriction: Mode(slips=((1, 1),)),
     Slipping: Mode(slips=((1, -1),)),
     Stops: Mode(pressed=((1, 1),)),
+    CompliantStop: Mode(pressed=((1, 1),)),
 }
 
 each_kind = pytest.mark.parametrize("kind", [*kinds.KINDS, *NEW], ids=lambda kind: kind.__name__)
@@ -278,16 +291,31 @@ def test_its_case_has_it(kind):
         mechanism = in_mode(mechanism, MODES[kind])
     if kind is DryFriction:  # which slips there
         kind = Slipping
-    assert mechanism.of(JointSpring if kind is Stops else kind)
+    pressed = kind in (Stops, CompliantStop)
+    assert mechanism.of(JointSpring if pressed else kind)
 
 
 @each_kind
 @seeds
 def test_its_identities_hold(kind, seed):
-    mode = Mode() if kind is Stops else MODES.get(kind, Mode())  # a pressed one is a spring
+    pressed = kind in (Stops, CompliantStop)  # one that is pressed is a spring
+    mode = Mode() if pressed else MODES.get(kind, Mode())
     mechanism = in_mode(made(kind, seed), mode)
     found = identities(mechanism, sample_states(mechanism, 20))
     failed = [x for x in found if x.residual is not None and not x.residual <= BOUND]
+    assert not failed, failed
+
+
+@pytest.mark.parametrize("kind", [CompliantStop, DryFriction, HardStop], ids=lambda x: x.__name__)
+@seeds
+def test_identities_hold_in_the_modes_of_contacts(kind, seed):
+    """Each state in its own: stops push at some and not at others, joints slip both ways."""
+    mechanism = made(kind, seed)
+    sample = sample_states(mechanism, 20)
+    beyond = (sample.q[:, 1] < -0.1) | (sample.q[:, 1] > 0.15)
+    assert beyond.any()
+    assert not beyond.all()
+    failed = [x for x in identities(mechanism, sample) if not x.holds]
     assert not failed, failed
 
 
@@ -438,7 +466,7 @@ def test_joints_carry_the_force_of_a_new_kind(seed):
 @seeds
 def test_an_element_may_be_added_to_a_mechanism(seed):
     bare, (q, qd, qdd) = build(plain(seed)), states(seed)
-    mechanism = replace(bare, elements=(*bare.elements, QuadraticDrag(1, 0.7)))
+    mechanism = bare.with_added(QuadraticDrag(1, 0.7))
     found = regressor(mechanism, q, qd, qdd)
     tau = inverse_dynamics(mechanism, q, qd, qdd)[:, list(mechanism.actuated)]
     assert np.allclose(found.Y @ found.values + found.known, tau, rtol=1e-11, atol=1e-11)

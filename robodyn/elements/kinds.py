@@ -1,7 +1,15 @@
 """The kinds of elements that a scene has."""
 
 from robodyn.elements.base import Element
-from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
+from robodyn.elements.joints import (
+    CompliantStop,
+    DryFriction,
+    HardStop,
+    Rotor,
+    Slipping,
+    SmoothFriction,
+    Stops,
+)
 from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 
@@ -15,6 +23,8 @@ KINDS: tuple[type[Element], ...] = (
     DryFriction,
     Slipping,
     Stops,
+    HardStop,
+    CompliantStop,
     Rotor,
 )
 

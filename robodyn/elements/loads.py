@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element, Name
+from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element, Name, PointForce
 from robodyn.elements.keys import Way, key
 from robodyn.elements.values import Point, Signal
 
@@ -84,9 +84,6 @@ class Force(Element):
     def called(self, names: Sequence[str]) -> str:
         return f", in {'its link' if self.turns else 'the ground'}'s frame"
 
-    def grips(self) -> tuple[tuple[Point, float], ...]:
-        return ((self.point, 1.0),)
-
     def placed(self, tree: Tree) -> Iterator[Force]:
         """It is one of the ground's frame where its link cannot turn."""
         k = self.point.link
@@ -119,15 +116,13 @@ class Force(Element):
 
     def rows(self, b: Builder) -> None:
         tree, link = b.mechanism.tree, self.point.link
-        point, frame = tree.point(self.point), None
-        whole, turned = self.force, 1.0 + 0j
+        assert link is not None
+        point, whole, turned = tree.point(self.point), self.force, 1.0 + 0j
+        E = b.direction(link) if self.turns else None  # without it it is among the weights
         if self.turns:
-            assert link is not None
-            frame, turned = tree.frames[link], tree.turned(link, turned)
-            whole = tree.turned(link, whole)
+            turned, whole = tree.turned(link, turned), tree.turned(link, whole)
         if not self.varied:
-            E = None if frame is None else b.x[frame]  # without it it is among the weights
-            b.force(point, whole, E, link)
+            b.force(PointForce(self, whole, E, (point, link)))
             if b.work and E is not None:
                 acting = b.planar_sum((b.planar_number(whole), E))
                 b.works(1.0, b.inner(acting, b.rate(b.point(point))))
@@ -138,11 +133,11 @@ class Force(Element):
         each = zip(units, numbers, self.varying, AXES, strict=True)
         for unit, number, signal, name in each:
             slot = b.number_slot(number) if signal is None else b.signal(signal, point, name)
-            if frame is not None:
-                slot = b.scaled(slot, b.x[frame])
+            if E is not None:
+                slot = b.scaled(slot, E)
             force.append((b.planar_number(unit), slot))
         acting = b.planar_sum(*force)
-        b.force(point, 1.0, acting, link)
+        b.force(PointForce(self, 1.0, acting, (point, link)))
         if b.work and point.terms:
             b.works(1.0, b.inner(acting, b.rate(b.point(point))))
 

@@ -24,6 +24,7 @@ from robodyn.elements.base import (
     Name,
     NoDirection,
     PlanarPoint,
+    PointForce,
     conserves,
 )
 from robodyn.elements.keys import ONE, Way, key
@@ -120,9 +121,12 @@ class PointSpring(Element):
         yield from _law_of(self)
 
     @property
-    def directed(self) -> bool:
-        """Whether its force has no limit where its ends meet."""
-        return bool((self.stiffness and self.length) or self.damping or self.law)
+    def word(self) -> str:
+        return "spring"
+
+    def parted(self, tree: Tree) -> PlanarPoint | None:
+        directed = (self.stiffness and self.length) or self.damping or self.law
+        return self.reach(tree) if directed else None
 
     @property
     def acts(self) -> str:
@@ -154,9 +158,6 @@ class PointSpring(Element):
                 square = b.product(longer, longer)
             yield b.number(0.5 * self.stiffness), square
 
-    def grips(self) -> tuple[tuple[Point, float], ...]:
-        return (self.first, 1.0), (self.second, -1.0)
-
     def reach(self, tree: Tree) -> PlanarPoint:
         """Its first end less its second."""
         return tree.difference(self.first, self.second)
@@ -166,11 +167,12 @@ class PointSpring(Element):
         return b.sum((1.0, b.power_of(square, 0.5)), constant=b.number(-self.length))
 
     def rows(self, b: Builder) -> None:
-        place, number = self.reach(b.mechanism.tree), b.number
-        if self.directed and not (place.terms or place.constant):
-            raise NoDirection(next(k for k, x in enumerate(b.mechanism.springs) if x is self))
-        d = b.span(SPAN, place, self.directed)
-        if self.directed:
+        tree, number = b.mechanism.tree, b.number
+        place, directed = self.reach(tree), self.parted(tree) is not None
+        if directed and not (place.terms or place.constant):
+            raise NoDirection(b.mechanism.name_of(self))
+        d = b.span(SPAN, place, directed)
+        if directed:
             b.root(LENGTH, b.inner(d, d))
         pull: list[Term] = []
         if self.law is not None:
@@ -180,7 +182,7 @@ class PointSpring(Element):
             pull.append((-1.0, b.quotient(tension, b.power_of(square, 0.5))))
             if b.work and place.terms and not conserves(self.law):
                 b.works(-1.0, b.product(tension, b.rate(longer)))
-        s = b.inner(d, d) if self.directed else None
+        s = b.inner(d, d) if directed else None
         if s is not None and self.length and self.stiffness:
             pull.append((number(self.stiffness * self.length), b.power_of(s, -0.5)))
         if s is not None and self.damping:
@@ -195,7 +197,8 @@ class PointSpring(Element):
             damper = not (self.stiffness or self.law)
             factor = b.named(DAMPER if damper else PER_LENGTH, factor, sign=-1.0)
             unit, force = 1.0, b.scaled(factor, d)
-        b.force(place, unit, force, self.first.link, self.second.link, s)
+        first, second = ((tree.point(end), end.link) for end in (self.first, self.second))
+        b.force(PointForce(self, unit, force, first, second, s), place)
         if pull and place.terms:
             b.bends_planar(force, place)  # its parts stay finite where d passes 0
 
@@ -292,6 +295,10 @@ class JointSpring(Element):
     def at(self) -> int:
         return self.joint
 
+    @property
+    def free(self) -> float:
+        return self.angle
+
     def _turned(self, b: Builder) -> Slot:
         """How far its joint is from where it is free."""
         return b.sum((1.0, b.q(self.joint)), constant=b.number(-self.angle))
@@ -320,6 +327,10 @@ class JointDamper(Element):
 
     joint: int
     damping: float
+
+    @property
+    def at(self) -> int:
+        return self.joint
 
     @property
     def changes_energy(self) -> bool:

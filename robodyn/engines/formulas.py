@@ -209,7 +209,7 @@ class Recorded:
         wanted = ("gap", "load", "power", "names")
         slots = [x for name in wanted for x in program.named.get(name, [])]
         signals = [*equations.tables, *equations.laws]
-        slots += [*equations.varying_moments, *(x for _, x in signals)]
+        slots += [*(x.torque for x in equations.couples), *(x for _, x in signals)]
         return Series(
             program,
             self.arithmetic,

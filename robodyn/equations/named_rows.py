@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from robodyn.elements.base import Element, Name, PlanarPoint
+from robodyn.elements.base import Element, Name, PlanarPoint, whole
 from robodyn.elements.values import Law, Signal
 from robodyn.engines.series import Series
 from robodyn.equations.named_laws import Formula, formula_of
@@ -55,7 +55,7 @@ def places_of(scene: Description, tree: Tree) -> Places:
         name, _, rest = place.partition("[")
         if not rest.endswith("]"):
             continue
-        for acting in element.placed(tree):
+        for acting in whole(element.placed(tree)):
             for part in (acting, acting.stored(), acting.spent()):
                 if part is not None:
                     found.setdefault(part, (name, int(rest[:-1])))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
+from robodyn.elements.contacts import COMPLIANT, STICKS
 from robodyn.equations.named_laws import SWITCHES, Definition, Formula
 from robodyn.equations.parameters import Parameter, Parameters
 from robodyn.errors import printable
@@ -132,8 +133,8 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         if potentials != ["gravity"]:
             meaning = f"gradient of the potential energy ({', '.join(potentials)})"
         yield Head("left", "G", meaning, load, "vector")
-    spent = any(x.changes_energy and x.spent() is not None for x in elements)
-    if spent or mechanism.dry or any(x.stiffness is not None for _, x in mechanism.limits):
+    spends = any(x.changes_energy and x.spent() is not None for x in elements)
+    if spends or mechanism.contacts & {STICKS, COMPLIANT}:
         meaning = f"{unit('torques', 'forces')} of what has no potential"
         inputs = ("q", "qd", "t") if mechanism.timed else ("q", "qd")
         yield Head("right", "Q", meaning, load, "vector", inputs)

@@ -124,14 +124,14 @@ def comment(mechanism: Mechanism, joints: Iterable[str]) -> list[str]:
 
 
 def refuse_unsaid(
-    description: Description,
+    mechanism: Mechanism,
     format: str,
     reasons: Mapping[str, str],
     more: Collection[str] = (),
     unsaid: Callable[[str, Signal], str] | None = None,
     kinds: tuple[type[Element], ...] = (),
 ) -> None:
-    """Raise InputError for what the scene names and the format is not made to say.
+    """Raise InputError for what acts, or the scene names, and the format is not made to say.
 
     What is said is listed, here and in `more` keys of the scene or of links; any other key is
     refused where it holds something, one that a later scene format adds too.  `reasons` tell why.
@@ -139,6 +139,9 @@ def refuse_unsaid(
     Of elements in lists that are said these `kinds` are.
     Dry friction and ends of joints are told in notes, where they are not exact.
     """
+    description = mechanism.description
+    for x in mechanism.added:
+        raise InputError(x.word, where=mechanism.source, limit=f"{format} cannot say it")
     holders: list[tuple[str, Description | Link, frozenset[str]]] = [("", description, SCENE_SAID)]
     links = enumerate(description.links)
     holders += [(f"links[{k}] ({link.name}).", link, LINK_SAID) for k, link in links]

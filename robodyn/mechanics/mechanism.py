@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from robodyn.elements.base import Element
-from robodyn.elements.joints import Rotor
+from robodyn.elements.joints import Range, Rotor
 from robodyn.elements.kinds import place_of
 from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring
@@ -74,7 +74,7 @@ def build(description: Description) -> Mechanism:
         numbers = [*mechanism.B, *mechanism.weights, *largest(Tree(description.links))]
         numbers += [mechanism.energy_offset, *(row.offset for row in mechanism.rows)]
         numbers += mechanism.damping
-        numbers += [x.inertia * x.ratio * x.ratio for x in mechanism.rotors]
+        numbers += [x.inertia * c * c for x in mechanism.spins for c in x.rates.values()]
     except OverflowError:
         raise too_large(description) from None
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
@@ -138,6 +138,7 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
         weights=tuple(weights),
         moments=tuple(moments),
         elements=OnDemand(_elements, tree, description),
+        ranges=tuple(_ranges(description)),
         tree=tree,
         slides=tuple(k for k, link in enumerate(links) if link.slides),
         frames=tuple(tree.frames),
@@ -215,6 +216,12 @@ def _elements(tree: Tree, description: Description) -> Iterator[Element]:
     found = [x for _, element in description.elements for x in element.placed(tree)]
     found += [JointDamper(k, damping) for k, damping in enumerate(joint_damping(description))]
     yield from sorted([*found, *_rotors(tree)], key=place_of)
+
+
+def _ranges(description: Description) -> Iterator[Range]:
+    for k, link in enumerate(description.links):
+        if link.limits is not None:
+            yield Range(k, link.limits.low, link.limits.high, link.limits.stiffness is None)
 
 
 def _rotors(tree: Tree) -> Iterator[Rotor]:

@@ -32,7 +32,7 @@ from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.dynamics.dynamics import pins_at
 from robodyn.dynamics.named_numbers import with_variables
 from robodyn.dynamics.placed import Placed
-from robodyn.dynamics.reaction_forces import Felt, Part
+from robodyn.dynamics.reaction_forces import Acts, Felt, Part
 from robodyn.engines import expression
 from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Expression, Graph, Value, slopes_by, substituted, tangents
@@ -136,12 +136,14 @@ class ColumnFormulas:
         xdd, qdd, moments = (np.array(values, object) for values in each)
         return Felt(self.named, at, bent, xdd, qdd, pins, moments, self._rows)
 
-    def _rows(self, part: Part, name: str) -> NDArray[Any]:
+    def _rows(self, part: Part) -> Acts:
         """What acts, from the rows of its program."""
-        found: Sequence[Any] = RowValues(part(self.named), self.graph).nodes(name)
-        if name != "moments":
-            found = [Planar(x, y) for x, y in zip(found[::2], found[1::2], strict=True)]
-        return np.array(found, object)
+        rows = RowValues(part(self.named), self.graph)
+        forces, couples = rows.acting, rows.couples
+        parts = rows.nodes("forces") if forces else []
+        each = [Planar(x, y) for x, y in zip(parts[::2], parts[1::2], strict=True)]
+        moments = rows.nodes("moments") if couples else []
+        return Acts(list(zip(forces, each, strict=True)), list(zip(couples, moments, strict=True)))
 
     @cached_property
     def loop_forces(self) -> list[Value]:

@@ -15,6 +15,8 @@ from robodyn.dynamics.dynamics import (
 )
 from robodyn.dynamics.placed import placed
 from robodyn.dynamics.reaction_forces import reactions
+from robodyn.elements.loads import Force as LoadForce
+from robodyn.elements.springs import PointSpring
 from robodyn.engines.row_values import rows_of
 from robodyn.errors import RobodynError
 from robodyn.loops.loop_rates import check_way_on
@@ -77,17 +79,15 @@ def forces(
     pins = pin_forces(mechanism, multipliers, q) @ np.array([1, 1j])
     for c, force in enumerate(pins.tolist()):
         add("pin", f"f{c + 1}", tree.point(description.closures[c].first), force)
-    gripping = [
-        (_called(place), x.rank, x.grips()[0][0])
-        for place, element in description.elements
-        for x in element.placed(tree)
-        if x.acts and x.grips()
-    ]
-    if gripping:
-        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd, 0.0).tolist()
-        gripping.sort(key=lambda x: x[1])
-        for (name, _, there), force in zip(gripping, acting, strict=True):
-            add("load", name, tree.point(there), force)
+    springs = (f"s{k + 1}" for k, x in enumerate(description.springs) if x.at is None)
+    loads = (f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, LoadForce))
+    names = {PointSpring: springs, LoadForce: loads}
+    rows = rows_of(parts.acting, mechanism)
+    if rows.acting:
+        acting = rows.planar("forces", q, qd, 0.0).tolist()
+        for x, force in zip(rows.acting, acting, strict=True):
+            name = next(names.get(type(x.element), iter([x.element.word])))
+            add("load", name, x.at[0], force)
     torques = np.zeros(mechanism.n) if tau is None else tau
     for k in mechanism.actuated:
         value, slides = float(torques[k]), k in mechanism.slides
@@ -98,12 +98,6 @@ def forces(
     least = SEEN * max(abs(item.force) for item in found)
     small = SEEN * max(abs(item.torque) for item in found) + least * mechanism.unit
     return [item for item in found if abs(item.force) > least or abs(item.torque) > small]
-
-
-def _called(place: str) -> str:
-    """The name of the force of an element at a place of the scene: s1, load 2."""
-    name, _, number = place.rstrip("]").partition("[")
-    return f"s{int(number) + 1}" if name == "springs" else f"load {int(number) + 1}"
 
 
 def forces_at(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 HELD = 1 << 21  # bytes; more than what is read or written at once takes in any one piece
 Told = Callable[[str], tuple[str, float]]  # of a column: its name there, and what its values are
-FEW = 2000  # numbers that are written by `repr` before all is ready for more
+FEW = 500  # numbers that `repr` writes in less time
 
 
 class Writer:
@@ -105,9 +105,10 @@ class Writer:
         known = values == values
         if not known.all():
             lines = self._repr(np.where(known, values, 0.0))
-            for k in np.flatnonzero(~known.all(axis=1)):
-                fields = zip(lines[k].split(","), known[k], strict=True)
-                lines[k] = ",".join(field if there else "" for field, there in fields)
+            rows = np.flatnonzero(~known.all(axis=1))
+            for k, each in zip(rows.tolist(), known[rows].tolist(), strict=True):
+                fields = zip(lines[k].split(","), each, strict=True)
+                lines[k] = ",".join([field if there else "" for field, there in fields])
             return lines
         if values.size < FEW:
             return [",".join(map(repr, row)) for row in values.tolist()]
