@@ -28,7 +28,7 @@ from robodyn.elements.joints import (
     SmoothFriction,
     Stops,
 )
-from robodyn.elements.keys import Way, key
+from robodyn.elements.keys import Way, at_joints, key
 from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.elements.values import Point
@@ -128,7 +128,32 @@ class Drag(Element):
             b.works(b.number(-self.c), b.inner(v, v))
 
 
-NEW = QuadraticDrag, Magnet, Drag
+class Seal(Element):
+    """-f qd/sqrt(qd^2 + v0^2) at a joint: a friction that links name."""
+
+    joint: int
+    f: float = key("amount", "its most", unit=("N m", "N"), symbol="fs: seal at the joint of {}",
+                   linear="fs")  # fmt: skip
+    v0: float = key("positive", "its rate", unit=("rad/s", "m/s"), symbol="vs: rate at {}")
+
+    ways: ClassVar[tuple[Way, ...]] = at_joints("seal", "friction", "A seal.", ("v0",))
+
+    @property
+    def acts(self) -> str:
+        return SPENT
+
+    @property
+    def at(self) -> int:
+        return self.joint
+
+    def rows(self, b) -> None:
+        v = b.v(self.joint)
+        square = b.sum((1.0, b.product(v, v)), constant=b.number(self.v0 * self.v0))
+        speed = b.named(Name("U", "rad/s", "smoothed rate of {}"), b.power_of(square, 0.5))
+        b.torque(self.joint, b.number(-self.f), b.quotient(v, speed))
+
+
+NEW = QuadraticDrag, Magnet, Drag, Seal
 
 
 def numbers(rng, low, high, count=2):
@@ -222,6 +247,10 @@ def air(rng, scene):
     scene["loads"] = [{"point": point(rng, 2), "drag": number(rng, 0.3, 0.9)}]
 
 
+def seals(rng, scene):
+    scene["links"][1]["friction"] = {"f": number(rng, 0.3, 0.9), "v0": 0.4}
+
+
 CASES = {
     PointSpring: point_springs,
     JointSpring: joint_springs,
@@ -238,6 +267,7 @@ CASES = {
     QuadraticDrag: drags,
     Magnet: magnets,
     Drag: air,
+    Seal: seals,
 }
 # in which they act, where that is not the mode of a joint that is free
 MODES = {

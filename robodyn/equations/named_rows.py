@@ -49,16 +49,15 @@ class Named(NamedTuple):
 
 
 def places_of(scene: Description, tree: Tree) -> Places:
-    """The places of the elements in the lists of a scene, as they act and by parts."""
+    """The places of the elements of a scene, as they act and by parts: of which list or link."""
     found: dict[Element, tuple[str, int]] = {}
     for place, element in scene.elements:
         name, _, rest = place.partition("[")
-        if not rest.endswith("]"):
-            continue
+        number = int(rest.partition("]")[0])
         for acting in whole(element.placed(tree)):
             for part in (acting, acting.stored(), acting.spent()):
                 if part is not None:
-                    found.setdefault(part, (name, int(rest[:-1])))
+                    found.setdefault(part, (name, number))
     return found
 
 
@@ -177,6 +176,8 @@ class NamedRows(EquationsOfMotion):
         """A slot that has the name in place of `make`, and its rate the letter `rate`."""
         atom, (place, i) = self._atom(name), self._place
         told = f"{place.removesuffix('s')} {i + 1}"
+        if place == "links":
+            told = f"the joint of {self.mechanism.link_names[i]}"
         meaning = name.meaning.replace("{}", told)
         self.names.append(Named(atom, name.unit, meaning, make, kind, self._count))
         self.program.named["names"] += slots
