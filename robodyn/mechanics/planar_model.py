@@ -17,7 +17,6 @@ from robodyn.elements.base import PlanarPoint as PlanarPoint
 from robodyn.elements.base import conserves as conserves
 from robodyn.elements.contacts import Mode
 from robodyn.elements.joints import DryFriction, Range, Rotor
-from robodyn.elements.loads import Force
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
@@ -117,19 +116,9 @@ class Mechanism:
         return self.of(PointSpring)
 
     @cached_property
-    def spans(self) -> tuple[PlanarPoint, ...]:
-        """The first ends of these less their second ones."""
-        return tuple(x.reach(self.tree) for x in self.springs)
-
-    @cached_property
     def joint_springs(self) -> tuple[JointSpring, ...]:
         """Those at joints."""
         return self.of(JointSpring)
-
-    @cached_property
-    def forces(self) -> tuple[Force, ...]:
-        """The forces at points."""
-        return self.of(Force)
 
     @cached_property
     def dry(self) -> dict[int, DryFriction]:
@@ -293,7 +282,7 @@ class Mechanism:
             "inertias",
             "signals",
         )
-        made += ("damping", "springs", "spans", "joint_springs", "forces")
+        made += ("damping", "springs", "joint_springs")
         made += ("dry", "contacts", "parted", "bells", "spins")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
