@@ -1,4 +1,4 @@
-"""The equations of motion as formulas to read, with names for the springs' lengths and pulls.
+"""The equations of motion as formulas to read, with the names that elements give in their rows.
 
 A spring from its second end to its first is S, V = dS/dt.  It pulls by K S and its damper by P S,
 
