@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import json
+import re
 from pathlib import Path
 from typing import ClassVar
 
@@ -10,14 +12,16 @@ import numpy as np
 import pytest
 import yaml
 from jsonschema import Draft202012Validator
-from read_equations import module
+from read_equations import evaluated, module
 
 import robodyn
 from random_mechanisms import seeded_tree
-from robodyn import forward_dynamics, inverse_dynamics, simulate
+from robodyn import forward_dynamics, inverse_dynamics, reactions, simulate
 from robodyn.dynamics.identities import BOUND, identities, sample_states
+from robodyn.dynamics.placed import absolute_rates, placed
 from robodyn.elements import kinds
-from robodyn.elements.base import SPENT, Element
+from robodyn.elements.base import SPENT, STORED, Element
+from robodyn.elements.builder import Name, PointForce
 from robodyn.elements.contacts import Mode
 from robodyn.elements.joints import (
     CompliantStop,
@@ -28,9 +32,13 @@ from robodyn.elements.joints import (
     SmoothFriction,
     Stops,
 )
-from robodyn.elements.keys import Way, key
+from robodyn.elements.keys import Way, at_joints, key
 from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
+from robodyn.elements.values import Point
+from robodyn.equations.derivation import Derivation
+from robodyn.equations.text import as_json, text
+from robodyn.equations.written import equations
 from robodyn.errors import InputError
 from robodyn.export.mjcf import mjcf
 from robodyn.export.urdf import urdf
@@ -51,7 +59,9 @@ class QuadraticDrag(Element):
     """-c qd^3/sqrt(qd^2 + 1e-4) at a joint: a kind that robodyn does not have."""
 
     joint: int = key("link_name", "the link whose joint it is")
-    c: float = key("amount", "of the drag", unit="N m s²/rad²", symbol="cd: drag {}", linear="cd")
+    c: float = key(
+        "amount", "of the drag", unit="N m s²/rad²", symbol="cd: drag of {}", linear="cd"
+    )
 
     ways: ClassVar[tuple[Way, ...]] = (Way("drag", "load", "A quadratic drag.", ("c",)),)
 
@@ -66,8 +76,88 @@ class QuadraticDrag(Element):
     def rows(self, b) -> None:
         v = b.v(self.joint)
         square = b.product(v, v)
-        speed = b.power_of(b.sum((1.0, square), constant=1e-4), -0.5)
-        b.torque(self.joint, b.number(-self.c), b.product(b.product(square, v), speed))
+        speed = b.power_of(b.sum((1.0, square), constant=1e-4), 0.5)
+        speed = b.named(Name("U", "rad/s", "smoothed rate of {}"), speed)
+        cube = b.product(square, v)
+        b.torque(self.joint, b.number(-self.c), b.quotient(cube, speed))
+
+
+class Magnet(Element):
+    """-k sin(3 q) at a joint, with the potential -k/3 cos(3 q): another such kind."""
+
+    joint: int = key("link_name", "the link whose joint it is")
+    k: float = key(
+        "amount", "its torque", unit="N m", symbol="km: hold of {}", linear="km", name="hold"
+    )
+
+    ways: ClassVar[tuple[Way, ...]] = (Way("magnet", "spring", "A magnet.", ("joint", "hold")),)
+
+    @property
+    def acts(self) -> str:
+        return STORED
+
+    @property
+    def at(self) -> int:
+        return self.joint
+
+    def energy(self, b):
+        yield b.number(-self.k / 3.0), b.function("cos", b.sum((3.0, b.q(self.joint))))
+
+    def rows(self, b) -> None:
+        turned = b.function("sin", b.sum((3.0, b.q(self.joint))))
+        turned = b.named(Name("N", "", "part of its most that {} has"), turned)
+        b.torque(self.joint, b.number(-self.k), turned, spends=False)
+
+
+class Drag(Element):
+    """-c v at a point whose velocity is v: a third."""
+
+    point: Point = key("moving_point", "where it acts")
+    c: float = key(
+        "amount", "its factor", unit="N s/m", symbol="ca: drag of {}", linear="ca", name="drag"
+    )
+
+    points: ClassVar[dict[str, str]] = {"point": "c: point of {}"}
+    ways: ClassVar[tuple[Way, ...]] = (Way("air", "load", "A drag.", ("point", "drag")),)
+
+    @property
+    def acts(self) -> str:
+        return SPENT
+
+    def rows(self, b) -> None:
+        place = b.mechanism.tree.point(self.point)
+        v = b.rate(b.point(place))
+        b.force(PointForce(self, -self.c, v, (place, self.point.link)))
+        if b.work:
+            b.works(b.number(-self.c), b.inner(v, v))
+
+
+class Seal(Element):
+    """-f qd/sqrt(qd^2 + v0^2) at a joint: a friction that links name."""
+
+    joint: int
+    f: float = key("amount", "its most", unit=("N m", "N"), symbol="fs: seal at the joint of {}",
+                   linear="fs")  # fmt: skip
+    v0: float = key("positive", "its rate", unit=("rad/s", "m/s"), symbol="vs: rate at {}")
+
+    ways: ClassVar[tuple[Way, ...]] = at_joints("seal", "friction", "A seal.", ("v0",))
+
+    @property
+    def acts(self) -> str:
+        return SPENT
+
+    @property
+    def at(self) -> int:
+        return self.joint
+
+    def rows(self, b) -> None:
+        v = b.v(self.joint)
+        square = b.sum((1.0, b.product(v, v)), constant=b.number(self.v0 * self.v0))
+        speed = b.named(Name("U", "rad/s", "smoothed rate of {}"), b.power_of(square, 0.5))
+        b.torque(self.joint, b.number(-self.f), b.quotient(v, speed))
+
+
+NEW = QuadraticDrag, Magnet, Drag, Seal
 
 
 def numbers(rng, low, high, count=2):
@@ -153,6 +243,18 @@ def drags(rng, scene):
     scene["loads"] = [{"joint": NAMES[1], "c": number(rng, 0.3, 0.9)}]
 
 
+def magnets(rng, scene):
+    scene["springs"] = [{"joint": NAMES[2], "hold": number(rng, 0.3, 0.9)}]
+
+
+def air(rng, scene):
+    scene["loads"] = [{"point": point(rng, 2), "drag": number(rng, 0.3, 0.9)}]
+
+
+def seals(rng, scene):
+    scene["links"][1]["friction"] = {"f": number(rng, 0.3, 0.9), "v0": 0.4}
+
+
 CASES = {
     PointSpring: point_springs,
     JointSpring: joint_springs,
@@ -167,6 +269,9 @@ CASES = {
     CompliantStop: stops,
     Rotor: rotors,
     QuadraticDrag: drags,
+    Magnet: magnets,
+    Drag: air,
+    Seal: seals,
 }
 # in which they act, where that is not the mode of a joint that is free
 MODES = {
@@ -176,16 +281,14 @@ MODES = {
     CompliantStop: Mode(pressed=((1, 1),)),
 }
 
-each_kind = pytest.mark.parametrize(
-    "kind", [*kinds.KINDS, QuadraticDrag], ids=lambda kind: kind.__name__
-)
+each_kind = pytest.mark.parametrize("kind", [*kinds.KINDS, *NEW], ids=lambda kind: kind.__name__)
 seeds = pytest.mark.parametrize("seed", range(3))
 
 
 @pytest.fixture(autouse=True)
 def declared():
-    """Scenes may have the drag."""
-    grammar.declare((*grammar.OTHERS, *kinds.KINDS, QuadraticDrag))
+    """Scenes may have the new kinds."""
+    grammar.declare((*grammar.OTHERS, *kinds.KINDS, *NEW))
     yield
     grammar.declare((*grammar.OTHERS, *kinds.KINDS))
 
@@ -212,7 +315,7 @@ def states(seed, rows=5):
 
 
 def test_every_kind_has_a_case():
-    assert set(CASES) == {*kinds.KINDS, QuadraticDrag}
+    assert set(CASES) == {*kinds.KINDS, *NEW}
 
 
 @each_kind
@@ -285,6 +388,28 @@ def test_its_equations_in_python_are_its_rows(kind, seed):
 
 @each_kind
 @seeds
+@pytest.mark.parametrize("numeric", [False, True])
+def test_its_equations_to_read_are_its_rows(kind, seed, numeric):
+    mechanism = made(kind, seed)
+    content = json.loads(as_json(equations(mechanism, numeric)))
+    for q, qd, qdd in np.moveaxis(states(seed), 0, 1):
+        found = evaluated(content, q, qd)
+        left = found["M"] @ qdd + (found["C"] + found["D"]) @ qd
+        left += found["G"][:, 0] - found["Q"][:, 0]
+        tau = inverse_dynamics(mechanism, q, qd, qdd)
+        assert np.allclose(left, tau, rtol=1e-9, atol=1e-9)
+
+
+def test_the_names_of_a_new_kind_are_told():
+    content = json.loads(as_json(equations(made(QuadraticDrag, 0))))
+    assert content["definitions"]["U1"] == "sqrt(qd2**2 + 0.0001)"
+    assert content["symbols"]["cd1"]["meaning"] == "drag of load 1"
+    told = text(equations(made(QuadraticDrag, 0)))
+    assert re.search(r"U1 +rad/s +smoothed rate of load 1$", told, re.MULTILINE)
+
+
+@each_kind
+@seeds
 def test_the_schema_accepts_it(kind, seed):
     errors = Draft202012Validator(scene_schema()).iter_errors(yaml.safe_load(text_of(kind, seed)))
     assert not list(errors)
@@ -330,12 +455,14 @@ def test_an_export_writes_it_or_refuses_it_by_name(kind, write):
         assert model != write(build(plain(0)))
     heads = {place.partition("[")[0] for place in places}
     assert not error or any(error.startswith(f"kind.yaml: {head}") for head in heads), error
-    assert error or kind is not QuadraticDrag
+    assert error or kind not in NEW
 
 
 def test_an_unknown_kind_is_refused_with_its_place():
     with pytest.raises(InputError, match=r"loads\[0\]: MJCF cannot say it"):
         mjcf(made(QuadraticDrag, 0))
+    with pytest.raises(InputError, match=r"springs\[0\]: has a potential energy that --steps"):
+        Derivation(equations(made(Magnet, 0)))
 
 
 @seeds
@@ -350,6 +477,24 @@ def test_a_new_kind_is_in_the_torques(seed):
     assert np.allclose(forward_dynamics(mechanism, q, qd, tau), qdd, atol=1e-9)
     assert mechanism.changes_energy
     assert mechanism.has_state_forces
+
+
+@seeds
+def test_joints_carry_the_force_of_a_new_kind(seed):
+    """Those on the way to the ground, and those alone."""
+    bare, mechanism = build(plain(seed)), made(Drag, seed)
+    (drag,) = mechanism.of(Drag)
+    above, loaded = mechanism.path(drag.point.link), np.zeros((5, LINKS, 2))
+    q, qd, qdd = states(seed)
+    place = mechanism.tree.point(drag.point)
+    at = placed(mechanism, q)
+    moving = at.rates(mechanism, absolute_rates(mechanism, qd)).X
+    v = sum(c * moving[:, k] for k, c in place.terms)
+    for k in above:
+        loaded[:, k] = drag.c * np.stack([v.real, v.imag], axis=-1)
+    none = np.zeros((5, 0))
+    more = reactions(mechanism, q, qd, qdd, none) - reactions(bare, q, qd, qdd, none)
+    assert np.allclose(more, loaded, atol=1e-11)
 
 
 @seeds

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from c_library import compiled, needs_compiler
-from read_equations import lines, module
+from read_equations import evaluated, lines, module
 
 from random_mechanisms import assert_close, mechanism
 from robodyn.dynamics import dynamics
@@ -76,28 +76,12 @@ def test_c_gives_the_torques(tmp_path) -> None:
         assert_close(out, tau, np.abs(tau).max(), 1e-12)
 
 
-def evaluated(content, q, qd):
-    """The blocks of equations as JSON, by Python."""
-    scope = {name: getattr(math, name) for name in ("sin", "cos", "tanh", "exp", "sqrt")}
-    scope |= {"max": max, "sign": np.sign, "step": lambda x: float(x > 0), "t": T}
-    scope |= {name: entry["value"] for name, entry in content["symbols"].items()}
-    for k, (x, v) in enumerate(zip(q, qd, strict=True)):
-        scope |= {f"q{k + 1}": x, f"qd{k + 1}": v}
-    for name, formula in content["definitions"].items():
-        scope[name] = eval(formula, scope)
-    blocks = ("M", "C", "D", "G", "Q")
-    return {
-        name: np.array([[eval(x, scope) for x in np.atleast_1d(row)] for row in content[name]])
-        for name in blocks
-    }
-
-
 @pytest.mark.parametrize("numeric", [False, True])
 def test_what_is_read_gives_the_torques(numeric: bool) -> None:
     mech = mechanism(SCENE)
     content = json.loads(as_json(equations(mech, numeric)))
     for q, qd, qdd in states(mech):
-        found = evaluated(content, q, qd)
+        found = evaluated(content, q, qd, T)
         left = found["M"] @ qdd + (found["C"] + found["D"]) @ qd
         left += found["G"][:, 0] - found["Q"][:, 0]
         tau = dynamics.inverse_dynamics(mech, q, qd, qdd, t=T)

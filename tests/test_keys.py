@@ -16,12 +16,14 @@ from robodyn.equations.parameters import Parameters
 from robodyn.errors import DescriptionError
 from robodyn.mechanics.mechanism import build
 from robodyn.scene import grammar
-from robodyn.scene.description import from_text
-from robodyn.scene.plain_scene import plain_scene
+from robodyn.scene.description import _Reader, from_text
+from robodyn.scene.drawn_keys import DrawnLink, DrawnScene, GroundLine, Slot
+from robodyn.scene.plain_scene import _Writer, plain_scene
 from robodyn.scene.rewrite import rewritten
 from robodyn.scene.scene_schema import scene_schema
 from robodyn.scene.scene_values import SceneValues
 
+DRAWN = DrawnScene, DrawnLink, GroundLine, Slot
 TEXT = """\
 links:
   - {name: a, m: 1, l: 1, r: 0.5, I: 0.1}
@@ -136,3 +138,26 @@ def test_it_is_a_symbol_of_equations() -> None:
 def test_it_is_in_the_table_of_the_guide() -> None:
     row = "| `preload` | N m | torque where it is free, >= 0 | 0 |"
     assert row in grammar.key_table("joint_spring")
+
+
+def kinds_of_values() -> list[str]:
+    """The kinds of the values of all keys of scenes that are not drawn."""
+    forms = (form for form in grammar.FORMS.values() if form.made not in DRAWN)
+    return sorted({str(key.kind) for form in forms for key in form.keys.values()})
+
+
+@pytest.mark.parametrize("kind", kinds_of_values())
+def test_each_kind_of_value_is_read_written_and_described(kind: str) -> None:
+    """A table of the grammar has it, or a method of its name; and the schema defines it."""
+    known = {**grammar.NUMBERS, **grammar.WORDS, **grammar.OR_VECTOR, **grammar.MAPPINGS}
+    assert kind in known or hasattr(_Reader, kind)
+    assert kind in known or hasattr(_Writer, kind) or kind == "name"
+    assert kind in scene_schema()["$defs"]
+
+
+def test_no_key_is_named_twice_in_a_mapping() -> None:
+    """Neither in one form, nor are two forms of a mapping told by the same keys."""
+    for forms in grammar.MAPPINGS.values():
+        assert len({form.way.marks for form in forms}) == len(forms)
+    for form in grammar.FORMS.values():
+        assert len(form.names) == len(form.keys)

@@ -25,12 +25,26 @@ from robodyn.elements.program import (
 )
 from robodyn.elements.program import Slot as Slot
 from robodyn.elements.values import Signal
+from robodyn.tables.records import Record
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]
 
 
 Grip = tuple[PlanarPoint, int | None]  # a point, and the link (None: the ground) that it is of
+
+
+class Name(Record):
+    """What written equations call a slot of an element: letters before its number, and after.
+
+    `meaning` has {} for the element; `link` orders what acts on a link.
+    """
+
+    letter: str
+    unit: str
+    meaning: str
+    axis: str = ""
+    link: int | None = None
 
 
 class PointForce(NamedTuple):
@@ -131,14 +145,36 @@ class Builder(LinkRows, ABC):
         return self.program.add(Derivative(x))
 
     @abstractmethod
-    def signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
-        """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
+    def signal(
+        self, signal: Signal, arm: PlanarPoint | float, name: Name, x: Slot | None = None
+    ) -> Slot:
+        """What a signal is, of a spring's extension x; the arm makes a torque of it."""
 
     @abstractmethod
     def stored(self, law: Signal, x: Slot) -> Slot:
         """The energy of a spring at its extension x."""
 
+    # what equations call it
+
+    def named(self, name: Name, slot: Slot, sign: float = 1.0) -> Slot:
+        """The slot; in written equations the name stands there, for `sign` times it."""
+        return slot
+
+    def span(self, name: Name, place: PlanarPoint, always: bool) -> Slot:
+        """A point less another, planar.
+
+        In written equations two names stand there, `always` or if it joins two branches of links.
+        """
+        return self.point(place)
+
+    def root(self, name: Name, square: Slot) -> None:
+        """In written equations the name stands for the square root of a slot."""
+
     # what elements do
+
+    def write_rows(self, element: Any) -> None:
+        """Write the rows of an element."""
+        element.rows(self)
 
     def force(self, acting: PointForce, between: PlanarPoint | None = None) -> None:
         """A force at a point, N; `between` is the way to there from what feels the opposite."""
@@ -187,8 +223,8 @@ class Builder(LinkRows, ABC):
         self.program.named["bends"].append(slot)
         self.program.arms[slot] = arm
 
-    def bends_planar(self, slot: Slot, arm: float) -> None:
-        """The same of both parts of a planar slot."""
+    def bends_planar(self, slot: Slot, place: PlanarPoint) -> None:
+        """The same of both parts of a planar slot, a force at a place."""
         for along in ((1.0, 0.0), (0.0, -1.0)):
             part = self.program.add(RealPart(self.planar_sum((along, slot))))
-            self.bends(part, arm)
+            self.bends(part, place.reach)

@@ -10,10 +10,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
 from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element
-from robodyn.elements.builder import Builder, PlanarTerm, PointForce
+from robodyn.elements.builder import Builder, Name, PlanarTerm, PointForce
 from robodyn.elements.keys import Way, key
 from robodyn.elements.link_rows import Tree
 from robodyn.elements.values import Point, Signal
+
+AXES = tuple(Name("F", "N", f"force of {{}}, {axis}", axis) for axis in "xy")
 
 
 class Force(Element):
@@ -138,8 +140,9 @@ class Force(Element):
         force: list[PlanarTerm] = []
         numbers = self.force.real, self.force.imag
         units = turned, 1j * turned
-        for unit, number, signal in zip(units, numbers, self.varying, strict=True):
-            slot = b.number_slot(number) if signal is None else b.signal(signal, point.reach)
+        each = zip(units, numbers, self.varying, AXES, strict=True)
+        for unit, number, signal, name in each:
+            slot = b.number_slot(number) if signal is None else b.signal(signal, point, name)
             if E is not None:
                 slot = b.scaled(slot, E)
             force.append((b.planar_number(unit), slot))
@@ -213,4 +216,5 @@ class Moment(Element):
 
     def rows(self, b: Builder) -> None:
         if self.varying is not None:
-            b.moment(self.link, b.signal(self.varying, 1.0))
+            name = Name("T", "N m", "torque of {}", link=self.link)
+            b.moment(self.link, b.signal(self.varying, 1.0, name))

@@ -23,12 +23,17 @@ from robodyn.elements.base import (
     Element,
     conserves,
 )
-from robodyn.elements.builder import Builder, NoDirection, PointForce, Slot, Term
+from robodyn.elements.builder import Builder, Name, NoDirection, PointForce, Slot, Term
 from robodyn.elements.keys import ONE, Way, key
 from robodyn.elements.link_rows import PlanarPoint, Tree
 from robodyn.elements.values import Law, Point, Signal, Table
 
 TABLE = "a CSV file of its pull: columns x and F, linear between rows"
+SPAN = Name("S", "m", "{} from its second end to its first")
+LENGTH = Name("S", "m", "length of {}")
+PULL = Name("H", "N", "pull of {}")
+PER_LENGTH = Name("K", "N/m", "pull of {} per length")
+DAMPER = Name("P", "N/m", "pull of the damper of {} per length")
 DAMPED = "stands beside law; damping is in the law, by its v"
 
 
@@ -165,12 +170,14 @@ class PointSpring(Element):
         place, directed = self.reach(tree), self.parted(tree) is not None
         if directed and not (place.terms or place.constant):
             raise NoDirection(b.mechanism.name_of(self))
-        d = b.point(place)
+        d = b.span(SPAN, place, directed)
+        if directed:
+            b.root(LENGTH, b.inner(d, d))
         pull: list[Term] = []
         if self.law is not None:
             square = b.inner(d, d)
             longer = self._longer(b, square)
-            tension = b.signal(self.law, place.reach, longer)
+            tension = b.signal(self.law, place, PULL, longer)
             pull.append((-1.0, b.quotient(tension, b.power_of(square, 0.5))))
             if b.work and place.terms and not conserves(self.law):
                 b.works(-1.0, b.product(tension, b.rate(longer)))
@@ -186,11 +193,13 @@ class PointSpring(Element):
         unit, force = -self.stiffness, d
         if pull:
             factor = b.sum(*pull, constant=number(-self.stiffness))
+            damper = not (self.stiffness or self.law)
+            factor = b.named(DAMPER if damper else PER_LENGTH, factor, sign=-1.0)
             unit, force = 1.0, b.scaled(factor, d)
         first, second = ((tree.point(end), end.link) for end in (self.first, self.second))
         b.force(PointForce(self, unit, force, first, second, s), place)
         if pull and place.terms:
-            b.bends_planar(force, place.reach)  # its parts stay finite where d passes 0
+            b.bends_planar(force, place)  # its parts stay finite where d passes 0
 
 
 class JointSpring(Element):
@@ -307,7 +316,10 @@ class JointSpring(Element):
     def rows(self, b: Builder) -> None:
         if self.law is not None:
             spends = not conserves(self.law)
-            b.torque(self.joint, -1.0, b.signal(self.law, 1.0, self._turned(b)), spends)
+            unit = self.keys["law"].of(self.joint in b.mechanism.slides).unit
+            told = f"pull of {{}}{self.called(b.mechanism.link_names)}"
+            pull = b.signal(self.law, 1.0, Name("H", unit, told), self._turned(b))
+            b.torque(self.joint, -1.0, pull, spends)
         elif self.stiffness:
             b.torque(self.joint, b.number(-self.stiffness), b.q(self.joint), spends=False)
             b.constant_torque(self.joint, self.stiffness * self.angle)

@@ -153,6 +153,14 @@ class Recorded:
             name: [self.graph.variable(f"{name}{k}") for k in range(n)] for name in names
         }
 
+    def builder(self) -> EquationsOfMotion:
+        """What writes the rows."""
+        return EquationsOfMotion(self.mechanism)
+
+    def more(self, equations: EquationsOfMotion) -> Mapping[str, Any]:
+        """What else is given in the rows that were written."""
+        return {}
+
     def absolute(self, name: str) -> list[Value]:
         """J times the relative values called `name`."""
         return absolute(self.mechanism, self.relative[name])
@@ -186,7 +194,7 @@ class Recorded:
     ) -> Series:
         """The series from this state; `torques` (n) are constant, or None: those called tau."""
         mechanism = self.mechanism
-        self.equations = equations = EquationsOfMotion(mechanism)
+        self.equations = equations = self.builder()
         program = equations.program
         turn = None if self.by_direction else self._turn
         accelerations = self.absolute("qdd") if accelerated else None
@@ -201,7 +209,9 @@ class Recorded:
             state.given[f"tau{j}"] = (tau,)
             driven.append(program.add(Given(f"tau{j}")) if some(tau) else None)
         equations.write(driven, power, chained=chained)
-        slots = [x for name in ("gap", "load", "power") for x in program.named.get(name, [])]
+        state.given.update(self.more(equations))
+        wanted = ("gap", "load", "power", "names")
+        slots = [x for name in wanted for x in program.named.get(name, [])]
         signals = [*equations.tables, *equations.laws]
         slots += [*(x.torque for x in equations.couples), *(x for _, x in signals)]
         return Series(

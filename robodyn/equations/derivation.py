@@ -65,6 +65,7 @@ from robodyn.scene.scene import Closure, Point
 MOST_LINKS = 8
 LONG_ENTRY = 90  # letters of an entry of M, above which entries are called by their names
 LONG_ENERGY = 500  # letters of KE and L, above which they are left as sums of names
+SPRINGS = PointSpring, JointSpring
 HALF = Fraction(1, 2)
 BY_RATE = (by_role(Role.normal), by_role(Role.rate), by_function)
 FORM = (as_one, by_angle, by_function)
@@ -178,6 +179,15 @@ def check_size(mechanism: Mechanism) -> None:
             raise InputError("--steps", where=mechanism.source, limit=limit)
 
 
+def check_potentials(mechanism: Mechanism) -> None:
+    """Raise InputError for an element with a potential of which no derivation is written."""
+    for place, element in mechanism.description.elements:
+        parts = (x.stored() for x in element.placed(mechanism.tree))
+        if not isinstance(element, SPRINGS) and any(x is not None for x in parts):
+            limit = "has a potential energy that --steps cannot derive"
+            raise InputError(place, where=mechanism.source, limit=limit)
+
+
 def said(*told: str | Vector) -> Line:
     """A line that is a sentence: its words, and vectors between them."""
     return Line(told=told)
@@ -198,13 +208,15 @@ def entry_name(letter: str, *numbers: int, latex: str = "") -> Name:
 class Derivation:
     """The derivation of the equations of one scene: its `sections`, and the `names` in them.
 
-    Raises InputError for a mechanism of more than MOST_LINKS links.
+    Raises InputError for a mechanism of more than MOST_LINKS links, and for an element whose
+    potential energy it does not know.
     """
 
     def __init__(self, equations: Equations[Sum]) -> None:
         self.equations, self.mechanism = equations, equations.mechanism
         mechanism = self.mechanism
         check_size(mechanism)
+        check_potentials(mechanism)
         self.names: dict[str, Name] = {}  # of the atoms that stand for formulas
         self.n, self.joints = mechanism.n, range(mechanism.n)
         self.scene: Any = equations.known.scene
@@ -417,6 +429,8 @@ class Derivation:
         """That of springs, multiplied out where G is, else by their lengths."""
         pulls = {x.name for x in self.blocks["G"].where} if "G" in self.blocks else set()
         for i, spring in enumerate(self.scene.springs):
+            if not isinstance(spring, SPRINGS):
+                continue
             name = Name(f"PEs{i + 1}", rf"PE_{{s{i + 1}}}")
             stiffness = summed(spring.stiffness or 0)
             if f"H{i + 1}" in pulls:
@@ -452,7 +466,7 @@ class Derivation:
                 if load.varying is None and load.torque and path:
                     turned = total(of(Atom(Role.angle, (k,))) for k in path)
                     yield name, (bracketed(self.put(summed(load.torque)), turned, -1),)
-            elif self._constant(load):
+            elif isinstance(load, Force) and self._constant(load):
                 force, k = planar(load.force), load.point.link
                 force = force * self.units[k] if load.turns else force
                 x, y = self.components(self.point_place(load.point), 1)

@@ -31,9 +31,8 @@ class Entries:
     """The blocks of a mechanism, each from the rows of what makes it.
 
     `named` is the mechanism without its couplings, whose rows are `couplings`; `state` makes the
-    state at which the rows are taken, with rates qd.  Weights and moments of `drag` belong to Q.
-    M and C are J^T W J; `shared` may return names in place of the entries of W (level 0) and of
-    W J (level 1).
+    state at which the rows are taken, with rates qd, and `at` is the last of these.  M and C are
+    J^T W J; `shared` may return names in place of the entries of W (level 0) and of W J (level 1).
     """
 
     def __init__(
@@ -41,11 +40,9 @@ class Entries:
         named: Mechanism,
         couplings: Sequence[CouplingRow],
         state: Callable[[Mechanism], Recorded],
-        drag: Mechanism | None = None,
         shared: Callable[[str, int, Matrix], Matrix] = lambda name, level, W: W,
     ) -> None:
         self.named, self.couplings, self.state = named, couplings, state
-        self.drag = parts.bare(named) if drag is None else drag
         self.shared = shared
 
     def of(self, name: str) -> Matrix:
@@ -63,20 +60,18 @@ class Entries:
             case "C":
                 series = self._series(A=named.A)
                 loads = [series.real[slot][0] for slot in series.program.named["load"]]
-                return self._in_joints(name, self._at.half_slopes(loads))
+                return self._in_joints(name, self.at.half_slopes(loads))
             case "D":
                 return [[x if j == k else 0.0 for j in joints] for k, x in enumerate(named.damping)]
             case "G":
                 springs = parts.stored(named)
                 return self._load(replace(springs, weights=named.weights, moments=named.moments))
             case "Q":
-                weights, moments = self.drag.weights, self.drag.moments
-                load = self._load(replace(parts.spent(named), weights=weights, moments=moments))
-                return [[-x] for [x] in load]
+                return [[-x] for [x] in self._load(parts.spent(named))]
             case "Psi":
                 series = self._series(rows=named.rows)
                 slopes = [[turns.get(k, 0.0) for k in joints] for _, turns in self.couplings]
-                return joint_jacobian(self._at, series) + slopes
+                return joint_jacobian(self.at, series) + slopes
             case "Psidot_qd":
                 bias = self._series(rows=named.rows).residuals(0)[named.n :]
                 return [[x] for x in (*bias, *(0.0 for _ in self.couplings))]
@@ -87,7 +82,7 @@ class Entries:
                 for offset, turns in self.couplings:
                     gaps.append(offset)
                     for k, turn in turns.items():
-                        gaps[-1] = gaps[-1] + turn * self._at.relative["q"][k]
+                        gaps[-1] = gaps[-1] + turn * self.at.relative["q"][k]
                 return [[x] for x in gaps]
         raise AssertionError(name)
 
@@ -102,20 +97,20 @@ class Entries:
         return self._rows_of(replace(parts.bare(self.named), **has))
 
     def _rows_of(self, part: Mechanism, accelerated: bool = False) -> Series:
-        self._at = self.state(part)
-        chained = accelerated and self._at.by_direction and len(part.A) > 2 * part.n
-        series = self._at.series([0.0] * part.n, chained=chained, accelerated=accelerated)
+        self.at = self.state(part)
+        chained = accelerated and self.at.by_direction and len(part.A) > 2 * part.n
+        series = self.at.series([0.0] * part.n, chained=chained, accelerated=accelerated)
         series.residuals(0)
         return series
 
     def _load(self, part: Mechanism, accelerated: bool = False) -> Matrix:
         """What the joints carry."""
         series = self._rows_of(part, accelerated)
-        return [[x] for x in balance(self._at, series)]
+        return [[x] for x in balance(self.at, series)]
 
     def _in_joints(self, name: str, W: Matrix) -> Matrix:
         """Return J^T W J for the block called `name`."""
-        summed = [self._at.to_joints(row) for row in self.shared(name, 0, W)]
+        summed = [self.at.to_joints(row) for row in self.shared(name, 0, W)]
         columns = zip(*self.shared(name, 1, summed), strict=True)
-        entries = [self._at.to_joints(column) for column in columns]
+        entries = [self.at.to_joints(column) for column in columns]
         return [list(row) for row in zip(*entries, strict=True)]

@@ -1,4 +1,4 @@
-"""Laws of springs, loads that vary, dry friction and compliant stops, as formulas in symbols.
+"""Laws as formulas in symbols, and what acts at joints in all modes at once.
 
 In motion a joint with dry friction is held back by
 
@@ -20,10 +20,8 @@ from fractions import Fraction
 from typing import Any, NamedTuple
 
 from robodyn.elements.joints import DryFriction, Stops
-from robodyn.elements.loads import Force, Moment
-from robodyn.elements.springs import JointSpring
-from robodyn.equations.symbolic import Atom, Planar, Role, Sum, of, summed
-from robodyn.mechanics.planar_model import Mechanism, conserves
+from robodyn.equations.symbolic import Atom, Role, Sum, of
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.expressions import OPERATIONS, changed, names_of, value_in, walk
 from robodyn.scene.scene import Law
 from robodyn.scene.syntax import Node
@@ -74,38 +72,6 @@ class Definition(NamedTuple):
     numbers: str = ""
 
 
-def named_loads(scene: Any) -> tuple[Any, list[Any], list[Definition]]:
-    """The scene, in symbols, with the loads that turn with a link and the constant ones alone.
-
-    Then the other loads, and the names of the parts that vary, which belong to Q.
-    """
-    names: list[Definition] = []
-    kept: list[Any] = []
-    drags: list[Any] = []
-
-    def named(name: str, place: tuple[int, str], unit: str, told: str, law: Law) -> Any:
-        names.append(Definition(name, formula_of(law, {}), unit, told))
-        return of(Atom(Role.force, place, name))
-
-    for i, load in enumerate(scene.loads):
-        told = f"of load {i + 1}"
-        if isinstance(load, Moment) and isinstance(load.varying, Law):
-            torque = named(f"T{i + 1}", (load.link, "T"), "N m", f"torque {told}", load.varying)
-            drags.append(load._replace(torque=torque, varying=None))
-        elif isinstance(load, Force) and load.varied:
-            parts: list[Any] = [load.force.real, load.force.imag]
-            for k, (axis, law) in enumerate(zip("xy", load.varying, strict=True)):
-                if isinstance(law, Law):
-                    place = (i, f"F{axis}")
-                    parts[k] = named(f"F{i + 1}{axis}", place, "N", f"force {told}, {axis}", law)
-            force: Any = Planar(*map(summed, parts))
-            given = load._replace(force=force, varying=(None, None))
-            (kept if load.turns else drags).append(given)
-        else:
-            kept.append(load)
-    return scene._replace(loads=tuple(kept)), drags, names
-
-
 class JointTerm(NamedTuple):
     """What acts at a joint by a formula that has a name; it is added `sign` times to its block."""
 
@@ -126,19 +92,6 @@ def formula_of(law: Law, own: Mapping[str, Sum]) -> Formula:
 
     names = {name: own[name] if name in own else meant(name) for name in law.names}
     return Formula(changed(law.node, _plain), names)
-
-
-def spring_terms(mechanism: Mechanism, scene: Any) -> Iterator[JointTerm]:
-    """The springs at joints that have laws; `scene` has symbols for numbers."""
-    for i, spring in enumerate(scene.springs):
-        if isinstance(spring, JointSpring) and isinstance(spring.law, Law):
-            j, potential = spring.joint, conserves(spring.law)
-            own = {"x": _angle(j) - spring.angle, "v": _rate(j)}
-            link, unit = _joint(mechanism, j)
-            told = f"pull of spring {i + 1}, at the joint of {link}"
-            name = Atom(Role.force, (i, ""), f"H{i + 1}")
-            defined = Definition(name.name, formula_of(spring.law, own), unit, told)
-            yield JointTerm(j, *(("G", 1) if potential else ("Q", -1)), name, defined)
 
 
 def contact_terms(

@@ -23,7 +23,7 @@ from functools import cached_property
 from typing import Any
 
 from robodyn.elements.base import Element
-from robodyn.elements.joints import DryFriction, SmoothFriction, Stops
+from robodyn.elements.joints import DryFriction, Stops
 from robodyn.elements.keys import Declared, Key
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
 from robodyn.errors import InputError, printable
@@ -88,12 +88,16 @@ class Parameters:
         self.kept = {c: self._kept(c, row) for c, row in angles if c is not None}
         gravity: Any = self._gravity(description.gravity)
         for k, link in enumerate(description.links):
-            if isinstance(link.friction, SmoothFriction) and link.friction.torque:
-                links[k] = links[k]._replace(friction=self._at_joint(k, link.friction))
-            if isinstance(link.friction, DryFriction) and link.friction.static:
-                self.dry[k] = self._at_joint(k, link.friction)
-            if link.limits is not None and link.limits.stiffness is not None:
-                self.stops[k] = self._at_joint(k, link.limits)
+            for field in ("friction", "limits"):
+                element = getattr(link, field)
+                acting = [] if element is None else [*element.placed(mechanism.tree)]
+                if isinstance(element, Stops):
+                    if element.stiffness is not None:
+                        self.stops[k] = self._at_joint(k, element)
+                elif isinstance(element, DryFriction) and acting:
+                    self.dry[k] = self._at_joint(k, element)
+                elif acting:
+                    links[k] = links[k]._replace(**{field: self._at_joint(k, element)})
             if link.motor is not None:
                 links[k] = links[k]._replace(motor=self._at_joint(k, link.motor))
         self.scene: Any = description._replace(

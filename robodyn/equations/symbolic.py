@@ -154,6 +154,9 @@ class Sum:
         def put_in(monomial: Monomial, number: Number) -> tuple[Monomial, Number]:
             left: list[tuple[Any, Any]] = []
             for atom, power in monomial:
+                if isinstance(atom, Sum):
+                    left.append((atom.substituted(values), power))
+                    continue
                 if atom.parameter and atom.name in values:
                     number = number * values[atom.name] ** power
                     continue

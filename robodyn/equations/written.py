@@ -1,4 +1,4 @@
-"""The equations of motion as formulas to read, with names for the springs' lengths and pulls.
+"""The equations of motion as formulas to read, with the names that elements give in their rows.
 
 A spring from its second end to its first is S, V = dS/dt.  It pulls by K S and its damper by P S,
 
@@ -12,17 +12,14 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import combinations
 from math import inf
 from typing import Any
 
-from robodyn.elements.loads import Force, Moment
-from robodyn.elements.springs import PointSpring
 from robodyn.engines.arithmetic import Arithmetic
 from robodyn.engines.formulas import Recorded
+from robodyn.engines.series import Series
 from robodyn.equations.entries import Entries, Matrix
 from robodyn.equations.factoring import (
     Key,
@@ -37,32 +34,23 @@ from robodyn.equations.named_laws import (
     Definition,
     Formula,
     contact_terms,
-    formula_of,
-    named_loads,
-    spring_terms,
 )
+from robodyn.equations.named_rows import NamedRows, Places, divide, places_of, power
 from robodyn.equations.outline import Block, Equations, Head, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import (
-    NOWHERE,
-    ONE,
     ZERO,
     Atom,
     Monomial,
     Number,
-    Planar,
     Role,
     Sum,
     merged,
     of,
     summed,
-    total,
 )
-from robodyn.mechanics.link_tree import Tree
-from robodyn.mechanics.loop_rows import closure_rows
+from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large, with_kept
-from robodyn.mechanics.planar_model import conserves
-from robodyn.scene.scene import Closure, Point
 
 # How the terms of a block's entries are collected: by the first of these, then within by the next.
 LINE = (by_role(Role.normal), by_role(Role.rate), by_function)
@@ -115,20 +103,18 @@ def equations(
             raise too_large(mechanism.description)
         return written(entry, levels)
 
-    scene, drags, loads = named_loads(parameters.scene)
-    springs = _Springs(scene, drags)
-    contacts = contact_terms(mechanism, parameters.dry, parameters.stops)
-    acting = [*spring_terms(mechanism, parameters.scene), *contacts]
-    named = with_kept(springs.mechanism, parameters.kept)
+    named = with_kept(constants(parameters.scene), parameters.kept)
+    places = places_of(parameters.scene, named.tree)
+    contacts = list(contact_terms(mechanism, parameters.dry, parameters.stops))
     shared = _Shared(mechanism)
-    entries = Entries(named, parameters.couplings, _Symbolic, springs.drag, shared.named)
+    entries = Entries(named, parameters.couplings, partial(_Symbolic, places), shared.named)
     found = []
     for head in known:
         sums, levels = entries.of(head.name), LEVELS.get(head.name, LINE)
         ordered: Callable[[Any], Sum] = partial(_in_order, block=head.name)
         if shared.sums:  # the entries are sums of names
             ordered, levels = summed, ()
-        added = [x for x in acting if x.block == head.name]
+        added = [x for x in contacts if x.block == head.name]
         for term in added:
             sums[term.joint][0] = sums[term.joint][0] + of(term.name).times(term.sign)
         block: list[tuple[Sum, ...]] = []
@@ -137,9 +123,10 @@ def equations(
             more = (write(ordered(x), levels) for x in row[len(mirrored) :])
             block.append((*mirrored, *more))
         names = [*shared.definitions(head, block, write)]
-        names += springs.definitions(head.name, write)
-        further = [*(loads if head.name == "Q" else []), *(x.defined for x in added)]
-        names += [x._replace(value=write(x.value)) for x in further]
+        if head.name in ("G", "Q"):
+            assert isinstance(entries.at, _Symbolic)
+            names += entries.at.definitions(sums, write)
+        names += [x.defined._replace(value=write(x.defined.value)) for x in added]
         found.append(Block(head, tuple(block), tuple(names)))
     formulas: list[Any] = [entry for block in found for row in block.rows for entry in row]
     formulas += [name.value for block in found for name in block.where]
@@ -155,13 +142,37 @@ def equations(
 class _Symbolic(Recorded):
     """The rows of a mechanism whose numbers are symbols, at a state of symbols."""
 
-    def __init__(self, mechanism: Mechanism) -> None:
+    def __init__(self, places: Places, mechanism: Mechanism) -> None:
         super().__init__(mechanism, ("qd",), by_direction=False, arithmetic=SYMBOLIC)
+        self.places = places
         joints = range(mechanism.n)
         self.relative: dict[str, Any] = {
             "q": [of(Atom(Role.angle, (k,))) for k in joints],
             "qd": [of(Atom(Role.rate, (k,))) for k in joints],
         }
+
+    def builder(self) -> NamedRows:
+        """See `Recorded`."""
+        self.written = NamedRows(self.mechanism, self.places)
+        return self.written
+
+    def more(self, equations: EquationsOfMotion) -> Mapping[str, Any]:
+        """See `Recorded`."""
+        return self.written.given
+
+    def series(self, *given: Any, **named: Any) -> Series:
+        """See `Recorded`."""
+        self.expanded = super().series(*given, **named)
+        return self.expanded
+
+    def definitions(self, entries: Matrix, write: Callable[..., Any]) -> Iterator[Definition]:
+        """The names that the entries use, as they are told."""
+        atoms = {atom for row in entries for entry in row for atom in summed(entry).atoms()}
+        for name, value in self.written.used(self.expanded, atoms):
+            if not name.is_root:
+                value = _in_order(value, "S") if name.is_component else value
+                value = write(value, LINE if name.is_component else ())
+            yield Definition(name.atom.name, value, name.unit, name.meaning)
 
     def absolute(self, name: str) -> list[Any]:
         """Angles of links as sums, their rates as one atom each."""
@@ -188,7 +199,8 @@ def _smooth(ratio: Sum) -> Sum:
 SYMBOLIC = Arithmetic(
     cos=lambda angle: of(Atom(Role.function, _joints(angle), "cos")),
     sin=lambda angle: of(Atom(Role.function, _joints(angle), "sin")),
-    power=pow,
+    power=power,
+    divide=divide,
     functions={"tanh": _smooth},
 )
 
@@ -313,112 +325,3 @@ class _Shared:
                     value, told = write(entry, ()), second[1]
                 yield Definition(name, value, head.unit, told, "j_k")
         self.sums.clear()
-
-
-# -- springs ---------------------------------------------------------------------------------------
-
-
-class _Springs:
-    """The springs between points of a scene in symbols.
-
-    `mechanism` is the scene's with loads for the springs whose pulls have names; `drag` (n) are the
-    weights of the dampers' pulls.
-    """
-
-    def __init__(self, scene: Any, loaded: Sequence[Force | Moment]) -> None:
-        self.tree = Tree(scene.links)
-        self.springs: dict[int, Any] = {  # but for those whose ends never move
-            i: spring
-            for i, spring in enumerate(scene.springs)
-            if isinstance(spring, PointSpring)
-            and self.tree.difference(spring.first, spring.second).terms
-        }
-        pulls, drags = [], [*loaded]
-        left = [x for x in scene.springs if not isinstance(x, PointSpring) and x.law is None]
-        for i, spring in self.springs.items():
-            S = Planar(*(of(x) for x in _components(i)))
-            if spring.law is not None:
-                given = _loads(spring, S * of(_pull("K", i)))
-                pulls += given if conserves(spring.law) else []
-                drags += [] if conserves(spring.law) else given
-                continue
-            if self._pulls(spring):
-                named = of(_pull("K", i)) if spring.length else spring.stiffness
-                pulls += _loads(spring, S * named)
-            elif spring.stiffness:
-                left.append(spring._replace(damping=ZERO))
-            if spring.damping:
-                drags += _loads(spring, S * of(_pull("P", i)))
-        loads = (*scene.loads, *pulls)
-        self.mechanism = constants(scene._replace(springs=tuple(left), loads=loads))
-        dragged = scene._replace(gravity=NOWHERE, springs=(), closures=(), loads=tuple(drags))
-        self.drag = constants(dragged)
-        pins = tuple(Closure(x.first, x.second) for x in self.springs.values())
-        rows = tuple(closure_rows(scene._replace(closures=pins), self.tree))
-        gaps = Entries(replace(self.mechanism, rows=rows), (), _Symbolic).gaps() if pins else []
-        self.gaps = dict(zip(self.springs, zip(gaps[::2], gaps[1::2], strict=True), strict=True))
-
-    def _pulls(self, spring: PointSpring) -> bool:
-        """Whether the pull has a name: it has a free length, or joins links of two branches."""
-        between = [k for k, _ in self.tree.difference(spring.first, spring.second).terms]
-        paths = [{j for j, _ in self.tree.point(Point(k, 1.0)).terms} for k in between]
-        across = any(not (a <= b or b <= a) for a, b in combinations(paths, 2))
-        return bool(spring.stiffness and (spring.length or across))
-
-    def definitions(self, block: str, write: Callable[..., Sum]) -> Iterator[Definition]:
-        """The names that the block uses: S, |S|, K in G, and V, P too in Q."""
-        for i, spring in self.springs.items():
-            law = spring.law
-            used = self._pulls(spring) if block == "G" else block == "Q" and spring.damping
-            if law is not None:
-                used = block == ("G" if conserves(law) else "Q")
-            if not used:
-                continue
-            told, S = f"spring {i + 1}", _components(i)
-            size = Atom(Role.stretch, (i, ""), f"S{i + 1}")
-            for x, (value, _) in zip(S, self.gaps[i], strict=True):
-                meaning = f"{told} from its second end to its first, along {x.name[-1].upper()}"
-                yield Definition(x.name, write(_in_order(value, "S")), "m", meaning)
-            if spring.length or block == "Q" or law is not None:
-                root = of(total(of(x, 2) for x in S), 0.5)
-                yield Definition(size.name, root, "m", f"length of {told}")
-            if block == "Q" and (law is None or "v" in law.names):
-                V = [Atom(Role.stretch, (i, f"V{axis}"), f"V{i + 1}{axis}") for axis in "xy"]
-                for x, v, (_, rate) in zip(S, V, self.gaps[i], strict=True):
-                    value = write(_in_order(rate, "S"))
-                    yield Definition(v.name, value, "m/s", f"rate of {x.name}")
-                along = total(of(x) * of(v) for x, v in zip(S, V, strict=True))
-            if law is not None:
-                own = {"x": of(size) - spring.length}
-                if "v" in law.names:
-                    rate = Atom(Role.stretch, (i, "V"), f"V{i + 1}")
-                    value = write(along * of(size, -1), ())
-                    yield Definition(rate.name, value, "m/s", f"rate of {size.name}")
-                    own["v"] = of(rate)
-                pull = Atom(Role.force, (i, "H"), f"H{i + 1}")
-                yield Definition(pull.name, write(formula_of(law, own)), "N", f"pull of {told}")
-                value, name = of(pull) * of(size, -1), _pull("K", i)
-                meaning = f"pull of {told} per length"
-            elif block == "Q":
-                value, name = spring.damping * along * of(size, -2), _pull("P", i)
-                meaning = f"pull of the damper of {told} per length"
-            elif spring.length:
-                value = spring.stiffness * (ONE - spring.length * of(size, -1))
-                name, meaning = _pull("K", i), f"pull of {told} per length"
-            else:
-                continue
-            yield Definition(name.name, write(value, ()), "N/m", meaning)
-
-
-def _components(i: int) -> list[Atom]:
-    return [Atom(Role.stretch, (i, axis), f"S{i + 1}{axis}") for axis in "xy"]
-
-
-def _pull(letter: str, i: int) -> Atom:
-    return Atom(Role.force, (i, ""), f"{letter}{i + 1}")
-
-
-def _loads(spring: PointSpring, pull: Any) -> list[Force]:
-    """What pulls the ends of a spring together."""
-    ends = (spring.first, -pull), (spring.second, pull)
-    return [Force(end, force) for end, force in ends if end.link is not None]

@@ -22,7 +22,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from robodyn.elements.base import Element
-from robodyn.elements.builder import Builder, PlanarTerm, Term
+from robodyn.elements.builder import Builder, Name, PlanarTerm, Term
+from robodyn.elements.link_rows import PlanarPoint
 from robodyn.elements.program import (
     Coefficient,
     Derivative,
@@ -134,8 +135,10 @@ class EquationsOfMotion(Builder):
         moment = program.number(-mechanism.moments[k])
         return program.sum((1.0, turning), *self.moments[k], constant=moment)
 
-    def signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
-        """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
+    def signal(
+        self, signal: Signal, arm: PlanarPoint | float, name: Name, x: Slot | None = None
+    ) -> Slot:
+        """What a signal is, of a spring's extension x; the arm makes a torque of it."""
         from robodyn.mechanics.signal_rows import signal_rows  # only scenes with signals import it
 
         if isinstance(signal, Table):
@@ -144,8 +147,9 @@ class EquationsOfMotion(Builder):
         slot, watched = signal_rows(self, signal, own)
         if isinstance(signal, Law):
             self.laws.append((signal, slot))
+        length = arm.reach if isinstance(arm, PlanarPoint) else arm
         for each, scale in watched:
-            self.bends(each, arm * scale)
+            self.bends(each, length * scale)
             if isinstance(signal, Table):
                 self.program.named.setdefault("lines", []).append(each)
         return slot
@@ -159,7 +163,7 @@ class EquationsOfMotion(Builder):
     def _scene_forces(self) -> None:
         on_links = (x for x in self.mechanism.elements if x.at is None and x.acts)
         for element in sorted(on_links, key=lambda x: x.rank):
-            element.rows(self)
+            self.write_rows(element)
 
     def _joints(self, torques: Sequence[Slot | None], steady: bool) -> None:
         """Torques at the joints: what a link gets its parent gives."""
@@ -175,7 +179,7 @@ class EquationsOfMotion(Builder):
             if self.mechanism.damping[j]:
                 self.torque(j, self.number(-self.mechanism.damping[j]), self.v(j))
             for element in sorted(here[j], key=lambda x: x.rank):
-                element.rows(self)
+                self.write_rows(element)
             acting, constant = self._acting[j], self._constant[j]
             if acting or constant:
                 self.torques[j] = self.sum(*acting, constant=self.number(constant))

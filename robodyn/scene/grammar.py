@@ -79,7 +79,8 @@ OTHERS: tuple[type[Declared], ...] = (
 )
 
 FORMS: dict[str, Form] = {}
-# The forms of a mapping of this kind, by the keys that tell them; the last has none.
+# The forms of a mapping of this kind: that is meant all of whose marks stand there, of several the
+# one with the most marks; the last has none.
 MAPPINGS: dict[str, list[Form]] = {}
 
 
