@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces as inverse_dynamics_and_forces
     from robodyn.dynamics.dynamics import kept_moments as kept_moments
     from robodyn.dynamics.dynamics import pin_forces as pin_forces
+    from robodyn.dynamics.named_points import points as points
     from robodyn.dynamics.reaction_forces import reactions as reactions
     from robodyn.dynamics.reaction_forces import shaking_force as shaking_force
     from robodyn.dynamics.reaction_forces import slide_moments as slide_moments
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from robodyn.errors import ResidualError as ResidualError
     from robodyn.errors import RobodynError as RobodynError
     from robodyn.errors import SingularError as SingularError
-    from robodyn.kinematics.named_points import points as points
     from robodyn.loops.assembly import assemble as assemble
     from robodyn.loops.loop_rates import loop_accelerations as loop_accelerations
     from robodyn.loops.loop_rates import loop_velocities as loop_velocities
@@ -108,7 +108,7 @@ _ROOMS = {
         "RobodynError",
         "SingularError",
     ],
-    "kinematics.named_points": ["points"],
+    "dynamics.named_points": ["points"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism"],
     "dynamics.state_columns": ["motor_loads"],
@@ -158,7 +158,7 @@ def _checked(function: FunctionType) -> FunctionType:
 
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     room = function.__module__.split(".")[1]
-    at_states = "qd" in names and room in ("dynamics", "loops", "kinematics")
+    at_states = "qd" in names and room in ("dynamics", "loops")
     check = argument_check(function)
 
     @wraps(function)

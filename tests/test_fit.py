@@ -18,15 +18,15 @@ import robodyn
 from robodyn.dynamics import identities
 from robodyn.dynamics.dynamics import loop_forces
 from robodyn.dynamics.named_numbers import named_values
+from robodyn.dynamics.named_points import link_turns, named_points
 from robodyn.dynamics.state_columns import jacobian_columns, jacobian_values
-from robodyn.errors import DescriptionError, InputError, RobodynError
-from robodyn.kinematics.named_points import link_turns, named_points
-from robodyn.kinematics.transmission import (
+from robodyn.dynamics.transmission import (
     rate_ratios,
     ratio_named,
     transmission_angles,
     transmission_loops,
 )
+from robodyn.errors import DescriptionError, InputError, RobodynError
 from robodyn.loops.assembly_plan import assembly_plan
 from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import build, load

@@ -13,19 +13,19 @@ from mpmath import mp, mpc, mpf
 import oracles
 import robodyn as rd
 from random_mechanisms import LOOPS, Scene, mechanism, seeded_scene, seeded_tree, sliding
-from robodyn.errors import InputError
-from robodyn.kinematics.named_points import (
+from robodyn.dynamics.named_points import (
     link_turns,
     named_points,
     point_jacobian,
     unit_rates,
 )
-from robodyn.kinematics.transmission import (
+from robodyn.dynamics.transmission import (
     rate_ratios,
     ratio_named,
     transmission_angles,
     transmission_loops,
 )
+from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.joint_ranges import joint_ranges
 

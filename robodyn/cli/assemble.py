@@ -29,8 +29,8 @@ from robodyn.cli.states import (
     single_state,
 )
 from robodyn.dynamics.closed_form import point_motion
+from robodyn.dynamics.named_points import named_point
 from robodyn.errors import AssemblyError, InputError, SingularError
-from robodyn.kinematics.named_points import named_point
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word

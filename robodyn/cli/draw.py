@@ -21,7 +21,7 @@ from robodyn.pictures.drawing import Trace, drawing, even_rows, traced
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
-    from robodyn.kinematics.named_points import NamedPoint
+    from robodyn.dynamics.named_points import NamedPoint
     from robodyn.pictures.force_arrows import Force
 
 DEFAULT_POSES = 8

@@ -11,8 +11,8 @@ from typer import Option
 
 from robodyn.cli.files import model_argument, output_file, read_scene, rows_argument
 from robodyn.cli.large_angles import tell_large_angles
+from robodyn.dynamics.named_points import named_point
 from robodyn.errors import DescriptionError, InputError
-from robodyn.kinematics.named_points import named_point
 from robodyn.scene import yaml_tree
 from robodyn.scene.quantities import parse_vector
 from robodyn.scene.scene import Description, Load

@@ -6,6 +6,7 @@ import numpy as np
 
 from robodyn.cli.options import Model, Qdd, option, switch
 from robodyn.cli.states import TableOptions, evaluate
+from robodyn.dynamics.named_points import NamedPoint, named_points, point_columns
 from robodyn.dynamics.state_columns import (
     Solved,
     columns_of,
@@ -13,9 +14,8 @@ from robodyn.dynamics.state_columns import (
     link_columns,
     transmission_columns,
 )
+from robodyn.dynamics.transmission import ratio_named
 from robodyn.errors import InputError
-from robodyn.kinematics.named_points import NamedPoint, named_points, point_columns
-from robodyn.kinematics.transmission import ratio_named
 from robodyn.mechanics.mechanism import Mechanism
 
 POINTS = "[NAME=]POINT"

@@ -19,9 +19,9 @@ from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, driver_of, option_source, overflow, remarks, table_source
 from robodyn.cli.times import Points, output_times
+from robodyn.dynamics.named_points import named_point
 from robodyn.dynamics.sticking import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError, at_place, named_options
-from robodyn.kinematics.named_points import named_point
 from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import joint_values, scene_units

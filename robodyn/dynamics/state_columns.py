@@ -13,15 +13,15 @@ from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.closed_form import energies, point_motion
-from robodyn.dynamics.placed import n_wide
-from robodyn.kinematics.named_points import (
+from robodyn.dynamics.named_points import (
     NamedPoint,
     link_turns,
     point_columns,
     point_jacobian,
     unit_rates,
 )
-from robodyn.kinematics.transmission import (
+from robodyn.dynamics.placed import n_wide
+from robodyn.dynamics.transmission import (
     rate_ratios,
     ratio_named,
     transmission_angles,

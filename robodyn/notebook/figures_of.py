@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robodyn.dynamics.named_points import named_points
 from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError, printable
-from robodyn.kinematics.named_points import named_points
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly import assemble, first_pose
 from robodyn.mechanics.mechanism import Mechanism

@@ -31,8 +31,10 @@ from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.dynamics.dynamics import pins_at
 from robodyn.dynamics.named_numbers import with_variables
+from robodyn.dynamics.named_points import NamedPoint, named_points
 from robodyn.dynamics.placed import Placed
 from robodyn.dynamics.reaction_forces import Felt, Part
+from robodyn.dynamics.transmission import ratio_named, transmission_loops, turn_between
 from robodyn.engines import expression
 from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Expression, Graph, Value, slopes_by, substituted, tangents
@@ -41,8 +43,6 @@ from robodyn.engines.formulas import Recorded, balance, evaluated, joint_jacobia
 from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.row_values import RowValues
 from robodyn.errors import InputError
-from robodyn.kinematics.named_points import NamedPoint, named_points
-from robodyn.kinematics.transmission import ratio_named, transmission_loops, turn_between
 from robodyn.loops.assembly import assemble, by_dyads, scene_branches
 from robodyn.loops.assembly_plan import Plan, Step, assembly_plan
 from robodyn.loops.closing import CLOSED as ROUNDING

@@ -15,9 +15,9 @@ import numpy as np
 
 from robodyn.control.tracking import ReferenceTable
 from robodyn.dynamics.dynamics import inverse_dynamics_and_forces, motion_dynamics
+from robodyn.dynamics.named_points import named_points
 from robodyn.dynamics.state_columns import Solved, column_names, columns_of
 from robodyn.errors import InputError
-from robodyn.kinematics.named_points import named_points
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism

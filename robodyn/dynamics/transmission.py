@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import points_of
+from robodyn.dynamics.named_points import unit_rates
 from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, placed
 from robodyn.errors import InputError
-from robodyn.kinematics.named_points import unit_rates
 from robodyn.loops.assembly_plan import assembly_plan
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint, joint_index
