@@ -41,7 +41,8 @@ if TYPE_CHECKING:
     from robodyn.dynamics.reaction_forces import reactions as reactions
     from robodyn.dynamics.reaction_forces import shaking_force as shaking_force
     from robodyn.dynamics.reaction_forces import slide_moments as slide_moments
-    from robodyn.dynamics.state_columns import motor_loads as motor_loads
+    from robodyn.dynamics.state import State as State
+    from robodyn.dynamics.state import motor_loads as motor_loads
     from robodyn.errors import AssemblyError as AssemblyError
     from robodyn.errors import DescriptionError as DescriptionError
     from robodyn.errors import InputError as InputError
@@ -111,7 +112,7 @@ _ROOMS = {
     "dynamics.named_points": ["points"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism"],
-    "dynamics.state_columns": ["motor_loads"],
+    "dynamics.state": ["State", "motor_loads"],
     "mechanics.voltages": ["voltages"],
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "notebook.figures_of": ["animate", "draw", "plot"],

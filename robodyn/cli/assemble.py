@@ -25,16 +25,15 @@ from robodyn.cli.states import (
     complete,
     driver_of,
     option_source,
-    overflow,
     single_state,
 )
 from robodyn.dynamics.closed_form import point_motion
+from robodyn.dynamics.columns import OF_PARTS, in_degrees, scene_units, with_unit
 from robodyn.dynamics.named_points import named_point
-from robodyn.errors import AssemblyError, InputError, SingularError
+from robodyn.errors import AssemblyError, InputError, SingularError, overflow
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
-from robodyn.pictures.column_units import OF_PARTS, in_degrees, scene_units, with_unit
 from robodyn.scene.point_names import PARTS
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.tables.csv_fields import shown

@@ -31,12 +31,12 @@ from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source, remarks
+from robodyn.dynamics.columns import scene_units, unit_of
 from robodyn.engines.expression import tangents
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.actuation import expressions
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.column_formulas import ColumnFormulas
-from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.quantities import parse_quantity
 from robodyn.scene.rewrite import write_scene
 from robodyn.scene.scene_values import SceneValues

@@ -13,8 +13,8 @@ from contextvars import ContextVar
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
+from robodyn.dynamics.joint_vectors import joint_units
 from robodyn.errors import InputError
-from robodyn.pictures.column_units import joint_units
 from robodyn.scene.quantities import entries
 from robodyn.scene.scene import JointSpring
 from robodyn.scene.syntax import plain_text

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
 from robodyn.cli.options import Extremes, Format, Out, OutputFormat
+from robodyn.dynamics.columns import TURNING, in_degrees, structure_in_degrees, with_unit
 from robodyn.errors import InputError, printable, printable_lines
-from robodyn.pictures.column_units import TURNING, in_degrees, structure_in_degrees, with_unit
 from robodyn.tables.csv_fields import finite, shown, unquoted
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import WRITERS, ScaledWriter, Writer
@@ -46,7 +46,7 @@ def row_writer(
 ) -> Iterator[Writer]:
     """A writer of rows: computed `columns` after (or in) the columns of the input's `header`.
 
-    A table for people tells `units` of the scene (`column_units.scene_units`).  A `summary` takes
+    A table for people tells `units` of the scene (`columns.scene_units`).  A `summary` takes
     the place of the rows.
     """
     format = default_format(format, out)

@@ -2,18 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from robodyn.cli.options import Model, Qdd, option, switch
-from robodyn.cli.states import TableOptions, evaluate
-from robodyn.dynamics.named_points import NamedPoint, named_points, point_columns
-from robodyn.dynamics.state_columns import (
-    Solved,
-    columns_of,
-    jacobian_columns,
-    link_columns,
-    transmission_columns,
-)
+from robodyn.cli.states import TableOptions, state_rows
+from robodyn.dynamics.columns import column_names
+from robodyn.dynamics.named_points import NamedPoint, named_points
 from robodyn.dynamics.transmission import ratio_named
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
@@ -55,28 +47,16 @@ def points(
     """
     mechanism = model.load()
     named = named_points(mechanism, of or (), "--of")
-    columns = point_columns(named)
-    quantities = given.quantities(qdd=qdd)
-    if jacobian:
-        columns += jacobian_columns(mechanism, named)
-    if links:
-        columns += link_columns(mechanism)
+    families = ["points", *(["jacobian"] if jacobian else []), *(["links"] if links else [])]
+    columns = column_names(mechanism, families, named)
     columns += _loops(mechanism) if transmission else []
     columns += [ratio_named(mechanism, text).name for text in ratio or ()]
-
-    def compute(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, **_: object) -> np.ndarray:
-        none = np.zeros(0)  # of what acts the columns ask nothing
-        solved = Solved(none, q, qd, qdd, none, none)
-        found = columns_of(mechanism, named, solved, columns)
-        return np.stack([found[name] for name in columns], axis=-1)
-
-    gaps = len(ratio or ())
-    evaluate(mechanism, given, quantities, columns, compute, adds=True, gaps=gaps)
+    state_rows(mechanism, given, given.quantities(qdd=qdd), columns, of=named, adds=True)
 
 
 def _loops(mechanism: Mechanism) -> list[str]:
     """The columns of --transmission; InputError where there are none."""
-    loops = transmission_columns(mechanism)
+    loops = column_names(mechanism, ["transmission"])
     if not loops:
         limit = "no loop of this scene is closed by three pairs in a row"
         raise InputError("--transmission", where=mechanism.source, limit=limit)

@@ -46,6 +46,8 @@ from robodyn.cli.times import Points, output_times
 from robodyn.control.laws import controller
 from robodyn.control.state_feedback import StateFeedback, read_feedback
 from robodyn.control.tracking import ReferenceTable
+from robodyn.dynamics.columns import scene_units, unit_of
+from robodyn.dynamics.joint_vectors import joint_values
 from robodyn.errors import AssemblyError, InputError, RobodynError, at_place, named_options
 from robodyn.events.functions import named_events
 from robodyn.events.watch import Event, EventWatch
@@ -54,7 +56,6 @@ from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.voltages import voltages
-from robodyn.pictures.column_units import joint_values, scene_units, unit_of
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.simulation.motion_columns import (
     applied_torques,

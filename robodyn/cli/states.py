@@ -11,18 +11,27 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from robodyn.cli.options import Differentiate, Q, Qd, States, Unwrap
 from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_silence
-from robodyn.errors import InputError, RobodynError, SignalError, SingularPoseError, at_place
-from robodyn.mechanics.loop_rows import loop_columns as loop_columns
+from robodyn.dynamics.columns import FAMILIES, family_of, scene_units
+from robodyn.dynamics.joint_vectors import vector_of_joints
+from robodyn.errors import (
+    InputError,
+    ResidualError,
+    RobodynError,
+    SignalError,
+    SingularPoseError,
+    at_place,
+    overflow,
+)
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units, vector_of_joints
 
 if TYPE_CHECKING:
+    from robodyn.dynamics.named_points import NamedPoint
     from robodyn.tables.arrays import Array
     from robodyn.tables.table import Chunk
     from robodyn.tables.table_writer import Writer
@@ -201,6 +210,54 @@ def single_state(
     return complete(mechanism, sources, [np.array(x.values) for x in sources], branches)
 
 
+def state_rows(
+    mechanism: Mechanism,
+    options: TableOptions,
+    quantities: Sequence[Quantity],
+    columns: Sequence[str],
+    *,
+    either: Sequence[Quantity] = (),
+    of: Sequence[NamedPoint] = (),
+    adds: bool = False,
+    summary: Summary | None = None,
+    advice: str = "",
+) -> None:
+    """Write `columns` of the state of the options, or of each row of its table: see `evaluate`.
+
+    `of` are the points that the columns are of.  `advice` ends the error for a motion that the
+    mechanism does not make.
+    """
+
+    from robodyn.dynamics.state import State
+
+    named = False  # whether it was told which forces are not unique
+
+    def compute(**motion: Any) -> Array:
+        nonlocal named
+        state = State(mechanism, **motion, of=of)
+        with warnings.catch_warnings(record=True) as told:
+            try:
+                values: Array = state.columns(columns)
+            except ResidualError as error:
+                error.limit += advice
+                raise
+        for warning in told:
+            warnings.warn(warning.message, stacklevel=2)
+        if told and forces and mechanism.rows and not named:
+            from robodyn.dynamics.dynamics import RobodynWarning
+            from robodyn.dynamics.reaction_forces import names_not_unique
+
+            if names := names_not_unique(mechanism, state.q):
+                named = True
+                warnings.warn(f"not unique: {names}", RobodynWarning, stacklevel=2)
+        return values
+
+    families = [family_of(mechanism, name, of) for name in columns]
+    forces = FAMILIES["reactions"] in families
+    gaps = [family is not None and family.gaps for family in families]
+    evaluate(mechanism, options, quantities, columns, compute, either, adds, summary, gaps)
+
+
 def evaluate(
     mechanism: Mechanism,
     options: TableOptions,
@@ -210,15 +267,15 @@ def evaluate(
     either: Sequence[Quantity] = (),
     adds: bool = False,
     summary: Summary | None = None,
-    gaps: int = 0,
+    gaps: Sequence[bool] = (),
 ) -> None:
     """Compute `columns` (T, k) at the state of the options, or at each row of its table.
 
     `compute` takes the quantities (T, n) by name, and where the scene's loads depend on the time t
     (T,): the column t of a table, else zero.  Of the quantities in `either` it takes those that are
     given, the first where none is.  Where it `adds` columns, none of the table is replaced, and a
-    table without rows is refused, as it is where there is a `summary` in place of the rows.  The
-    last `gaps` columns may be NaN, which is written as an empty cell.
+    table without rows is refused, as it is where there is a `summary` in place of the rows.
+    Columns with `gaps` may be NaN, which is written as an empty cell.
     """
 
     def wanted(header: Sequence[str]) -> list[Quantity]:
@@ -275,9 +332,10 @@ class _Computed:
         mechanism: Mechanism,
         sources: Sequence[Source],
         compute: Callable[..., Array],
-        gaps: int,
+        gaps: Sequence[bool],
     ) -> None:
-        self.mechanism, self.sources, self.compute, self.gaps = mechanism, sources, compute, gaps
+        self.mechanism, self.sources, self.compute = mechanism, sources, compute
+        self.whole = np.logical_not(gaps) if gaps else slice(None)  # columns without gaps
         self.lost: list[RobodynError] = []  # of the first row without results
 
     def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
@@ -295,8 +353,7 @@ class _Computed:
             given["t"] = values[:, begin] if timed else np.zeros(len(values))
         with np.errstate(all="ignore"):
             found = self.compute(**given)
-        whole = found.shape[-1] - self.gaps
-        if not np.isfinite(found[:, :whole]).all() or np.isinf(found[:, whole:]).any():
+        if not np.isfinite(found[:, self.whole]).all() or np.isinf(found).any():
             if self.mechanism.signals:
                 from robodyn.engines.row_values import rows_of
                 from robodyn.mechanics.parts import acting
@@ -341,11 +398,6 @@ class _Computed:
             return self.at(np.repeat(rows, 2, axis=0))[:1]  # BLAS adds up one in another order
         finally:
             streams.reset(token)
-
-
-def overflow() -> RobodynError:
-    """The error for a result that is not finite."""
-    return RobodynError("the result is not finite", limit="the state or the scene is too large")
 
 
 @contextmanager

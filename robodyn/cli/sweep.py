@@ -30,9 +30,9 @@ from robodyn.cli.simulate import (
 )
 from robodyn.cli.states import remarks
 from robodyn.control.laws import controller
+from robodyn.dynamics.columns import scene_units
 from robodyn.errors import InputError, named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units
 from robodyn.simulation.motion_columns import check_span
 from robodyn.simulation.settings import DEFAULT_POINTS
 from robodyn.sweeps import sweep_request

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from robodyn.cli.options import Force, Model, Number, Qdd, load_with, option, switch
-from robodyn.cli.states import TableOptions, evaluate
+from robodyn.cli.states import TableOptions, state_rows
 from robodyn.cli.turns import tell_flywheel
-from robodyn.dynamics.dynamics import inverse_dynamics_and_forces
-from robodyn.dynamics.free_joints import free_joints
-from robodyn.dynamics.state_columns import power_values, torque_columns, torque_values
-from robodyn.errors import InputError, ResidualError
+from robodyn.dynamics.columns import TORQUE, column_names
+from robodyn.errors import InputError
 
 
 def torque(
@@ -71,27 +67,9 @@ def torque(
         tell_flywheel(mechanism, given, quantities, fluctuation)
         return
 
-    powers = [f"power{k + 1}" for k in mechanism.actuated if power]
-    free: list[int] = []
-    if residual:
-        free = free_joints(mechanism)
-        if not free:
-            limit = "no joint is free: the mechanism has as many actuators as freedoms"
-            raise InputError("--residual", where=mechanism.source, limit=limit)
-
-    def compute(
-        q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, t: np.ndarray | float = 0.0
-    ) -> np.ndarray:
-        try:
-            solved = inverse_dynamics_and_forces(mechanism, q, qd, qdd, t, residual=residual)
-        except ResidualError as error:
-            error.limit += ", or let --residual write it"
-            raise
-        tau = solved.tau
-        found = [torque_values(mechanism, q, qd, tau, solved.multipliers), tau[..., free]]
-        if powers:
-            found.append(power_values(mechanism, qd, tau))
-        return np.concatenate(found, axis=-1)
-
-    columns = [*torque_columns(mechanism), *(f"residual{k + 1}" for k in free), *powers]
-    evaluate(mechanism, given, quantities, columns, compute)
+    families = [*TORQUE, *(["residual"] if residual else []), *(["power"] if power else [])]
+    columns = column_names(mechanism, families)
+    if residual and not column_names(mechanism, ["residual"]):
+        limit = "no joint is free: the mechanism has as many actuators as freedoms"
+        raise InputError("--residual", where=mechanism.source, limit=limit)
+    state_rows(mechanism, given, quantities, columns, advice=", or let --residual write it")

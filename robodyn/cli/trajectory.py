@@ -17,14 +17,15 @@ from robodyn.cli.options import EACH, Model, Number, Text, Unwrap, option, refus
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.states import Quantity, driver_of, option_source, overflow, remarks, table_source
+from robodyn.cli.states import Quantity, driver_of, option_source, remarks, table_source
 from robodyn.cli.times import Points, output_times
+from robodyn.dynamics.columns import scene_units
+from robodyn.dynamics.joint_vectors import joint_values
 from robodyn.dynamics.named_points import named_point
 from robodyn.dynamics.sticking import AT_REST_REMARK
-from robodyn.errors import InputError, RobodynError, at_place, named_options
+from robodyn.errors import InputError, RobodynError, at_place, named_options, overflow
 from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import joint_values, scene_units
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.simulation.settings import EvenTimes
 from robodyn.tables.csv_fields import shown

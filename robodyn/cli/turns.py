@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
-from robodyn.cli.output import degrees
-from robodyn.cli.states import Quantity, TableOptions, evaluate
-from robodyn.dynamics.dynamics import inverse_dynamics
+from robodyn.cli.output import Summary, degrees
+from robodyn.cli.states import Quantity, TableOptions, state_rows
+from robodyn.dynamics.columns import column_names
 from robodyn.dynamics.flywheel import Flywheel, flywheel, harmonics
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
@@ -17,7 +17,6 @@ from robodyn.tables.arrays import Array
 from robodyn.tables.summaries import KeptRows, Rows
 
 FLYWHEEL, ORDERS = "--fluctuation", "--harmonics"
-SHAKE = ("shake_fx", "shake_fy", "shake_m")
 MOST = 10_000  # orders
 
 
@@ -32,10 +31,6 @@ def tell_flywheel(
         limit = "must be > 0 and < 2: greatest less least speed, by their mean"
         raise InputError(FLYWHEEL, value=f"{delta:g}", limit=limit)
 
-    def compute(q: Array, qd: Array, qdd: Array, t: Array | float = 0.0) -> Array:
-        tau = inverse_dynamics(mechanism, q, qd, qdd, t)
-        return np.stack([q[:, k], qd[:, k], tau[:, k]], axis=-1)
-
     def told(header: Sequence[str], rows: Array, own: Array) -> tuple[Sequence[str], Rows]:
         q, qd, tau = own.T
         t = rows[:, header.index("t")] if "t" in header else np.full(len(q), np.nan)
@@ -44,24 +39,17 @@ def tell_flywheel(
 
     names = [f"{name}{k + 1}" for name in ("q", "qd", "tau")]
     summary = partial(KeptRows, of=at_place(FLYWHEEL)(told))
-    evaluate(mechanism, given, quantities, names, compute, summary=summary)
+    state_rows(mechanism, given, quantities, names, summary=summary)
 
 
-def tell_shaking_orders(
-    mechanism: Mechanism,
-    given: TableOptions,
-    quantities: Sequence[Quantity],
-    either: Sequence[Quantity],
-    reactions: Callable[..., Array],
-    most: int,
-) -> None:
-    """Write the orders, up to `most`, of the last columns of `reactions`: those of `SHAKE`."""
+def shaking_orders(
+    mechanism: Mechanism, given: TableOptions, most: int
+) -> tuple[list[str], Summary]:
+    """The columns to compute, and what writes their orders, up to `most`, in place of rows."""
     if not 0 <= most <= MOST:
         raise InputError(ORDERS, value=most, limit=f"must be in [0, {MOST}]")
     k = _driven_joint(mechanism, given, ORDERS)
-
-    def compute(q: Array, **motion: Array) -> Array:
-        return np.column_stack([q[:, k], reactions(q, **motion)[:, -len(SHAKE) :]])
+    shaking = column_names(mechanism, ["shaking"])
 
     def told(_: Sequence[str], __: Array, own: Array) -> tuple[Sequence[str], Rows]:
         in_degrees = degrees.get()
@@ -71,12 +59,10 @@ def tell_shaking_orders(
         phase = "phase_deg" if in_degrees else "phase"
         pairs = [amplitudes, np.degrees(phases) if in_degrees else phases]
         each = np.stack(pairs, axis=-1).reshape(len(amplitudes), -1)
-        header = ["order", *(f"{name}_{what}" for name in SHAKE for what in ("amp", phase))]
+        header = ["order", *(f"{name}_{what}" for name in shaking for what in ("amp", phase))]
         return header, [[str(order), *row] for order, row in enumerate(each.tolist())]
 
-    names = [f"q{k + 1}", *SHAKE]
-    summary = partial(KeptRows, of=told)
-    evaluate(mechanism, given, quantities, names, compute, either, summary=summary)
+    return [f"q{k + 1}", *shaking], partial(KeptRows, of=told)
 
 
 def _driven_joint(mechanism: Mechanism, given: TableOptions, flag: str) -> int:
