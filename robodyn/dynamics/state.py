@@ -31,7 +31,7 @@ from robodyn.dynamics.named_points import NamedPoint, named_points, point_jacobi
 from robodyn.dynamics.placed import n_wide, times_of, together
 from robodyn.errors import InputError, overflow
 from robodyn.loops.assembly_plan import with_independent
-from robodyn.loops.loop_rates import check_way_on, loop_accelerations, loop_velocities
+from robodyn.loops.loop_rates import check_way_on, loop_accelerations
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_values
 from robodyn.scene.yaml_values import nearest
@@ -219,7 +219,7 @@ class State:
         driver = with_independent(self.mechanism)
         if len(driver.actuated) != 1:
             return self.qd, self.qdd
-        qd = loop_velocities(driver, self.q, np.ones((len(self.q), 1)))
+        qd = unit_rates(driver, self.q)[..., 0]
         return qd, loop_accelerations(driver, self.q, qd, np.zeros((len(self.q), 1)))
 
     @cached_property
