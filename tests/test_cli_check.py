@@ -102,7 +102,7 @@ def test_mobility_and_loops(
 def test_what_the_file_says_is_not_repeated(robodyn: Run) -> None:
     """What is shown is computed, or a default that the file may leave out."""
     names = {"name", "actuated", "loops", "mobility", "cond_M", "cond_Psi", "states", "closing"}
-    names |= {"identities", "singular", "bound", "passed"}
+    names |= {"start", "identities", "singular", "bound", "passed"}
     for name in ("slider-crank", "spring-slider-crank", "geared-five-bar"):
         found = robodyn("check", f"robots/{name}.yaml").json
         assert found.keys() == names

@@ -54,8 +54,8 @@ FIRST = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 # what a command may refuse: a free joint, a table in an equation, a mechanism that never rests
 REFUSED = {
     "cart-pole": ("torque", "sweep", "fit", "trajectory"),
-    "engine 0": ("equations",),
-    "gearbox 2": ("equilibrium",),
+    "engine 2": ("equations",),
+    "gearbox 4": ("equilibrium",),
 }
 
 

@@ -46,14 +46,16 @@ def test_it_is_a_schema() -> None:
     """Every keyword is one that validators know; others they would pass over."""
     Draft202012Validator.check_schema(SCHEMA)
     known = {*Draft202012Validator.VALIDATORS, "$schema", "$defs", "title", "description"}
+    known |= {"then", "else"}
 
     def check(schema: Any) -> None:
         if not isinstance(schema, dict):  # false: nothing more
             return
         assert schema.keys() <= known
         parts = [x for key in ("$defs", "properties") for x in schema.get(key, {}).values()]
-        single = schema.keys() & {"not", "items", "contains", "additionalProperties"}
-        for part in (*parts, *schema.get("anyOf", []), *(schema[key] for key in single)):
+        parts += [x for key in ("anyOf", "allOf", "oneOf") for x in schema.get(key, [])]
+        single = {"not", "items", "contains", "additionalProperties", "if", "then", "else"}
+        for part in (*parts, *(schema[key] for key in schema.keys() & single)):
             check(part)
 
     check(SCHEMA)
@@ -261,7 +263,7 @@ def test_what_is_no_scene_does_not(text: str) -> None:
 def test_the_schema_knows_the_keys_of_the_grammar() -> None:
     for kind, form in FORMS.items():
         place = f"plain_{kind}" if kind in MAPPINGS else kind
-        mapping = SCHEMA if kind == "scene" else SCHEMA["$defs"][place]
+        mapping = SCHEMA["$defs"][place]
         assert set(mapping["properties"]) == set(form.keys)
         assert mapping["required"] == form.named(needed=True)
 
@@ -280,6 +282,9 @@ def test_the_schema_knows_the_keys_of_the_grammar() -> None:
         "stops",
         "hard_stops",
         "motor",
+        "drawn_scene",
+        "drawn_revolute_link",
+        "slot",
     ],
 )
 def test_the_tables_of_the_guide_are_the_grammar(form: str) -> None:
@@ -289,6 +294,8 @@ def test_the_tables_of_the_guide_are_the_grammar(form: str) -> None:
         "dry_friction": "key of a friction that sticks",
         "stops": "key of limits with stops",
         "hard_stops": "key of limits with hard stops",
+        "drawn_scene": "key of a drawn scene",
+        "drawn_revolute_link": "key of a drawn link",
     }
     header = f"| {named.get(form, f'key of a {form}'.replace('_', ' '))} | unit | value | default |"
     lines = [header.replace("a joint spring", "a spring at a joint"), "|---|---|---|---|"]
@@ -297,7 +304,8 @@ def test_the_tables_of_the_guide_are_the_grammar(form: str) -> None:
         told = f"{key.help}, {limit}" if limit else key.help
         lines.append(f"| `{name}` | {key.unit} | {told} | {key.default} |".replace("|  |", "| |"))
     table = "\n".join(lines).replace("a point spring", "a spring between points")
-    assert table in PAGES["scene"], f"the grammar says\n{table}"
+    page = "drawn" if form in ("drawn_scene", "drawn_revolute_link", "slot") else "scene"
+    assert table in PAGES[page], f"the grammar says\n{table}"
 
 
 def properties(part: Any) -> list[tuple[str, Any]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from robodyn.cli.states import (
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.dynamics.columns import OF_PARTS, in_degrees, scene_units, with_unit
 from robodyn.dynamics.named_points import named_point
-from robodyn.errors import AssemblyError, InputError, SingularError, overflow
+from robodyn.errors import AssemblyError, InputError, SingularError, named_options, overflow
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
@@ -118,13 +119,11 @@ def found_poses(mechanism: Mechanism, given: Sequence[Quantity]) -> tuple[Found,
     tells; AssemblyError where the scene's own is.
     """
     ways = _branches(driver_of(mechanism), option_source(mechanism, given[0]).whole)
-    found: Found = []
-    for name, way in ways:
-        try:
+    found = [(ways[0][0], single_state(mechanism, given))]
+    for name, way in ways[1:]:
+        # a branch that was not asked for never makes the command fail
+        with suppress(AssemblyError, SingularError, InputError):
             found.append((name, single_state(mechanism, given, way)))
-        except (AssemblyError, SingularError):  # the scene's own decides, no other branch does
-            if not found:
-                raise
     return found, dict(ways), _barred(mechanism, found)
 
 
@@ -170,7 +169,8 @@ def _led(
         if not math.isfinite(turned):
             raise InputError("--angle", value=shown(text), limit="must be finite")
     near = None if given[0].option is None else option_source(mechanism, given[0]).values
-    every = postures(mechanism, xy, of, turned, near)
+    with named_options(("of", "angle"), xy="to_xy", near="q"):
+        every = postures(mechanism, xy, of, turned, near)
     every.sort(key=lambda each: bool(beyond(mechanism, each.q.tolist(), turns=True)))
     found: Found = []
     for branch, q in every:
@@ -191,7 +191,14 @@ def _write_ranges(
     columns = ["branch", "joint", "low", "low_end", "high", "high_end"]
     with rows.writer(columns) as writer:
         for name, (q, *_) in found:
-            for joint, low, high, low_end, high_end in joint_ranges(mechanism, q, ways[name]):
+            try:
+                ranges = joint_ranges(mechanism, q, ways[name])
+            except (AssemblyError, SingularError) as error:
+                if name == found[0][0]:
+                    raise
+                note(f"Note: {name}: {error}")
+                continue
+            for joint, low, high, low_end, high_end in ranges:
                 told, factor = f"q{joint + 1}", 1.0
                 if degrees.get():
                     told, factor = in_degrees(told, scene_units(mechanism))

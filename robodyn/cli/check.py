@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from robodyn.dynamics.identities import (
 )
 from robodyn.errors import InputError, overflow
 from robodyn.loops import assembly
+from robodyn.loops.branches import scene_start
 from robodyn.mechanics.loop_rows import loop_class
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
@@ -64,6 +66,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
     content: dict[str, Any] = {
         "name": mechanism.name,
         "actuated": [mechanism.link_names[k] for k in mechanism.actuated],
+        "start": _start(mechanism),
         "loops": [loop_class(mechanism, c) for c in range(len(mechanism.description.closures))],
         **_conditioning(mechanism, sample),
         "states": len(sample.q),
@@ -84,6 +87,31 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         note(f"Error: does not hold to {BOUND:g}: {'; '.join(failed)}")
     if failed or singular is not None:
         raise typer.Exit(1)
+
+
+def _start(mechanism: Mechanism) -> dict[str, object] | None:
+    """How far the scene's start is from closing, and from the closed pose that is nearest to it."""
+    start = scene_start(mechanism)
+    if start is None:
+        return None
+    return {
+        "gap": None if math.isnan(start.gap) else start.gap,
+        "closed": start.closed,
+        "joint": mechanism.link_names[start.joint],
+        "change": start.change,
+        "unit": "m" if start.joint in mechanism.slides else "rad",
+    }
+
+
+def _start_told(start: dict[str, Any]) -> str:
+    """What `_start` holds as a sentence."""
+    if not start["closed"]:
+        return "does not close, nor does a pose near to it"
+    gap = "" if start["gap"] is None else f"misses closing by {start['gap']:.3g} m, "
+    most = f"{start['change']:.3g} m"
+    if start["unit"] == "rad":
+        most = f"{math.degrees(start['change']):.3g} deg"
+    return f"{gap}nearest closed pose within {most} ({start['joint']})"
 
 
 def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
@@ -109,6 +137,8 @@ def _span(values: np.ndarray) -> list[float | None]:
 
 def _tables(content: dict[str, Any], results: list[Identity]) -> list[Grid]:
     facts = [["actuated", ", ".join(content["actuated"]) or "no joint"]]
+    if content["start"]:
+        facts.append(["start", _start_told(content["start"])])
     facts.append(["mobility", str(content["mobility"])])
     facts += [[f"loop {c}", kind] for c, kind in enumerate(content["loops"], start=1)]
     for key, label in (("cond_M", "condition of M"), ("cond_Psi", "condition of Psi")):

@@ -85,7 +85,7 @@ def draw(
             drawn = drawing(mechanism, rows[chosen_rows], marked)
             traces = traced(mechanism, marked, rows)
         elif forces:
-            if q is None:
+            if q is None and not mechanism.description.begin(mechanism.actuated):
                 raise InputError("--q", limit="missing: --forces needs a state")
             from robodyn.pictures.force_arrows import forces_at
 

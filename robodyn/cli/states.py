@@ -114,9 +114,12 @@ def driver_of(mechanism: Mechanism, name: str = "q") -> Mechanism:
 
 
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
-    """The source that the quantity's option is; zero where there is none."""
+    """The source that the quantity's option is; zero, or the scene's start, where there is none."""
     driver = driver_of(mechanism, quantity.name)
     if quantity.option is None:
+        begin = mechanism.description.begin(driver.actuated) if quantity.required else ()
+        if begin:
+            return Source(quantity, list(begin), [], False)
         if quantity.required:
             limit = "missing: give it"
             limit += ", or a CSV of states (- for stdin)" if quantity.tabled else ""
@@ -207,7 +210,23 @@ def single_state(
 ) -> list[Array]:
     """The one state that the options give, completed and checked: each vector (n,)."""
     sources = [option_source(mechanism, quantity) for quantity in quantities]
-    return complete(mechanism, sources, [np.array(x.values) for x in sources], branches)
+    found = complete(mechanism, sources, [np.array(x.values) for x in sources], branches)
+    if branches is None:
+        note_circuit(mechanism, sources, found[0])
+    return found
+
+
+def note_circuit(mechanism: Mechanism, sources: Sequence[Source], q: Array) -> None:
+    """Note if no path of closed poses leads from the scene's start to the assembled pose q (n,)."""
+    if mechanism.description.start is None or not mechanism.rows or sources[0].whole:
+        return
+    from robodyn.loops.circuits import leads_there
+
+    if leads_there(driver_of(mechanism), q) is False:
+        note(
+            "Note: no path of closed poses leads from the scene's `start` to this pose: "
+            "the mechanism must be taken apart on the way"
+        )
 
 
 def state_rows(
@@ -291,7 +310,9 @@ def evaluate(
         with remarks():
             used = wanted([])
             sources = [option_source(mechanism, quantity) for quantity in used]
-            row = _Computed(mechanism, sources, compute, gaps).at([[]])[0].tolist()
+            computed = _Computed(mechanism, sources, compute, gaps)
+            row = computed.at([[]])[0].tolist()
+            note_circuit(mechanism, sources, computed.q[0])
             row = [None if math.isnan(x) else x for x in row]
         options.write_one(mechanism, columns, row)
         return
@@ -337,6 +358,7 @@ class _Computed:
         self.mechanism, self.sources, self.compute = mechanism, sources, compute
         self.whole = np.logical_not(gaps) if gaps else slice(None)  # columns without gaps
         self.lost: list[RobodynError] = []  # of the first row without results
+        self.q: Array = np.zeros((0, mechanism.n))  # the poses of the rows computed last
 
     def at(self, rows: Sequence[Sequence[float]] | Array) -> Array:
         """The results (T, k) at rows (T, columns)."""
@@ -347,6 +369,7 @@ class _Computed:
             parts.append(own if source.columns else np.tile(source.values, (len(values), 1)))
             begin = end
         motion = complete(self.mechanism, self.sources, parts)
+        self.q = motion[0]
         given = {x.quantity.name: each for x, each in zip(self.sources, motion, strict=True)}
         if self.mechanism.timed:
             timed = values.shape[1] > begin

@@ -48,7 +48,7 @@ def transmission_loops(mechanism: Mechanism) -> dict[int, tuple[Pair, Pair, Pair
     """The three pairs that close each loop, by its closure; those of other loops are left out."""
     try:
         steps = {
-            step.closure: step.unknown for step in assembly_plan(mechanism).steps if step.unknown
+            step.closure: step.unknown for step in assembly_plan(mechanism).dyads if step.unknown
         }
     except InputError:  # joints are left free: no plan, but each pin has the joints beside it
         steps = {}

@@ -20,9 +20,7 @@ a path from the scene's `start` configuration.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
-from itertools import product
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,21 +28,26 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
 from robodyn.dynamics.placed import actuated_wide
 from robodyn.errors import AssemblyError, InputError, SingularPoseError
-from robodyn.loops.assembly_plan import Plan, joints_of
 from robodyn.loops.assembly_plan import assembly_plan as assembly_plan
-from robodyn.loops.closing import NEAR_SINGULAR, half_turn, singular_size, wrapped
+from robodyn.loops.branches import all_branches as all_branches
+from robodyn.loops.branches import scene_branches as scene_branches
+from robodyn.loops.branches import scene_start
+from robodyn.loops.closing import NEAR_SINGULAR, singular_size
 from robodyn.loops.closing import close_positions as close_positions
 from robodyn.loops.closing import loop_size as loop_size
 from robodyn.loops.dyads import CLOSED as CLOSED
-from robodyn.loops.dyads import coupled_angle, solve_dyad
+from robodyn.loops.dyads import known_joints
 from robodyn.loops.loop_rates import check_closed
-from robodyn.loops.path_from_start import farthest, from_start, reachable_from_start
+from robodyn.loops.path_from_start import (
+    closed_near,
+    farthest,
+    from_start,
+    reachable_from_start,
+)
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import BRANCHES
 from robodyn.tables.arrays import Array
 
-OPEN = 1e3  # rad; what does not close is farther than all that does
-CLEAR = 0.05  # rad; branches that come as near to a start are not told apart by it
 MOST_TRIED = 6  # closures whose branches are tried for another way to close
 ROUNDING = 1e-15  # part of the loop's size, of a gap
 FLAT = 0.1  # sine between the links of a dyad below which the loop may be nearly singular
@@ -91,15 +94,15 @@ def attempt(
     if branches is None:
         branches = scene_branches(mechanism)
     plan = assembly_plan(mechanism)
-    q, shorts, sines = by_dyads(mechanism, plan, given, branches)
-    missing, flat = np.zeros(given.shape[:-1]), np.zeros(given.shape[:-1], bool)
-    for short in shorts:
-        missing = np.maximum(missing, short)
+    if plan.rest:
+        q, missing, sines = from_start(mechanism, plan, given, branches, watch)
+    else:
+        q = np.zeros((*given.shape[:-1], mechanism.n))
+        q[..., list(mechanism.actuated)] = given
+        q, missing, sines = closed_near(mechanism, plan, q, branches)
+    flat = np.zeros(given.shape[:-1], bool)
     for sine in sines:
         flat = flat | (sine < FLAT)
-    if plan.rest:
-        q, short = from_start(mechanism, q, watch)
-        missing = np.maximum(missing, short)
     flat = np.array(flat & (missing <= 0.0))
     if flat.any():  # to the last digit where Psi itself is nearly singular
         s = np.linalg.svd(scaled_jacobian(mechanism, q[flat]), compute_uv=False)
@@ -113,7 +116,9 @@ def attempt(
 
 
 def first_pose(mechanism: Mechanism) -> Array:
-    """A closed configuration (n,) to begin in: the mechanism's start, zeros, or what closes first.
+    """A closed configuration (n,) to begin in: the scene's start, zeros, or what closes first.
+
+    A start that does not close at its own actuated joints is closed with all joints free.
 
     Raises AssemblyError where no turn of all actuated joints by a twelfth closes, nor, where
     actuated joints slide, a displacement by quarters of a length of the mechanism; InputError where
@@ -138,139 +143,14 @@ def first_pose(mechanism: Mechanism) -> Array:
     with np.errstate(all="ignore"):  # a link without length has no direction
         q, missing = attempt(mechanism, given + steps.reshape(-1, len(given)))
     closes = np.flatnonzero(missing <= 0.0)
+    begin = scene_start(mechanism)
+    if begin is not None and begin.closed and missing[0] > 0.0:
+        return begin.q
     if not closes.size:
         limit = "no pose found that closes: give --q"
         raise AssemblyError("cannot be closed", where=mechanism.source, limit=limit)
     pose: Array = q[closes[0]]
     return pose
-
-
-def by_dyads(
-    mechanism: Mechanism, plan: Plan, given: Array, branches: Sequence[str]
-) -> tuple[Array, list[Array], list[Array]]:
-    """q (..., n) by the steps of a plan, what each misses (...), m, and their sines.
-
-    What couplings miss comes after the steps.  The numbers of the plan's rows may be arrays that
-    broadcast to (...), of a mechanism in each lane.
-    """
-    q, off = _known(mechanism, plan, given)
-    shorts, sines = [], []
-    known = {*mechanism.actuated, *(joint for joint, _ in plan.coupled)}
-    alpha = np.zeros_like(q)  # of unknown links, what they turn ahead of the first of them
-    for k in mechanism.order:
-        if k in known:
-            above = mechanism.above[k]
-            alpha[..., k] = q[..., k] + (0.0 if above is None else alpha[..., above])
-    for step in plan.steps:
-        side = 1.0 if branches[step.closure] == "open" else -1.0
-        angles, short, sine = solve_dyad(mechanism, plan, step, alpha, side)
-        shorts.append(short)
-        sines.append(sine)
-        for link, angle in zip(step.unknown, angles, strict=True):
-            if link in mechanism.slides:
-                alpha[..., link] = angle
-            for k, root in enumerate(plan.turns_with):
-                if root == link:
-                    alpha[..., k] += angle
-    free = {spring.joint: spring.angle for spring in mechanism.joint_springs}
-    for k in set(mechanism.passive) - known:
-        above, middle = mechanism.above[k], free.get(k, 0.0)
-        relative = alpha[..., k] - (0.0 if above is None else alpha[..., above])
-        slides = k in mechanism.slides
-        q[..., k] = relative if slides else half_turn(relative - middle) + middle
-    first = len(mechanism.rows) - len(off)
-    shorts += [row.arm * x for row, x in zip(mechanism.rows[first:], off, strict=True)]
-    return q, shorts, sines
-
-
-@lru_cache(maxsize=64)
-def scene_branches(mechanism: Mechanism) -> tuple[str, ...]:
-    """ "open" or "crossed" for each closure: the scene's words, or what is nearest to its start."""
-    start, closures = mechanism.description.start, mechanism.description.closures
-    if start is None or len(mechanism.description.branches) == len(closures):
-        return mechanism.description.branches
-    words = [BRANCHES[0]] * len(closures)
-    told = [k for k in mechanism.passive if start[k] is not None]
-    plan = assembly_plan(mechanism)
-    decided = [s.closure for s in plan.steps if s.closure in plan.two_way and told]
-    unsaid = [k for k in mechanism.actuated if start[k] is None]
-    if unsaid:
-        return _nearest(mechanism, told, decided, unsaid)
-    driven = np.array([start[k] for k in mechanism.actuated], float)
-    for place, step in enumerate(plan.steps):  # each follows from those before it alone
-        own = [k for k in step.unknown if k in told]
-        if step.closure in decided and own:
-            away = []
-            for word in BRANCHES:
-                words[step.closure] = word
-                q, shorts, _ = by_dyads(mechanism, plan, driven, words)
-                away.append(_off(mechanism, q, own, np.max(shorts[: place + 1], axis=0)))
-            words[step.closure] = BRANCHES[int(np.argmin(away))]
-    return tuple(words)
-
-
-def all_branches(mechanism: Mechanism) -> Iterator[tuple[str, ...]]:
-    """Each way to assemble: "open" or "crossed" for every closure that has the choice."""
-    usual, two_way = dict(enumerate(scene_branches(mechanism))), assembly_plan(mechanism).two_way
-    for words in product(BRANCHES, repeat=len(two_way)):
-        yield tuple((usual | dict(zip(two_way, words, strict=True))).values())
-
-
-def _nearest(
-    mechanism: Mechanism, told: Sequence[int], decided: Sequence[int], unsaid: Sequence[int]
-) -> tuple[str, ...]:
-    """The branches that come nearest to the joints told, wherever the one not said may be."""
-    start, words = mechanism.description.start, [BRANCHES[0]] * len(mechanism.description.closures)
-    assert start is not None  # it tells joints
-    if not decided:
-        return tuple(words)
-    driven = np.tile([start[k] or 0.0 for k in mechanism.actuated], (1441, 1))
-    slides = unsaid[0] in mechanism.slides
-    span = farthest(mechanism) if slides else np.pi
-    driven[:, mechanism.actuated.index(unsaid[0])] = np.linspace(-span, span, len(driven))
-    found = []
-    for each in product(BRANCHES, repeat=len(decided)) if len(unsaid) == 1 else ():
-        for closure, word in zip(decided, each, strict=True):
-            words[closure] = word
-        found.append((_away(mechanism, driven, told, words), tuple(words)))
-    found.sort(key=lambda pair: pair[0])
-    if len(unsaid) > 1 or found[1][0] - found[0][0] < CLEAR:
-        limit = "does not tell the branch: name " + ", ".join(
-            mechanism.link_names[k] for k in unsaid
-        )
-        raise InputError("start", where=mechanism.source, limit=limit + " too, or give `assembly`")
-    return found[0][1]
-
-
-def _away(mechanism: Mechanism, driven: Array, told: Sequence[int], words: Sequence[str]) -> float:
-    """How far joints told by the start are from it where all others come nearest."""
-    q, missing = attempt(mechanism, driven, words)
-    return _off(mechanism, q, told, missing)
-
-
-def _off(mechanism: Mechanism, q: Array, told: Sequence[int], missing: Array) -> float:
-    """How far joints of q (..., n) are from the start; what is `missing` (...) is far from it."""
-    way = wrapped(mechanism, q - np.array([x or 0.0 for x in mechanism.description.start or ()]))
-    off = np.abs(way[..., told] / mechanism.arrays.units[list(told)]).max(axis=-1)
-    off = np.where(missing <= 0.0, off, off + OPEN)
-    return float(np.where(np.isnan(off), np.inf, off).min())  # a pose of nothing is near to none
-
-
-def _known(mechanism: Mechanism, plan: Plan, given: Array) -> tuple[Array, list[Array]]:
-    """q (..., n) with what is given and follows from couplings, and how far each is off, rad."""
-    q = np.zeros((*given.shape[:-1], mechanism.n))
-    q[..., list(mechanism.actuated)] = given
-    couplings, known = mechanism.description.couplings, set(mechanism.actuated)
-    for joint, c in plan.coupled:
-        q[..., joint] = coupled_angle(couplings[c], joint, q)
-        known.add(joint)
-    found = []
-    for coupling in couplings:
-        wanted = coupled_angle(coupling, coupling.joint, q)
-        off = np.abs(q[..., coupling.joint] - wanted)
-        kept = off <= CLOSED * (1.0 + np.abs(wanted))
-        found.append(np.where(kept | (not joints_of(coupling) <= known), 0.0, off))
-    return q, found
 
 
 def reachable(
@@ -281,8 +161,11 @@ def reachable(
     The other actuated joints stay as given.  [(-pi, pi)] where all of the circle can be reached.
     """
     slides = mechanism.actuated[joint] in mechanism.slides
-    if assembly_plan(mechanism).rest:
-        return reachable_from_start(mechanism, np.asarray(q_actuated, float), joint)
+    plan = assembly_plan(mechanism)
+    if plan.rest:
+        words = scene_branches(mechanism) if branches is None else branches
+        given = np.asarray(q_actuated, float)
+        return reachable_from_start(mechanism, plan, given, joint, words)
     span = farthest(mechanism) if slides else np.pi
     edges = np.linspace(-span, span, 1441)
 
@@ -345,7 +228,7 @@ def _cannot_close(
     mechanism: Mechanism, given: Array, missing: float, branches: Sequence[str] | None
 ) -> AssemblyError:
     at = _told(mechanism, given)
-    off = [float(x) for x in _known(mechanism, assembly_plan(mechanism), given)[1]]
+    off = [float(x) for x in known_joints(mechanism, assembly_plan(mechanism), given)[1]]
     if any(off):
         worst = int(np.argmax(off))
         joint = mechanism.description.couplings[worst].joint

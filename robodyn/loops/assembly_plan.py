@@ -1,11 +1,11 @@
 """In which order loops are closed: what couplings give first, then dyads by turns (`dyads.py`).
 
-What is left is closed by Newton's method.
+What is left is closed by Newton's method, and then the dyads that hang on it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -29,13 +29,27 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a mechanism is assembled: dyads in order, then what only Newton's method closes."""
+    """How a mechanism is assembled: dyads in order, Newton's method, and dyads that follow it."""
 
     coupled: tuple[tuple[int, int], ...]  # joints that follow from couplings: joint, coupling
+    known: frozenset[int]  # the joints that are known before the steps
     turns_with: tuple[int | None, ...]  # the unknown link that each link turns with; None: known
     steps: tuple[Step, ...]
-    rest: tuple[int, ...]  # links left unknown
     two_way: tuple[int, ...]  # the closures that can close in two ways, as the scene lists them
+    rest: tuple[int, ...] = ()  # joints that Newton's method finds
+    rows: tuple[int, ...] = ()  # the rows of Psi by which it does
+    behind: Plan | None = None  # the dyads for which the joints in `rest` must be known
+
+    @property
+    def later(self) -> tuple[int, ...]:
+        """The joints that Newton's method finds, and those behind it."""
+        more = [k for step in (self.behind.steps if self.behind else ()) for k in step.unknown]
+        return *self.rest, *more
+
+    @property
+    def dyads(self) -> tuple[Step, ...]:
+        """All steps, those behind Newton's method among them."""
+        return self.steps + (self.behind.steps if self.behind else ())
 
 
 @lru_cache(maxsize=64)
@@ -81,24 +95,21 @@ def assembly_plan(mechanism: Mechanism) -> Plan:
 
 def _order(mechanism: Mechanism) -> tuple[Plan, list[int]]:
     """The plan as far as dyads lead, and the joints that no loop or coupling holds."""
-    turns_with: list[int | None] = [None] * mechanism.n
     coupled, open_couplings = _resolve_couplings(mechanism)
     given = {*mechanism.actuated, *(joint for joint, _ in coupled)}
-    for k in mechanism.order:
-        above = mechanism.above[k]
-        turns_with[k] = k if k not in given else None if above is None else turns_with[above]
-    for k in mechanism.slides:
-        turns_with[k] = None  # it goes along with its frame
+    turns_with = _turns_with(mechanism, given)
     conditions = list(_conditions(mechanism))
     loops = [_unknown_in_loop(mechanism, turns_with, given, c, rows) for c, rows in conditions]
     known: set[int] = set()
     steps: list[Step] = []
     two_way = []
     waiting = set(range(len(loops)))
-    while waiting and not open_couplings:
+    while waiting:
         for i in sorted(waiting):
             step = Step(*conditions[i], tuple(k for k in loops[i] if k not in known))
-            if ways := _ways(mechanism, turns_with, step, known):
+            if open_couplings.isdisjoint(step.unknown) and (
+                ways := _ways(mechanism, turns_with, step, known)
+            ):
                 steps.append(step)
                 two_way += [step.closure] if ways == 2 else []
                 known.update(step.unknown)
@@ -106,10 +117,82 @@ def _order(mechanism: Mechanism) -> tuple[Plan, list[int]]:
                 break
         else:
             break
-    rest = tuple(k for k in mechanism.passive if k not in known and k not in given)
+    rest = {k for k in mechanism.passive if k not in known and k not in given}
     held = set(open_couplings).union(*(loops[i] for i in waiting))
-    free = [k for k in rest if k not in held]
-    return Plan(coupled, tuple(turns_with), tuple(steps), rest, tuple(sorted(two_way))), free
+    free = sorted(rest - held)
+    unknown = {i: [k for k in loops[i] if k not in known] for i in waiting}
+    behind = _behind(mechanism, {i: (conditions[i], unknown[i]) for i in waiting}, open_couplings)
+    if behind is not None:
+        two_way += behind.two_way
+        rest -= {k for step in behind.steps for k in step.unknown}
+        waiting = {i for i in waiting if not any(s.rows == conditions[i][1] for s in behind.steps)}
+    rows = {id(row) for i in waiting for row in conditions[i][1]}
+    first, follows = len(mechanism.rows), {c for _, c in coupled}
+    first -= len(mechanism.description.couplings)
+    closed_by_newton = tuple(
+        r
+        for r, row in enumerate(mechanism.rows)
+        if id(row) in rows or (r >= first and r - first not in follows)
+    )
+    plan = Plan(
+        coupled,
+        frozenset(given),
+        turns_with,
+        tuple(steps),
+        tuple(sorted(two_way)),
+        tuple(sorted(rest)),
+        closed_by_newton if rest else (),
+        behind if rest else None,
+    )
+    return plan, free
+
+
+def _turns_with(mechanism: Mechanism, given: Collection[int]) -> tuple[int | None, ...]:
+    """Return the unknown joint that each link turns with, None if its direction is known."""
+    found: list[int | None] = [None] * mechanism.n
+    for k in mechanism.order:
+        above = mechanism.above[k]
+        found[k] = k if k not in given else None if above is None else found[above]
+    for k in mechanism.slides:
+        found[k] = None  # it goes along with its frame
+    return tuple(found)
+
+
+def _behind(
+    mechanism: Mechanism,
+    waiting: dict[int, tuple[tuple[int, tuple[ClosureRow, ...]], list[int]]],
+    open_couplings: set[int],
+) -> Plan | None:
+    """Return the plan of the dyads whose unknown joints no other waiting condition has."""
+    left: dict[int, tuple[tuple[int, tuple[ClosureRow, ...]], list[int]]] = dict(waiting)
+    found: list[tuple[int, list[int]]] = []
+    while True:
+        for i, (condition, loop) in left.items():
+            others = open_couplings.union(*(joints for j, (_, joints) in left.items() if j != i))
+            own = [k for k in loop if k not in others]
+            if own and len(own) == len(condition[1]) < len(loop):
+                found.insert(0, (i, own))
+                del left[i]
+                break
+        else:
+            break
+    while found:
+        unknown = {k for _, own in found for k in own}
+        known = frozenset(range(mechanism.n)) - unknown
+        turns_with, solved = _turns_with(mechanism, known), set[int]()
+        steps, two_way = [], []
+        for place, (i, own) in enumerate(found):
+            step = Step(*waiting[i][0], tuple(own))
+            ways = _ways(mechanism, turns_with, step, solved)
+            if not ways:
+                found = found[place + 1 :]  # a dyad on it has Newton's method before it as well
+                break
+            steps.append(step)
+            two_way += [step.closure] if ways == 2 else []
+            solved.update(own)
+        else:
+            return Plan((), known, turns_with, tuple(steps), tuple(sorted(two_way)))
+    return None
 
 
 def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...], set[int]]:

@@ -142,32 +142,44 @@ def newton(q: Any, evaluate: Evaluator) -> Any:
 
 
 def close_positions(
-    mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = (), exact: bool = True
+    mechanism: Mechanism,
+    q: ArrayLike,
+    fixed: Sequence[int] = (),
+    exact: bool = True,
+    rows: Sequence[int] | None = None,
 ) -> Array:
     """The nearest closed configuration by Newton's method, the `fixed` joints held, (..., n).
 
     Where it does not converge the gap stays; the caller checks it.  `exact` closes next to a
     singular configuration as far as the gap's rounding lets it, which takes ten times as long.
+    `rows` are the rows of Psi that are to be kept, all if None.
     """
     given = np.array(q, dtype=float)
     if not mechanism.rows or not given.size:
         return given
     free = [k for k in range(mechanism.n) if k not in set(fixed)]
     near = NEAR_SINGULAR * loop_size(mechanism) if exact else 0.0
-    return _closed(mechanism, given, free, near)
+    return _closed(mechanism, given, free, near, rows)
 
 
-def _closed(mechanism: Mechanism, given: Array, free: list[int], exact: float) -> Array:
+def _closed(
+    mechanism: Mechanism,
+    given: Array,
+    free: list[int],
+    exact: float,
+    rows: Sequence[int] | None = None,
+) -> Array:
     """`close_positions`; the gap is exact where the least singular value may be below `exact`."""
     size, units = loop_size(mechanism), mechanism.arrays.units
+    kept = slice(None) if rows is None else list(rows)
 
     def evaluate(q: Array) -> tuple[Any, Array]:
-        gap = closure_gap(mechanism, q)
+        gap = closure_gap(mechanism, q)[..., kept]
         closed = np.abs(gap).max(axis=-1) <= CLOSED * size
         step = np.zeros_like(q)
         if not exact and closed.all():
             return closed, step
-        Psi = scaled_jacobian(mechanism, q)[..., free]
+        Psi = scaled_jacobian(mechanism, q)[..., kept, :][..., free]
         Psi = np.where(np.isfinite(Psi), Psi, 0.0)  # a state that is not finite stays as it is
         if not exact:
             step[..., free] = least_solution(Psi, gap, CUT)
@@ -181,7 +193,7 @@ def _closed(mechanism: Mechanism, given: Array, free: list[int], exact: float) -
         # a larger gap is known well enough without
         small = np.abs(gap).max(axis=-1) < ROUNDED * size
         for state in map(tuple, np.argwhere(near & small)):
-            gap[state] = exact_gap(mechanism, q[state])
+            gap[state] = exact_gap(mechanism, q[state])[kept]
         inverse = np.divide(1.0, s, out=np.zeros_like(s), where=held)
         along = inverse * np.einsum("...ij,...i->...j", U, gap)
         step[..., free] = np.einsum("...ji,...j->...i", Vt, along)

@@ -12,12 +12,13 @@ displacements; a line takes one part of it, and a line of an unknown link turns 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.loops.assembly_plan import Plan, Step, root_of
+from robodyn.loops.assembly_plan import Plan, Step, joints_of, root_of
+from robodyn.loops.closing import half_turn
 from robodyn.mechanics.parts import NOTHING
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Coupling
@@ -27,6 +28,60 @@ CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
 PARALLEL = 1e-12  # sine between two lines that do not meet
 
 OWN = -1  # in place of a joint: what is constant in the frame of a line that turns
+
+
+def known_joints(mechanism: Mechanism, plan: Plan, given: Array) -> tuple[Array, list[Array]]:
+    """Return q (..., n) of the actuated joints, and of those that couplings tie to them.
+
+    And how far q is from each coupling (...), rad or m; 0 for a coupling of other joints.
+    """
+    q = np.zeros((*given.shape[:-1], mechanism.n))
+    q[..., list(mechanism.actuated)] = given
+    couplings = mechanism.description.couplings
+    for joint, c in plan.coupled:
+        q[..., joint] = coupled_angle(couplings[c], joint, q)
+    found = []
+    for coupling in couplings:
+        wanted = coupled_angle(coupling, coupling.joint, q)
+        off = np.abs(q[..., coupling.joint] - wanted)
+        kept = off <= CLOSED * (1.0 + np.abs(wanted))
+        found.append(np.where(kept | (not joints_of(coupling) <= plan.known), 0.0, off))
+    return q, found
+
+
+def by_dyads(
+    mechanism: Mechanism, plan: Plan, q: Array, branches: Sequence[str]
+) -> tuple[Array, list[Array], list[Array]]:
+    """Return q (..., n) with the joints of the plan's steps, what each step misses (...), m, sines.
+
+    In q (..., n) the joints in `plan.known` are read.  The numbers of the plan's rows may be arrays
+    that broadcast to (...), of a mechanism in each lane.
+    """
+    q, shorts, sines = q.copy(), [], []
+    alpha = np.zeros_like(q)  # of unknown links, what they turn ahead of the first of them
+    for k in mechanism.order:
+        if k in plan.known:
+            above = mechanism.above[k]
+            alpha[..., k] = q[..., k] + (0.0 if above is None else alpha[..., above])
+    for step in plan.steps:
+        side = 1.0 if branches[step.closure] == "open" else -1.0
+        angles, short, sine = solve_dyad(mechanism, plan, step, alpha, side)
+        shorts.append(short)
+        sines.append(sine)
+        for link, angle in zip(step.unknown, angles, strict=True):
+            if link in mechanism.slides:
+                alpha[..., link] = angle
+            for k, root in enumerate(plan.turns_with):
+                if root == link:
+                    alpha[..., k] += angle
+    free = {spring.joint: spring.angle for spring in mechanism.joint_springs}
+    for k in {k for step in plan.steps for k in step.unknown}:
+        above, middle = mechanism.above[k], free.get(k, 0.0)
+        relative = alpha[..., k] - (0.0 if above is None else alpha[..., above])
+        slides = k in mechanism.slides
+        q[..., k] = relative if slides else half_turn(relative - middle) + middle
+    return q, shorts, sines
+
 
 # the unknowns by their joints, the distance missing (below zero where it closes), a sine, and the
 # length whose direction is taken: zero if the unknowns may be anything

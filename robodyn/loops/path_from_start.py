@@ -1,45 +1,214 @@
-"""Loops that are no chain of dyads: closed along a path from the scene's `start`."""
+"""Loops that are no chain of dyads: closed along a path from the pose of the scene's `start`.
+
+The start of a scene need not be closed: its pose is the closed one for which all joints, the
+actuated ones among them, change least.  From there the actuated joints are led to where they are to
+be; at each step dyads before the other loops are closed by their words, and Newton's method
+closes the others from where they were.  Dyads behind them follow at the end.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import closure_gap
-from robodyn.loops.assembly_plan import joints_of
-from robodyn.loops.closing import close_positions, half_turn, loop_size
-from robodyn.loops.dyads import CLOSED
+from robodyn.loops.assembly_plan import Plan, joints_of
+from robodyn.loops.closing import close_positions, half_turn, loop_size, wrapped
+from robodyn.loops.dyads import CLOSED, by_dyads, known_joints
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
+Mask = NDArray[np.bool_]  # which of some states
+
 PATH_STEP = 0.02  # rad, step of the actuated joints on the path from `start`
 LEAP = 0.5  # rad; a passive joint that moves more in such a step has left its branch
+AROUND = 400  # places about a start from which Newton's method is tried where the start fails
+SAME = 1e-6  # rad, or lengths of the mechanism: poses that differ by less are one
+
+
+class Closed(NamedTuple):
+    """Poses q (..., n), the distance each misses (...), m, and the sines of their dyads."""
+
+    q: Array
+    missing: Array
+    sines: list[Array]
+
+
+def closed_near(
+    mechanism: Mechanism,
+    plan: Plan,
+    near: Array,
+    words: Sequence[str],
+    exact: bool = True,
+    behind: bool = True,
+) -> Closed:
+    """Close all loops at the actuated joints of `near` (..., n).
+
+    Dyads are closed by their words, other loops by Newton's method from `near`.  `behind` tells
+    whether dyads that need these other loops are closed too; `exact` is that of `close_positions`.
+    """
+    q, off = known_joints(mechanism, plan, near[..., list(mechanism.actuated)])
+    q[..., list(plan.later)] = near[..., list(plan.later)]
+    q, shorts, sines = by_dyads(mechanism, plan, q, words)
+    first = len(mechanism.rows) - len(off)
+    shorts += [row.arm * x for row, x in zip(mechanism.rows[first:], off, strict=True)]
+    if plan.rest:
+        fixed = sorted(set(range(mechanism.n)) - set(plan.rest))
+        q = close_positions(mechanism, q, fixed, exact, plan.rows)
+        gap = open_by(mechanism, q, plan.rows)
+        shorts.append(np.where(gap > CLOSED, gap, 0.0) * loop_size(mechanism))
+        if plan.behind and behind:
+            q, more, flat = by_dyads(mechanism, plan.behind, q, words)
+            shorts, sines = shorts + more, sines + flat
+    missing = np.zeros(q.shape[:-1])
+    for short in shorts:
+        missing = np.maximum(missing, short)
+    return Closed(q, missing, sines)
+
+
+def start_pose(mechanism: Mechanism, plan: Plan, words: Sequence[str], near: Array) -> Closed:
+    """The closed poses nearest to `near` (..., n) whose dyads are closed by their words.
+
+    All joints may change, but the actuated ones that the scene's `start` leaves out.
+    """
+    start = mechanism.description.start or ()
+    unsaid = [k for k in mechanism.actuated if start[k] is None]
+    q = close_positions(mechanism, near, unsaid)
+    held = closed_near(mechanism, plan, near, words)
+    free = closed_near(mechanism, plan, q, words)  # it is q, where q is on that branch
+    same = np.abs(wrapped(mechanism, free.q - q)).max(axis=-1, initial=0.0) < SAME
+    fits = (free.missing <= 0.0) & same
+    if not fits.all() and plan.rest:  # the dyads by their words, all else from there
+        again = close_positions(mechanism, held.q, unsaid)
+        more = closed_near(mechanism, plan, again, words)
+        free = _each(~fits, more, free)
+    away = [_changed(mechanism, x.q - near, start) for x in (free, held)]
+    other = (free.missing > 0.0) | ((held.missing <= 0.0) & (away[1] < away[0]))
+    found = _each(other, held, free)
+    if plan.rest and near.ndim == 1 and found.missing > 0.0:
+        return _searched(mechanism, plan, words, near) or found
+    return found
+
+
+def _searched(mechanism: Mechanism, plan: Plan, words: Sequence[str], near: Array) -> Closed | None:
+    """The nearest pose (n,) on these words' branch that Newton's method finds around `near` (n,).
+
+    The actuated joints stay.
+    """
+    turns = np.random.default_rng(0).uniform(-np.pi, np.pi, (AROUND, len(plan.rest)))
+    rest = list(plan.rest)
+    each = np.tile(near, (AROUND, 1))
+    each[:, rest] += turns * mechanism.arrays.units[rest] * np.linspace(0.1, 1.0, AROUND)[:, None]
+    with np.errstate(all="ignore"):
+        found = closed_near(mechanism, plan, each, words)
+    away = _changed(mechanism, found.q - near, mechanism.description.start or ())
+    away = np.where(found.missing <= 0.0, away, np.inf)
+    best = int(np.argmin(away))
+    if not np.isfinite(away[best]):
+        return None
+    return closed_near(mechanism, plan, found.q[best], words)  # the last of Newton's steps
+
+
+def _each(chosen: Mask, one: Closed, other: Closed) -> Closed:
+    """The poses of `one` where `chosen` is true, elsewhere those of `other`."""
+    sines = [np.where(chosen, a, b) for a, b in zip(one.sines, other.sines, strict=True)]
+    q = np.where(chosen[..., None], one.q, other.q)
+    return Closed(q, np.where(chosen, one.missing, other.missing), sines)
+
+
+def _changed(mechanism: Mechanism, way: Array, start: Sequence[float | None]) -> Array:
+    """By how much (...) the joints that a start names change; displacements in lengths."""
+    told = [k for k, value in enumerate(start) if value is not None]
+    found: Array = np.linalg.norm(wrapped(mechanism, way)[..., told], axis=-1)
+    return found
 
 
 def from_start(
-    mechanism: Mechanism, q: Array, watch: Callable[[float], object] | None = None
-) -> tuple[Array, Array]:
-    """Close what is left along a path of the actuated joints from the scene's start.
+    mechanism: Mechanism,
+    plan: Plan,
+    target: Array,
+    words: Sequence[str],
+    watch: Callable[[float], object] | None = None,
+) -> Closed:
+    """Close loops along a path of the actuated joints from the start's pose to `target` (..., a).
 
-    `watch` is told what part of the path is gone.
+    If the short way of one joint that turns does not close, the other way round is tried.  `watch`
+    is told what part of the path is gone.
     """
-    start = mechanism.description.start
-    assert start is not None  # the plan checks it
-    actuated, passive = list(mechanism.actuated), list(mechanism.passive)
-    target = q[..., actuated]
-    unsaid = [k for k in actuated if start[k] is None]
-    begin = np.broadcast_to([angle or 0.0 for angle in start], q.shape).copy()
-    begin[..., unsaid] = q[..., unsaid]
-    way = target - begin[..., actuated]
-    geared, units = mechanism.description.couplings, mechanism.arrays.units
+    actuated = list(mechanism.actuated)
+    begin = _begin(mechanism, plan, target, words)
+    size = loop_size(mechanism)
+    here = begin.q.reshape(-1, mechanism.n)
+    going = (begin.missing <= 0.0).reshape(-1)
+    way = target.reshape(here.shape[0], -1) - here[:, actuated]
+    geared = mechanism.description.couplings
     for place, k in enumerate(actuated):
         if not geared and k not in mechanism.slides:  # turns count where joints are coupled
-            way[..., place] = half_turn(way[..., place])
-    steps = int(np.ceil(np.abs(way / units[actuated]).max(initial=0.0) / PATH_STEP))
-    here = close_positions(mechanism, begin, actuated).reshape(-1, mechanism.n)
-    going = np.flatnonzero(_gap(mechanism, here) <= CLOSED)  # states whose path has not ended
-    first, way = here[:, actuated].copy(), way.reshape(-1, len(actuated))
+            way[:, place] = half_turn(way[:, place])
+    here, arrived = _led(mechanism, plan, words, here, way, going, watch)
+    again = going & ~arrived
+    if len(actuated) == 1 and not geared and not mechanism.slides and again.any():
+        round_about = way - np.copysign(2 * np.pi, way)
+        first = begin.q.reshape(here.shape)
+        there, came = _led(mechanism, plan, words, first, round_about, again, watch)
+        here[came] = there[came]
+        arrived = arrived | came
+    here[:, actuated] = target.reshape(len(here), -1)
+    missing = np.maximum(open_by(mechanism, here, plan.rows), CLOSED) * size
+    missing = np.where(arrived, 0.0, missing)
+    counting = set().union(*map(joints_of, geared))
+    turning = [k for k in plan.rest if k not in counting and k not in mechanism.slides]
+    here[:, turning] = half_turn(here[:, turning])
+    q, _ = known_joints(mechanism, plan, here[:, actuated])
+    q[:, list(plan.later)] = here[:, list(plan.later)]
+    q, _, sines = by_dyads(mechanism, plan, q, words)
+    if plan.behind:
+        q, shorts, flat = by_dyads(mechanism, plan.behind, q, words)
+        sines = sines + flat
+        for short in shorts:
+            missing = np.maximum(missing, short)
+    shape = target.shape[:-1]
+    sines = [np.broadcast_to(x, missing.shape).reshape(shape) for x in sines]
+    return Closed(q.reshape(*shape, mechanism.n), missing.reshape(shape), sines)
+
+
+def _begin(mechanism: Mechanism, plan: Plan, target: Array, words: Sequence[str]) -> Closed:
+    """The start's pose for each target (..., a); joints that the start leaves out are there."""
+    start = mechanism.description.start
+    assert start is not None  # the plan checks it
+    near = np.array([value or 0.0 for value in start])
+    unsaid = [place for place, k in enumerate(mechanism.actuated) if start[k] is None]
+    shape = (*target.shape[:-1], mechanism.n)
+    if not unsaid:
+        one = start_pose(mechanism, plan, words, near)
+        return Closed(np.broadcast_to(one.q, shape), np.broadcast_to(one.missing, shape[:-1]), [])
+    each = np.broadcast_to(near, shape).copy()
+    each[..., [mechanism.actuated[place] for place in unsaid]] = target[..., unsaid]
+    return start_pose(mechanism, plan, words, each)
+
+
+def _led(
+    mechanism: Mechanism,
+    plan: Plan,
+    words: Sequence[str],
+    begin: Array,
+    way: Array,
+    goes: Mask,
+    watch: Callable[[float], object] | None,
+) -> tuple[Array, Mask]:
+    """Poses (k, n) led from `begin` (k, n) by `way` (k, a) of the actuated joints.
+
+    And which of those that go (k,) arrived; beyond a limit nothing closes, or only after a leap to
+    another branch: there a path ends.
+    """
+    actuated, rest = list(mechanism.actuated), list(plan.rest)
+    units = mechanism.arrays.units
+    here, going = begin.copy(), np.flatnonzero(goes)
+    first = begin[:, actuated]
+    steps = int(np.ceil(np.abs(way[going] / units[actuated]).max(initial=0.0) / PATH_STEP))
     for s in range(1, steps + 1):
         if not len(going):
             break
@@ -47,60 +216,54 @@ def from_start(
             watch(s / steps)
         there = here[going]
         there[:, actuated] = first[going] + way[going] * (s / steps)
-        there = close_positions(mechanism, there, actuated, exact=s == steps)
-        # beyond a limit nothing closes, or only after a leap to another branch: the path ends
-        moved = np.abs(there[:, passive] - here[going][:, passive]) / units[passive]
-        kept = (moved.max(axis=-1, initial=0.0) <= LEAP) & (_gap(mechanism, there) <= CLOSED)
+        closed = closed_near(mechanism, plan, there, words, exact=s == steps, behind=False)
+        moved = np.abs(closed.q[:, rest] - here[going][:, rest]) / units[rest]
+        kept = (moved.max(axis=-1, initial=0.0) <= LEAP) & (closed.missing <= 0.0)
         going = going[kept]
-        here[going] = there[kept]
-    lost = np.ones(len(here), bool)
-    lost[going] = False
-    here[:, actuated] = target.reshape(first.shape)
-    missing = np.maximum(_gap(mechanism, here), CLOSED) * loop_size(mechanism)
-    missing = np.where(lost, missing, 0.0)
-    counting = set().union(*map(joints_of, geared))
-    turning = [k for k in passive if k not in counting and k not in mechanism.slides]
-    here[:, turning] = half_turn(here[:, turning])
-    return here.reshape(q.shape), missing.reshape(q.shape[:-1])
+        here[going] = closed.q[kept]
+    arrived = np.zeros(len(here), bool)
+    arrived[going] = True
+    return here, arrived
 
 
 def reachable_from_start(
-    mechanism: Mechanism, q_actuated: Array, joint: int
+    mechanism: Mechanism, plan: Plan, q_actuated: Array, joint: int, words: Sequence[str]
 ) -> list[tuple[float, float]]:
     """The interval of one actuated joint about its start that a path can reach, rad."""
     start = mechanism.description.start
     assert start is not None  # the plan checks it
-    actuated, moved = list(mechanism.actuated), mechanism.actuated[joint]
-    here, middle = np.zeros(mechanism.n), start[moved] or 0.0
-    here[actuated] = q_actuated
-    here[moved] = middle
-    here, missing = from_start(mechanism, here)
-    if missing > 0.0:
+    moved = mechanism.actuated[joint]
+    middle = start[moved] or 0.0
+    given = np.array(q_actuated, float)
+    given[joint] = middle
+    begin = from_start(mechanism, plan, given, words)
+    if begin.missing > 0.0:
         return []
     ends = []
     slides, units = moved in mechanism.slides, mechanism.arrays.units
     unit = float(units[moved])
     most = farthest(mechanism) if slides else np.pi
     for direction in (-1.0, 1.0):
-        at, step = here.copy(), PATH_STEP * unit
+        at, step = begin.q.copy(), PATH_STEP * unit
         while step > 1e-7 * unit and abs(at[moved] - middle) < most - 1e-9 * unit:
             there = at.copy()
             left = most - abs(at[moved] - middle)  # the way round is no shorter
             there[moved] += direction * min(step, left * (1 - 1e-12))
-            there = close_positions(mechanism, there, actuated)
-            leap = np.abs((there - at) / units).max() > LEAP * step / (PATH_STEP * unit)
-            if leap or _gap(mechanism, there) > CLOSED:
+            found, missing, _ = closed_near(mechanism, plan, there, words)
+            way = np.abs(wrapped(mechanism, found - at)).max()
+            if way > LEAP * step / (PATH_STEP * unit) or missing > 0.0:
                 step /= 4.0  # the limit is nearer than this
             else:
-                at = there
+                at = found
         ends.append(float(at[moved]))
     return [(ends[0], ends[1])]
 
 
-def _gap(mechanism: Mechanism, q: Array) -> Array:
-    """How far states (..., n) are open, as a part of the loop's size."""
-    gap = np.linalg.norm(closure_gap(mechanism, q), axis=-1)
-    return np.asarray(gap / loop_size(mechanism))
+def open_by(mechanism: Mechanism, q: Array, rows: Sequence[int] | None = None) -> Array:
+    """How far states (..., n) are open, in these rows or in all, as a part of the loop's size."""
+    gap = closure_gap(mechanism, q)
+    gap = gap if rows is None else gap[..., list(rows)]
+    return np.asarray(np.linalg.norm(gap, axis=-1) / loop_size(mechanism))
 
 
 def farthest(mechanism: Mechanism) -> float:

@@ -44,10 +44,12 @@ from robodyn.engines.formulas import Recorded, balance, evaluated, joint_jacobia
 from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.row_values import RowValues
 from robodyn.errors import InputError
-from robodyn.loops.assembly import assemble, by_dyads, scene_branches
+from robodyn.loops.assembly import assemble
 from robodyn.loops.assembly_plan import Plan, Step, assembly_plan
+from robodyn.loops.branches import scene_branches
 from robodyn.loops.closing import CLOSED as ROUNDING
 from robodyn.loops.closing import PASSES, loop_size
+from robodyn.loops.dyads import by_dyads, known_joints
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.mechanics.motors import motor_values
@@ -390,7 +392,7 @@ class LaneStates:
         if self.plan.rest:
             used = {r for own, _ in found for r in own}
             left = tuple(r for r in range(len(rows)) if r not in used)
-            found.append((left, self.plan.rest))
+            found.append((left, self.plan.later))
         return found
 
     def _code(self, name: str) -> Callable[[Array], list[Array]]:
@@ -542,13 +544,14 @@ class LaneStates:
             return q, np.zeros((*given.shape[:2], 0))
         lanes = replace(plan, steps=tuple(self._lane_steps(plan, p)))
         with np.errstate(all="ignore"):
-            q, shorts, _ = by_dyads(mechanism, lanes, given, scene_branches(mechanism))
+            q, _ = known_joints(mechanism, lanes, given)
+            q, shorts, _ = by_dyads(mechanism, lanes, q, scene_branches(mechanism))
         missed = np.zeros((*q.shape[:2], len(self._conditions)))
         first = len(plan.coupled)
         for g, short in enumerate(shorts[: len(plan.steps)]):
             missed[..., first + g] = short
         if plan.rest:
-            rest = list(plan.rest)
+            rest = list(plan.later)
             q[..., rest] = self._own[:, rest]
             missed[..., -1] = self._newton(q, p)
         return q, missed

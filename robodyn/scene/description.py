@@ -40,6 +40,8 @@ from robodyn.scene.varying import SignalReader
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import TooManyFaults
 
+ROUNDING = 4e-16  # part of J that m r^2 may miss it by in a point mass
+
 
 def read(path: str | Path) -> Description:
     """The description in the scene file at `path`; DescriptionError with all of its faults."""
@@ -65,7 +67,14 @@ def from_tree(
         raise DescriptionError(source, [fault])
     reader = _Reader(tables)
     with suppress(TooManyFaults):
-        description = reader.scene(root, source)
+        drawing = None
+        if any(key.text == "pins" for key, _ in root.pairs):
+            from robodyn.scene.drawn import Drawing  # other scenes start without it
+
+            drawing = Drawing(root, reader)
+        description = reader.scene(drawing.explicit() if drawing else root, source)
+        if drawing and not reader.faults:
+            drawing.check(description)
         if not reader.faults:
             return description._replace(written=Written(root, (), text, reader.tables))
     raise DescriptionError(source, sorted(reader.faults, key=lambda fault: fault.line or 0))
@@ -121,7 +130,7 @@ class _Reader(PointReader, SignalReader):
     def assembly(self, node: Node, place: str) -> str | tuple[str, ...]:
         if not isinstance(node, Sequence):
             return self.word(node, place, BRANCHES)
-        if len(node.items) != self.closures:
+        if not 0 < len(node.items) <= self.closures:  # a closure may close in one way alone
             limit = f"must be one word, or one for each of the {self.closures} closures"
             self.fault(place, node, limit, f"{len(node.items)} words")
         return tuple(
@@ -168,7 +177,22 @@ class _Reader(PointReader, SignalReader):
         elif "axis" in values and "joint" in given and not slides:
             limit = "is of prismatic joints alone: write `joint: prismatic` with it"
             self.fault(f"{place}.axis", node, limit)
+        values["I"] = self.central(values, node, place)
         return values
+
+    def central(self, values: dict[str, Any], node: Node, place: str) -> float:
+        """I = J - m |r|^2 of a link that tells J, the moment of inertia about its own joint."""
+        J: float | None = values.pop("J")
+        if J is None:
+            return values["I"] or 0.0
+        r = complex(values["r"])
+        least = values["m"] * (r.real * r.real + r.imag * r.imag)
+        if abs(J - least) <= ROUNDING * J:
+            return 0.0  # a point mass
+        if least > J:
+            limit = f"must be at least m r^2 = {least:.6g} kg m^2: it is about the link's own joint"
+            self.fault(f"{place}.J", node, limit, f"{J:g}")
+        return float(J - least)
 
     def linked(self, i: int, values: dict[str, Any]) -> Link:
         """Link i of what its keys hold."""

@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 from robodyn.scene.scene import BRANCHES, FRAMES, JOINTS
 
-ONE = "one of the three"  # what stands for a key of several that exclude one another
+# what stands for a key of several that exclude one another, one of which a file must have
+ONE = ("one of the three", "I or J", "r or centre")
 
 
 class Key(NamedTuple):
@@ -38,7 +39,7 @@ class Key(NamedTuple):
     @property
     def absent(self) -> bool:
         """Whether there is nothing where a file leaves it out."""
-        return self.default in ("none", "the ground", ONE)
+        return self.default in ("none", "the ground", *ONE)
 
 
 class Form(NamedTuple):
@@ -46,7 +47,7 @@ class Form(NamedTuple):
 
     help: str
     keys: dict[str, Key]
-    one: tuple[str, ...] = ()  # keys of which a file must have exactly one
+    one: tuple[tuple[str, ...], ...] = ()  # keys of which a file must have exactly one
 
     def named(self, needed: bool) -> list[str]:
         """The keys that a file must have, or the others."""
@@ -67,6 +68,7 @@ WITH_UNIT = ("vector", "varying", "varying_vector", "law")  # beside numbers
 OR_VECTOR = {"gravity": "number", "centre": "amount"}  # a number of this kind, or [x, y]
 # The forms of a mapping of this kind, each with the keys that tell it; the last has none.
 MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
+    "scene": {"drawn_scene": ("pins",), "scene": ()},
     "friction": {"dry_friction": ("static",), "friction": ()},
     "slide_friction": {"slide_dry_friction": ("static",), "slide_friction": ()},
     "limits": {"stops": ("stiffness",), "hard_stops": ("restitution",), "limits": ()},
@@ -76,6 +78,8 @@ MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
         "slide_limits": (),
     },
     "link": {"prismatic_link": ("axis",), "revolute_link": ()},
+    "drawn_link": {"drawn_prismatic_link": ("along",), "drawn_revolute_link": ()},
+    "ground_pin": {"ground_line": ()},
     "spring": {"slide_spring": ("joint", "length"), "joint_spring": ("joint",), "point_spring": ()},
     "load": {"torque": ("torque",), "point_force": ("point",), "force": ()},
     "closure": {"slider": ()},
@@ -85,8 +89,8 @@ MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 # A form begins with its name and what it is.  A row has a key, its kind (with [] a list of these),
 # unit, default, help, the symbol of equations and what a message adds; or the form whose keys it
-# takes.  A line that begins deeper goes on with the one above.  Of <one, other> the first is of
-# joints that turn, the other of those that slide.
+# takes, less some.  A line that begins deeper goes on with the one above.  Of <one, other> the
+# first is of joints that turn, the other of those that slide.
 _TABLE = """
 scene: A planar mechanism: rigid links, pins and sliders. SI units.
   name | name | | the file's name less .yaml | text for titles
@@ -112,8 +116,9 @@ scene: A planar mechanism: rigid links, pins and sliders. SI units.
   r | centre | m | needed
     | centre of gravity: a point [x, y] of the link, or its distance along it
     | r: centre of gravity of {} | ; write [x, y] for a centre of gravity behind or beside the link
-  I | amount | kg m² | needed | moment of inertia about the centre of gravity
+  I | amount | kg m² | I or J | moment of inertia about the centre of gravity
     | I: moment of inertia of {} about its centre of gravity
+  J | amount | kg m² | I or J | moment of inertia about the link's own joint
   from | point | | the tip of the link before | the point that it hangs from
   payload | amount | kg | 0 | point mass at the tip | mp: payload at the tip of {}
   joint | joint_kind | | <revolute, needed> | <of its own joint, prismatic>
@@ -229,6 +234,32 @@ load_table: A force or torque by a table, linear between its rows.
   table | name | | needed | the CSV file, from the scene file's folder
   over | name | | needed | t, or a joint q1, ..: its column tells where the rows are
   column | name | | needed | the column of the force or torque
+
+drawn_scene: A planar mechanism as drawn: where its pins are in one pose, and which links have them.
+  pins | pins | m | needed | where the pins are in one pose, {A: [0.1, 0.2], B: [0.4, 0.3]}
+  links | drawn_link[] | | needed | list of links, at least one
+  ground | ground_pin[] | | none | list of the pins that the ground has, or that run on a line of it
+  slots | slot[] | | none | list of pins that run on a line of a link
+  like scene less links closures assembly start
+
+drawn_<revolute, prismatic>_link: A <rigid link; its frame has x from its first pin to its second,
+    link on a prismatic joint: its frame has x along the line that it slides on>.
+  pins | pin_names | | needed
+    | its pins: the first is its own joint<, ; it may be the only one>
+  like <revolute, prismatic>_link less l from joint axis
+  r | centre | m | r or centre | centre of gravity: [x, y] of the link, or its distance along it
+    | r: centre of gravity of {} | ; write [x, y] for a centre of gravity behind or beside the link
+  centre | vector | m | r or centre | centre of gravity, [x, y] in the drawing
+  <, along> | direction | | needed | which way it slides, [dx, dy] in the drawing
+
+ground_line: A pin that stays on a line of the ground.
+  pin | name | | needed | a pin of a link
+  along | direction | | needed | the line's direction in the drawing, not [0, 0]
+
+slot: A pin that stays on a line of a link.
+  pin | name | | needed | a pin of another link
+  on | name | | needed | the link that has the slot
+  along | direction | | needed | the slot's direction in the drawing, not [0, 0]
 """
 _EITHER = r"<([^,<>]*), ([^<>]*)>"
 
@@ -245,14 +276,16 @@ def _forms() -> dict[str, Form]:
             for row in rows:
                 key, *rest = (column.strip() for column in row.split("|"))
                 if key.startswith("like "):
-                    keys |= found[key.removeprefix("like ")].keys
+                    whole, *less = key.removeprefix("like ").replace(" less ", " ").split()
+                    keys |= {x: y for x, y in found[whole].keys.items() if x not in less}
                 elif key:  # else joints of the other kind alone have it
                     rest += [""] * (6 - len(rest))
                     kind, unit, default, what, symbol, hint = rest
                     listed = kind.endswith("[]")
                     kind = kind.removesuffix("[]")
                     keys[key] = Key(kind, what, unit, default, listed, hint, symbol)
-            found[name] = Form(told, keys, tuple(x for x, y in keys.items() if y.default == ONE))
+            groups = (tuple(x for x, y in keys.items() if y.default == one) for one in ONE)
+            found[name] = Form(told, keys, tuple(filter(None, groups)))
     return found
 
 

@@ -11,7 +11,7 @@ from collections.abc import Collection
 _DH = "Denavit-Hartenberg rows are not read: l is the length, from the pin, q its angle"
 _PINNED = "the link that it hangs from is from: NAME, or {link: NAME, at: [x, y]}, or [x, y]"
 _CENTRE = "the centre of gravity is r: along the link, or [x, y]"
-_INERTIA = "the moment of inertia about the centre of gravity is I"
+_INERTIA = "the moment of inertia is I about the centre of gravity, or J about the own joint"
 _KIND = "a joint is revolute unless joint: prismatic and axis: [dx, dy] stand in its link"
 _LIMITS = "the ends of a joint are limits: {min: -1, max: 1}"
 _ACTUATED = "the list `actuated` of the scene names the joints that carry torque"
@@ -22,7 +22,7 @@ _LINK = {
     **dict.fromkeys(
         (f"cent{x}_of_{y}" for x in ("er", "re") for y in ("mass", "gravity")), _CENTRE
     ),
-    **dict.fromkeys(("inertia", "Izz", "izz", "J", "moment_of_inertia", "inertial"), _INERTIA),
+    **dict.fromkeys(("inertia", "Izz", "izz", "moment_of_inertia", "inertial"), _INERTIA),
     **dict.fromkeys(("type", "joint_type", "kind", "sigma", "prismatic", "slider"), _KIND),
     **dict.fromkeys(("a", "alpha", "d", "theta", "dh", "offset"), _DH),
     **dict.fromkeys(("parent", "origin", "base", "xyz", "rpy", "pivot", "attached_to"), _PINNED),

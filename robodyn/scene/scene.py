@@ -4,7 +4,7 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 `description.py` reads it, `mechanism.py` makes numbers of it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 BRANCHES = ("open", "crossed")
@@ -257,6 +257,11 @@ class Description(NamedTuple):
     couplings: tuple[Coupling, ...] = ()
     points: tuple[tuple[str, Point], ...] = ()  # by their names
     written: Written = Written()
+
+    def begin(self, joints: Sequence[int]) -> tuple[float, ...]:
+        """The values of joints in the `start`, rad or m; empty unless it tells all joints."""
+        whole = [x for x in self.start or () if x is not None]
+        return tuple(whole[k] for k in joints) if len(whole) == len(self.links) else ()
 
 
 def signals_of(description: Description) -> Iterator[tuple[str, Signal]]:

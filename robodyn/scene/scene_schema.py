@@ -6,7 +6,6 @@ exist, links that hang from themselves and the like are found by robodyn alone.
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import Any
 
 from robodyn.scene.expressions import SMOOTH
@@ -33,10 +32,15 @@ def scene_schema() -> Schema:
     kinds |= {kind: _any(plain, "vector") for kind, plain in OR_VECTOR.items()}
     kinds |= {x: _any(*map(_place, forms)) for x, forms in MAPPINGS.items() if len(forms) > 1}
     kinds |= {_place(name): _mapping(form) for name, form in FORMS.items()}
+    del kinds["scene"]  # it is the whole
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "robodyn scene",
-        **kinds.pop("scene"),
+        "type": "object",
+        "required": FORMS["scene"].named(needed=True),
+        "if": {"required": ["pins"]},
+        "then": _ref("drawn_scene"),
+        "else": _ref("plain_scene"),
         "$defs": kinds | _other_kinds(),
     }
 
@@ -57,6 +61,9 @@ def _other_kinds() -> dict[str, Schema]:
         "vector": {**pair, "items": _ref("number")},
         "direction": {**_ref("vector"), "contains": {"not": {"const": 0}}},
         "points": {"type": "object", "additionalProperties": _ref("moving_point")},
+        "pins": {"type": "object", "additionalProperties": _ref("vector"), "minProperties": 1},
+        "pin_names": {**_list("name"), "minItems": 1, "uniqueItems": True},
+        "ground_pin": _any("name", "ground_line"),
         "start": {"type": "object", "additionalProperties": _ref("angle")},
         "assembly": {"anyOf": [_ref("branch"), _list("branch")]},
         "coupling": {"type": "string", "pattern": r"^\s*q\s*[0-9][0-9\s]*=\s*\S"},
@@ -101,9 +108,7 @@ def _mapping(form: Form) -> Schema:
         "additionalProperties": False,
     }
     if form.one:
-        schema["anyOf"] = [{"required": [name]} for name in form.one]
-        pairs = combinations(form.one, 2)
-        schema["not"] = {"anyOf": [{"required": list(pair)} for pair in pairs]}
+        schema["allOf"] = [{"oneOf": [{"required": [name]} for name in one]} for one in form.one]
     return schema
 
 

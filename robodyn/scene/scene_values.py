@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from robodyn.errors import InputError
@@ -29,9 +29,13 @@ _INNER: dict[str, str | None] = {
     "closure": "point",
     "pair": "point",
     "varying_vector": "varying",
-} | dict.fromkeys(("joints", "assembly", "couplings"))
+} | dict.fromkeys(("joints", "assembly", "couplings", "pin_names"))
 # mappings by names, and what they hold
-_BY_NAME = {"start": Key("angle", "", BY_JOINT), "points": Key("moving_point", "")}
+_BY_NAME = {
+    "start": Key("angle", "", BY_JOINT),
+    "points": Key("moving_point", ""),
+    "pins": Key("pin", "", "m"),
+}
 
 
 @dataclass(slots=True)
@@ -41,6 +45,7 @@ class _Place:
     around: yaml_tree.Mapping | Sequence
     at: str | int
     unit: str = ""
+    pair: bool = False  # whether [x, y] alone may stand there, as where a pin is
 
     @property
     def held(self) -> list[Any]:
@@ -110,7 +115,8 @@ class SceneValues:
     @property
     def names(self) -> list[str]:
         """The names of all numbers, links by their names."""
-        return sorted(name for name in self._places if not name.startswith("links["))
+        places = self._places.items()
+        return sorted(x for x, place in places if not (x.startswith("links[") or place.pair))
 
     def __contains__(self, name: str) -> bool:
         return name in self._places
@@ -123,7 +129,7 @@ class SceneValues:
     def own_name(self, name: str) -> str:
         """The name among `names` of the same number, as `links.forearm.m` is of `links[1].m`."""
         place = self._places[name]
-        return next(x for x in self.names if self._places[x] is place)
+        return next((x for x in self.names if self._places[x] is place), name)
 
     def number(self, name: str) -> float:
         """The number of this name, as the file has it, or 0 where it is left out."""
@@ -229,6 +235,8 @@ def _numbers(
     """The places of all numbers that a value of this kind holds, or may hold in place of 0."""
     if kind in OR_VECTOR or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node):
         yield name, place
+    if kind == "pin":
+        yield name, replace(place, pair=True)
     if isinstance(node, Sequence):
         inner = _INNER.get(kind or "", "number")
         for k, item in enumerate(node.items):

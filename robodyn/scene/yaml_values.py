@@ -88,11 +88,12 @@ class ValueReader:
         names = form.named(needed=True), form.named(needed=False)
         found = self.keys(node, place, *names, beside=excluded(kind, given), form=kind)
         prefix = f"{place}." if place else ""
-        given_one = [name for name in form.one if name in found]
-        if form.one and not given_one and isinstance(node, Mapping):
-            self.fault(prefix + form.one[0], node, "is missing")
-        for other in given_one[1:]:
-            self.fault(prefix + other, found[other], f"stands beside {given_one[0]}; give one")
+        for one in form.one:
+            given_one = [name for name in one if name in found]
+            if not given_one and isinstance(node, Mapping):
+                self.fault(prefix + one[0], node, "is missing")
+            for other in given_one[1:]:
+                self.fault(prefix + other, found[other], f"stands beside {given_one[0]}; give one")
         return {
             name: self.value(key, found[name], prefix + name)
             if name in found

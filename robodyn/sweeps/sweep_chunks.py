@@ -295,6 +295,8 @@ def _given(
 ) -> Array:
     """A quantity of the actuated joints at points, (k, actuated)."""
     actuated = mechanism.actuated
+    if name == "q":
+        base = base or mechanism.description.begin(actuated)
     values = np.tile(np.array(base or [0.0] * len(actuated)), (len(points), 1))
     names = [f"{name}{k + 1}" for k in actuated]
     for k, axis in enumerate(axes):
