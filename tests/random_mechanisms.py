@@ -10,7 +10,7 @@ Units are SI and radians; points of the plane are complex numbers.
 
 import cmath
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,14 @@ from mpmath import mp
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 from robodyn.scene.scene import Description
+
+
+def exchanged(mechanism: Mechanism, new: dict) -> Mechanism:
+    """The same with other elements, those of `new`, of these kinds: not what its scene says."""
+    kept = [x for x in mechanism.elements if not isinstance(x, tuple(new))]
+    elements = (*kept, *(x for entries in new.values() for x in entries))
+    return replace(mechanism, elements=elements)
+
 
 # ---------------------------------------------------------------------------------------------
 # Where the numbers come from

@@ -12,6 +12,7 @@ from each_case import each
 
 import oracles
 from model_readers import read_mjcf, read_urdf
+from robodyn.elements.joints import SmoothFriction
 from robodyn.export.mjcf import mjcf
 from robodyn.export.urdf import urdf
 from robodyn.loops.assembly import first_pose
@@ -25,7 +26,7 @@ GRAVITY = "Note: URDF has no gravity: set (0.0, -9.81, 0.0) m/s^2 where it is lo
 def rubbing(mechanism: Mechanism) -> str:
     """The place of the friction that no format has; empty where there is none."""
     return "".join(
-        f"links[{k}] ({mechanism.link_names[k]}).friction" for k, _ in mechanism.friction
+        f"links[{k}] ({mechanism.link_names[k]}).friction" for k, *_ in mechanism.of(SmoothFriction)
     )
 
 

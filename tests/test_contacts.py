@@ -20,9 +20,10 @@ from scipy.optimize import brentq
 import robodyn
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.sticking import forces_between
+from robodyn.elements.contacts import Mode
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.mechanics.modes import in_mode
 from robodyn.scene.description import from_text
 from robodyn.simulation.phases import Phases, rates_after
 from robodyn.simulation.recording import Outcome
@@ -225,7 +226,8 @@ def test_an_impact_goes_through_mass_and_closures(
         qd = robodyn.loop_velocities(mechanism, q, qd)
     motion = simulate(mechanism, q, qd, 1.0, method=method, rtol=1e-11, atol=1e-11)
     hit = next(event for event in motion.events if "hits" in event.name)
-    n, end = mechanism.n, dict(mechanism.limits)[joint].ends[0][1]
+    n = mechanism.n
+    end = next(x.ends[0][1] for x in mechanism.ranges if x.joint == joint)
     before = int(np.searchsorted(motion.t, hit.t))
     assert abs(motion.t[before] - hit.t) < 1e-12
     was, after = motion.qd[before], hit.y[n:]
@@ -660,7 +662,7 @@ def test_two_freedoms_with_friction_at_four_joints(seed: int) -> None:
 
 def brute_force(mechanism: Mechanism, q: np.ndarray, tau: np.ndarray) -> list[np.ndarray]:
     """Accelerations from rest, of all choices of stick and slip that agree with themselves."""
-    joints, found = [joint for joint, _ in mechanism.dry], []
+    joints, found = list(mechanism.dry), []
     for ways in product((0, 1, -1), repeat=len(joints)):
         slips = tuple((j, way) for j, way in zip(joints, ways, strict=True) if way)
         moving = in_mode(mechanism, Mode((), slips))
@@ -678,7 +680,7 @@ def brute_force(mechanism: Mechanism, q: np.ndarray, tau: np.ndarray) -> list[np
             )
             solved = np.linalg.solve(K, np.r_[load, np.zeros(len(still))])
             qdd, forces = solved[: len(q)], solved[len(q) :]
-        most = np.array([dict(mechanism.dry)[j].static for j in still])
+        most = np.array([mechanism.dry[j].static for j in still])
         if (np.abs(forces) <= most + 1e-12).all() and all(
             way * qdd[j] >= -1e-12 for j, way in slips
         ):

@@ -18,6 +18,7 @@ from scipy.optimize import linprog
 import robodyn
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.sticking import mode_at
+from robodyn.elements.joints import CompliantStop
 from robodyn.events import pieces, single_zeros
 from robodyn.mechanics import actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -36,7 +37,7 @@ def choices(
 
     From rest, by virtual power: qdd = N z with Psi N = 0, forces of friction at most `static`.
     """
-    joints, n = dict(mechanism.dry), mechanism.n
+    joints, n = mechanism.dry, mechanism.n
     N = null_space(closed_form.closure_jacobian(mechanism, q))
     M = closed_form.mass_matrix(mechanism, q)
     load = N.T @ M @ robodyn.forward_dynamics(plain, q, 0 * q, tau)
@@ -91,7 +92,7 @@ def test_which_joints_of_a_loop_stick_against_all_choices(
         ((ways, qdd),) = choices(mechanism, plain, q, tau)
         found = robodyn.forward_dynamics(mechanism, q, 0 * q, tau)
         np.testing.assert_allclose(found, qdd, atol=1e-9 * max(1.0, np.abs(qdd).max()))
-        rests = [joint for joint, _ in mechanism.dry]
+        rests = list(mechanism.dry)
         standing = mode_at(mechanism, q, 0 * q, tau, rests)
         slips = dict(zip(rests, ways, strict=True))
         assert dict(standing.mode.slips) == {j: way for j, way in slips.items() if way}
@@ -106,18 +107,14 @@ def test_which_joints_of_a_loop_stick_against_all_choices(
 def losses(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
     """What dampers, dry friction and compliant stops take (T,), W."""
     taken = (np.array(mechanism.damping) * qd**2).sum(axis=1)
-    for joint, law in mechanism.dry:
+    for joint, law in mechanism.dry.items():
         v = np.abs(qd[:, joint])
         bell = 0.0 if law.stribeck is None else np.exp(-((v / law.stribeck) ** 2))
         taken += (law.torque + (law.static - law.torque) * bell) * v
-    for joint, stop in mechanism.limits:
-        for side, end in stop.ends:
-            beyond = side * (q[:, joint] - end) > 0.0
-            pressed = beyond & (
-                side * ((stop.stiffness or 0.0) * (q[:, joint] - end) + stop.damping * qd[:, joint])
-                > 0.0
-            )
-            taken += np.where(pressed, stop.damping * qd[:, joint] ** 2, 0.0)
+    for joint, side, end, stiffness, damping in mechanism.of(CompliantStop):
+        beyond = side * (q[:, joint] - end) > 0.0
+        push = side * (stiffness * (q[:, joint] - end) + damping * qd[:, joint])
+        taken += np.where(beyond & (push > 0.0), damping * qd[:, joint] ** 2, 0.0)
     return taken
 
 
@@ -138,11 +135,12 @@ def missing_energy(
             was = run.qd[int(np.searchsorted(run.t, event.t - 1e-13))]
             after, mass = event.y[n:], closed_form.mass_matrix(mechanism, event.y[:n])
             lost += 0.5 * (was @ mass @ was - after @ mass @ after)
-        for joint, stop in mechanism.limits:  # one that gives holds energy while it is pressed
-            for (side, end), (word, way) in product(stop.ends, (("leaves", 1.0), ("meets", -1.0))):
+        # a stop that gives holds energy while it is pressed
+        for joint, side, end, stiffness, _ in mechanism.of(CompliantStop):
+            for word, way in (("leaves", 1.0), ("meets", -1.0)):
                 name = f"{mechanism.link_names[joint]} {word} its {'max' if side > 0 else 'min'}"
                 if event.name == name:
-                    lost += 0.5 * way * (stop.stiffness or 0.0) * (event.y[joint] - end) ** 2
+                    lost += 0.5 * way * stiffness * (event.y[joint] - end) ** 2
     x, w = np.polynomial.legendre.leggauss(12)
     ends = np.unique([*run.t[[0, -1]], *(event.t for event in run.events), *breaks])
     ends = ends[np.diff(ends, prepend=-1.0) > 1e-9]

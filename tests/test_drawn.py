@@ -5,10 +5,13 @@ from __future__ import annotations
 import cmath
 import math
 import random
+from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import Outcome
 
 from robodyn.dynamics.closed_form import (
     closure_gap,
@@ -18,9 +21,15 @@ from robodyn.dynamics.closed_form import (
     mass_matrix,
 )
 from robodyn.dynamics.named_points import points
+from robodyn.errors import DescriptionError
 from robodyn.loops.assembly import assemble
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.scene.description import from_text
+from robodyn.scene import yaml_tree
+from robodyn.scene.description import _Reader, from_text
+from robodyn.scene.drawn import Drawing
+from robodyn.scene.scene_values import SceneValues, read_numbers
+
+Run = Callable[..., Outcome]
 
 
 def built(text: str) -> Mechanism:
@@ -53,22 +62,23 @@ def text_of(
 
 
 class Linkage:
-    """A crank or two, and dyads that hang from points of what is there, with random numbers."""
+    """A crank or two, and dyads that hang from points of what is there, with random numbers.
 
-    def __init__(self, seed: int) -> None:
+    With `slides` there are pistons, cylinders, pins on lines of the ground and in slots too.
+    """
+
+    def __init__(self, seed: int, slides: bool = False) -> None:
         self.rng = random.Random(seed)
         self.pins: dict[str, complex] = {}
         self.links: list[dict] = []
         self.ground: list[str] = []
+        self.lines: dict[str, float] = {}  # pins on lines of the ground, and their angles
+        self.slots: list[tuple[str, int, float]] = []
         for _ in range(self.rng.randint(1, 2)):  # cranks
             self.add([self.on_ground(), self.new()])
-        for _ in range(self.rng.randint(1, 4)):  # dyads
-            first, second = self.there(), self.there(self.rng.random() < 0.5)
-            if first == second or self.same_link(first, second):
-                second = self.on_ground()
-            meeting = self.new()
-            self.add([first, meeting])
-            self.add([second, meeting])
+        kinds = ["dyad"] if not slides else ["dyad", "piston", "cylinder", "line", "slot"]
+        for k in range(self.rng.randint(1, 4)):
+            self.close(kinds[seed % 5] if slides and not k else self.rng.choice(kinds))
         for _ in range(2):  # points of one link, and a pendulum from one of them
             link = self.rng.choice(self.links)
             link["pins"].append(self.new())
@@ -76,6 +86,42 @@ class Linkage:
         used = {name for link in self.links for name in link["pins"]}
         self.pins = {name: z for name, z in self.pins.items() if name in used}
         self.ground = [name for name in self.ground if name in used]
+
+    def close(self, kind: str) -> None:
+        """Links that close a loop with what is there."""
+        first, way = self.there(), self.rng.uniform(-3, 3)
+        if kind == "dyad":
+            second = self.there(self.rng.random() < 0.5)
+            if first == second or self.same_link(first, second):
+                second = self.on_ground()
+            meeting = self.new()
+            self.add([first, meeting])
+            self.add([second, meeting])
+        elif kind == "piston":
+            meeting = self.on_ground()
+            rod = [first, meeting]
+            two = [meeting, self.new()] if self.rng.random() < 0.5 else [meeting]
+            if self.rng.random() < 0.5:
+                self.add(rod)
+                self.add(two, way)
+            else:
+                self.add(two, way)
+                self.add(rod)
+        elif kind == "cylinder":
+            while first in self.ground:
+                first = self.there()
+            inside = self.new()
+            self.add([self.on_ground(), inside])
+            self.add([inside, first], way)
+        elif kind == "line":
+            meeting = self.new()
+            self.add([first, meeting])
+            self.lines[meeting] = way
+        else:
+            while first in self.ground:
+                first = self.there()
+            self.add([self.on_ground(), self.new()])
+            self.slots.append((first, len(self.links) - 1, way))
 
     def new(self) -> str:
         name = f"P{len(self.pins)}"
@@ -86,23 +132,30 @@ class Linkage:
         self.ground.append(self.new())
         return self.ground[-1]
 
+    @property
+    def sliding(self) -> dict[str, int]:
+        """The pins that go along with a link that slides."""
+        return {x["pins"][0]: k for k, x in enumerate(self.links) if x["along"] is not None}
+
     def there(self, ground: bool = False) -> str:
         """A pin that is there, or a new one of a link or the ground."""
         if ground:
             return self.on_ground()
-        link = self.rng.choice(self.links)
+        turning = [link for link in self.links if link["along"] is None]
+        link = self.rng.choice(turning)
         if self.rng.random() < 0.5:
             link["pins"].append(self.new())
-        return self.rng.choice(link["pins"])
+        return self.rng.choice([x for x in link["pins"] if x not in self.sliding])
 
     def same_link(self, first: str, second: str) -> bool:
         on_ground = {first, second} <= set(self.ground)
         return on_ground or any({first, second} <= set(link["pins"]) for link in self.links)
 
-    def add(self, pins: list[str]) -> None:
+    def add(self, pins: list[str], along: float | None = None) -> None:
         x, y = (self.rng.uniform(-0.5, 0.5) for _ in range(2))
         numbers = {"m": self.rng.uniform(0.1, 2), "centre": (x, y), "I": self.rng.uniform(0.01, 1)}
-        self.links.append({"name": f"link {len(self.links)}", "pins": pins, **numbers})
+        name = f"link {len(self.links)}"
+        self.links.append({"name": name, "pins": pins, "along": along, **numbers})
 
     def drawn(self) -> str:
         lines = ["gravity: 9.81", "pins:"]
@@ -110,58 +163,89 @@ class Linkage:
         lines += ["links:"]
         for link in self.links:
             centre = ", ".join(map(repr, link["centre"]))
+            along = "" if link["along"] is None else f"along: {vector(2.5, link['along'])}, "
             lines.append(
-                f"  - {{name: {link['name']}, pins: [{', '.join(link['pins'])}], "
+                f"  - {{name: {link['name']}, pins: [{', '.join(link['pins'])}], {along}"
                 f"m: {link['m']!r}, centre: [{centre}], I: {link['I']!r}}}"
             )
-        return "\n".join([*lines, f"ground: [{', '.join(self.ground)}]"])
+        ground = self.ground + [
+            f"{{pin: {pin}, along: {vector(0.3, way)}}}" for pin, way in self.lines.items()
+        ]
+        slots = [
+            f"{{pin: {pin}, on: {self.links[k]['name']}, along: {vector(7.0, way)}}}"
+            for pin, k, way in self.slots
+        ]
+        ends = [f"ground: [{', '.join(ground)}]", f"slots: [{', '.join(slots)}]"]
+        return "\n".join([*lines, *ends])
 
     def explicit(self) -> tuple[str, list[float]]:
-        """The same in lengths and closures, by angles, and the angles of the joints."""
-        lines, closures, angles = ["gravity: 9.81", "links:"], [], []
+        """The same in lengths and closures, by angles, and the values of the joints."""
+        lines, closures, joints = ["gravity: 9.81", "links:"], [], []
         directions: list[float] = []
         seen: dict[str, int] = {}
+        fixed = set(self.ground) - set(self.sliding)
 
-        def place(k: int, z: complex) -> str:
+        def own(k: int, z: complex) -> str:
             apart = z - self.pins[self.links[k]["pins"][0]]
-            far, angle = abs(apart), math.atan2(apart.imag, apart.real) - directions[k]
-            at = f"[{far * math.cos(angle)!r}, {far * math.sin(angle)!r}]"
-            return f"{{link: {self.links[k]['name']}, at: {at}}}"
+            return vector(abs(apart), math.atan2(apart.imag, apart.real) - directions[k])
+
+        def place(k: int, pin: str) -> str:
+            return f"{{link: {self.links[k]['name']}, at: {own(k, self.pins[pin])}}}"
 
         for k, link in enumerate(self.links):
-            first, second, *_ = link["pins"]
-            a, b = self.pins[first], self.pins[second]
-            directions.append(math.atan2((b - a).imag, (b - a).real))
-            above = None if first in self.ground else seen[first]
-            z = f"[{a.real!r}, {a.imag!r}]" if above is None else place(above, a)
-            q = directions[k] - (0.0 if above is None else directions[above])
-            angles.append(math.remainder(q, 2 * math.pi))
+            first, *further = link["pins"]
+            a = self.pins[first]
+            slides = link["along"] is not None
+            b = self.pins[further[0]] if further else a
+            way = link["along"] if slides else math.atan2((b - a).imag, (b - a).real)
+            directions.append(way)
+            above = None if first in self.ground and (slides or first in fixed) else seen[first]
+            z = f"[{a.real!r}, {a.imag!r}]" if above is None else place(above, first)
+            turned = way - (0.0 if above is None else directions[above])
+            joints.append(0.0 if slides else turned)
             apart = complex(*link["centre"]) - a
-            far, angle = abs(apart), math.atan2(apart.imag, apart.real) - directions[k]
-            r = f"[{far * math.cos(angle)!r}, {far * math.sin(angle)!r}]"
-            J = link["I"] + link["m"] * far * far
+            r = vector(abs(apart), math.atan2(apart.imag, apart.real) - way)
+            J = link["I"] + link["m"] * abs(apart) ** 2
+            kind = f", joint: prismatic, axis: {vector(1.0, turned)}" if slides else ""
             lines.append(
-                f"  - {{name: {link['name']}, m: {link['m']!r}, l: {abs(b - a)!r}, r: {r}, "
-                f"J: {J!r}, from: {z}}}"
+                f"  - {{name: {link['name']}, m: {link['m']!r}, r: {r}, J: {J!r}, from: {z}, "
+                f"l: {0.0 if slides else abs(b - a)!r}{kind}}}"
             )
-            for name in link["pins"][1:]:
+            for name in [first] * slides + further:
                 c = self.pins[name]
-                if name in self.ground:
-                    closures.append(f"  - [{place(k, c)}, [{c.real!r}, {c.imag!r}]]")
-                elif name in seen:
-                    closures.append(f"  - [{place(seen[name], c)}, {place(k, c)}]")
+                if name in fixed:
+                    closures.append(f"  - [{place(k, name)}, [{c.real!r}, {c.imag!r}]]")
+                elif name in seen and not (slides and name == first and seen[name] == above):
+                    closures.append(f"  - [{place(seen[name], name)}, {place(k, name)}]")
+                elif name in self.lines:
+                    line = (
+                        f"through: [{c.real!r}, {c.imag!r}], along: {vector(1, self.lines[name])}"
+                    )
+                    closures.append(f"  - {{point: {place(k, name)}, on: {{{line}}}}}")
             for name in link["pins"]:
-                seen.setdefault(name, k)
-        return "\n".join([*lines, *(["closures:"] if closures else []), *closures]), angles
+                if name == first and slides:
+                    seen[name] = seen[name] if name in seen and seen[name] != above else k
+                else:
+                    seen.setdefault(name, k)
+        for pin, k, way in self.slots:
+            line = f"through: {own(k, self.pins[pin])}, along: {vector(1, way - directions[k])}"
+            line = f"link: {self.links[k]['name']}, {line}"
+            closures.append(f"  - {{point: {place(seen[pin], pin)}, on: {{{line}}}}}")
+        return "\n".join([*lines, *(["closures:"] if closures else []), *closures]), joints
 
 
+def vector(length: float, angle: float) -> str:
+    return f"[{length * math.cos(angle)!r}, {length * math.sin(angle)!r}]"
+
+
+@pytest.mark.parametrize("slides", [False, True])
 @pytest.mark.parametrize("seed", range(100))
-def test_a_random_linkage_is_the_same_in_both_forms(seed: int) -> None:
-    linkage = Linkage(seed)
-    text, angles = linkage.explicit()
+def test_a_random_linkage_is_the_same_in_both_forms(seed: int, slides: bool) -> None:
+    linkage = Linkage(seed, slides)
+    text, joints = linkage.explicit()
     drawn, explicit = built(linkage.drawn()), built(text)
     q = start_of(drawn)
-    assert np.abs(np.exp(1j * q) - np.exp(1j * np.array(angles))).max() < 1e-14
+    assert np.abs(np.exp(1j * q) - np.exp(1j * np.array(joints))).max() < 1e-14
     assert np.abs(closure_gap(drawn, q)).max(initial=0.0) < 1e-14
     assert drawn.actuated == explicit.actuated
     qd = np.array([linkage.rng.uniform(-1, 1) for _ in q])
@@ -173,6 +257,20 @@ def test_a_random_linkage_is_the_same_in_both_forms(seed: int) -> None:
     ):
         assert own.shape == other.shape
         assert np.abs(own - other).max(initial=0.0) <= 1e-14 * max(1.0, np.abs(own).max(initial=0))
+
+
+@pytest.mark.parametrize("seed", range(0, 100, 5))
+def test_the_joints_that_are_actuated_by_default(seed: int) -> None:
+    text = Linkage(seed, slides=True).drawn()
+    for more in ("", "\ncouplings: [q2 = 0.5 q1]"):
+        try:
+            description = from_text(text + more, "drawn.yaml")
+        except DescriptionError:  # a displacement by an angle
+            continue
+        root = yaml_tree.parse(text, "drawn.yaml")
+        assert isinstance(root, yaml_tree.Mapping)
+        drawing = Drawing(root, _Reader(None))
+        assert tuple(drawing.actuated(description)) == build(description).actuated
 
 
 # Known linkages, by circles
@@ -394,3 +492,165 @@ def test_a_3rrr_robot() -> None:
     for first, second in pairwise((B0, B1, B2, B0)):
         assert abs(abs(first - second) - 0.1 * math.sqrt(3)) < 1e-12
     assert ((B1 - B0).conjugate() * (B2 - B0)).imag > 0.0
+
+
+# What a drawing may be
+
+
+FOUR_BAR = """\
+gravity: 9.81
+pins: {O2: [0, 0], A: [0.175, 0.303], B: [1.046, 0.798], O4: [1.1, 0], P: [0.62, 0.85], S: [1, 1]}
+links:
+  - {name: crank, pins: [O2, A], m: 0.6, r: 0.15, I: 0.008}
+  - {name: coupler, pins: [A, B, P], m: 1.3, centre: [0.6, 0.6], I: 0.102}
+  - {name: rocker, pins: [O4, B], m: 1.0, r: 0.36, I: 0.061}
+ground: [O2, O4, S]
+springs:
+  - {between: [S, B], stiffness: 400, length: 0.3}
+loads:
+  - {point: P, force: [10, 0]}
+  - {point: B, force: [0, 3]}
+points: {Q: B, G: centre3}
+"""
+
+
+def test_pins_are_ends_of_springs_points_of_loads_and_points() -> None:
+    description = from_text(FOUR_BAR, "x.yaml")
+    named = dict(description.points)
+    assert list(named) == ["P", "Q", "G"]
+    mechanism = build(description)
+    q = start_of(mechanism)
+    of = ["O=joint1", "B=tip2", "P", "Q", "R=rocker"]
+    places = points(mechanism, q, of=of).position @ [1, 1j]
+    wanted = [0, 1.046 + 0.798j, 0.62 + 0.85j, 1.046 + 0.798j, 1.046 + 0.798j]
+    assert np.abs(places - wanted).max() < 1e-15
+    (spring,) = description.springs
+    assert (spring.first.link, spring.first.at) == (None, 1 + 1j)
+    assert spring.second.link == 1  # the first link that has B
+    assert [load.point for load in description.loads] == [named["P"], named["Q"]]
+
+
+def test_without_q_it_is_as_drawn(robodyn: Run, tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(FOUR_BAR)
+    angle = repr(cmath.phase(0.175 + 0.303j))
+    for command in ("torque", "points", "assemble", "terms", "energy", "check"):
+        told = robodyn(command, scene).succeeds()
+        if command != "check":
+            assert told.out == robodyn(command, scene, "--q", angle).succeeds().out
+    short = ("simulate", scene, "--time", "0.1", "--points", "3")
+    assert robodyn(*short).out == robodyn(*short, "--q", angle).out
+
+
+def test_a_sweep_of_a_pin_begins_as_drawn(robodyn: Run, tmp_path: Path) -> None:
+    """Each with its own drawing: the crank's angle follows A."""
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(FOUR_BAR)
+    given = robodyn("sweep", scene, "--vary", "pins.A[0]=0.15,0.2", "--kind", "torque", "--quiet")
+    for row, x in zip(given.succeeds().rows, (0.15, 0.2), strict=True):
+        one = robodyn("torque", scene, "--set", f"pins.A=[{x}, 0.303]").rows[0]
+        assert float(row["tau1"]) == pytest.approx(float(one["tau1"]), rel=1e-12)
+
+
+def test_a_pin_that_moves_takes_its_links_along() -> None:
+    values = SceneValues(FOUR_BAR, "x.yaml")
+    assert {"pins.B[0]", "pins.B[1]", "links.coupler.centre[0]", "links.rocker.r"} <= {
+        *values.names
+    }
+    moved = values.replaced({"pins.B[0]": 1.2}).links
+    assert moved[1].l == abs(1.2 + 0.798j - (0.175 + 0.303j))
+    assert moved[2].l == abs(0.1 + 0.798j)
+    whole = read_numbers(FOUR_BAR, "x.yaml", (("pins.B", "[1.2, 0.798]"),)).base
+    assert whole.links == moved
+
+
+def test_three_pins_on_a_line_are_no_fault() -> None:
+    text = FOUR_BAR.replace("P: [0.62, 0.85]", "P: [0.6105, 0.5505]")
+    point = dict(from_text(text, "x.yaml").points)["P"]
+    assert point.at.imag == 0.0  # rounding is none
+
+
+def test_a_branch_that_cannot_be_read() -> None:
+    """B on the line from A to O4, or as far from it as digits go."""
+    for off, refused in ((0.0, True), (1e-9, True), (1e-5, False), (-1e-5, False)):
+        A, O4 = 0.175 + 0.303j, 1.1 + 0j
+        B = A + 0.6 * (O4 - A) + off * 1j
+        text = FOUR_BAR.replace("B: [1.046, 0.798]", f"B: [{B.real!r}, {B.imag!r}]")
+        if not refused:
+            mechanism = built(text)
+            q = assemble(mechanism, start_of(mechanism)[:1])
+            assert np.abs(q - start_of(mechanism)).max() < 1e-9
+            continue
+        with pytest.raises(DescriptionError, match="coupler and rocker are drawn in line"):
+            built(text)
+        driven = built(text + "actuated: [rocker]\n")  # of which it is none
+        assert driven.actuated == (2,)
+
+
+def test_a_later_loop_that_cannot_be_read() -> None:
+    pins, links, ground, _ = STEPHENSON
+    apart = pins["G"] - pins["C"]
+    pins = pins | {"D": pins["C"] + 0.4 * apart}
+    with pytest.raises(DescriptionError, match=r"rod and output are drawn in line, at a dead"):
+        built(text_of(pins, links, ground, "crank"))
+
+
+PARALLELOGRAM = {"O": 0j, "A": 0.2 + 0.3j, "Q": 1 + 0j, "B": 1.2 + 0.3j, "R": 0.5 + 0j}
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-3])
+def test_a_third_crank_of_a_parallelogram(off: float) -> None:
+    """It moves by its proportions alone."""
+    pins = {**PARALLELOGRAM, "C": 0.7 + off + 0.3j}
+    links = {"crank": "O, A", "coupler": "A, B, C", "rocker": "Q, B", "third": "R, C"}
+    text = text_of(pins, links, "O, Q, R", "crank")
+    if off:
+        with pytest.raises(DescriptionError, match="cannot move as drawn: 4 joints"):
+            built(text)
+    else:
+        mechanism = built(text)
+        assert np.abs(closure_gap(mechanism, start_of(mechanism))).max() < 1e-15
+
+
+def test_freedoms_that_no_joint_drives_are_no_fault() -> None:
+    """A five-bar with one actuated crank; a pole on a cart."""
+    pins = {"O": 0j, "A": 0.1 + 0.3j, "B": 0.5 + 0.6j, "C": 0.9 + 0.4j, "Q": 1 + 0j}
+    links = {"left": "O, A", "rod": "A, B", "other rod": "C, B", "right": "Q, C"}
+    with pytest.raises(DescriptionError, match="begins with C, which is on nothing above"):
+        built(text_of(pins, links, "O, Q", "left"))
+    links = {"left": "O, A", "rod": "A, B", "right": "Q, C", "other rod": "C, B"}
+    assert built(text_of(pins, links, "O, Q", "left")).n == 4
+    cart = """\
+gravity: 9.81
+pins: {O: [0, 0], P: [0, 0.5]}
+links:
+  - {name: cart, pins: [O], along: [1, 0], m: 1, r: 0, I: 0.1}
+  - {name: pole, pins: [O, P], m: 0.2, r: 0.3, J: 0.02}
+ground: [O]
+actuated: [cart]
+"""
+    mechanism = built(cart)
+    assert mechanism.description.links[1].hangs_from.link == 0
+    assert list(start_of(mechanism)) == [0.0, math.pi / 2]
+
+
+def test_a_moment_of_inertia_about_the_own_joint() -> None:
+    plain = "gravity: 9.81\nlinks:\n  - {name: a, m: 2, l: 1, r: [0.3, 0.4], I: 0.25}\n"
+    own = built(plain.replace("I: 0.25", "J: 0.75"))
+    assert own.description.links == built(plain).description.links
+    point = built(plain.replace("[0.3, 0.4], I: 0.25", "0.7, J: 0.98"))
+    assert point.description.links[0].I == 0.0  # not rounding
+
+
+def test_faults_of_the_drawing_and_of_what_else_there_is_are_told_together() -> None:
+    text = FOUR_BAR.replace("O4, B]", "O4, Z]").replace("stiffness: 400", "stiffness: -1")
+    text = text.replace("m: 0.6", "m: much").replace("gravity", "gravty")
+    with pytest.raises(DescriptionError) as caught:
+        from_text(text, "x.yaml")
+    places = [fault.place for fault in caught.value.faults]
+    assert places == [
+        "gravty",
+        "links[0] (crank).m",
+        "links[2] (rocker).pins",
+        "springs[0].stiffness",
+    ]

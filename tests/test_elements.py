@@ -1,20 +1,25 @@
 """Each kind of element in random trees: identities, both integrators, the regressor."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from random_mechanisms import seeded_tree
-from robodyn import forward_dynamics, inverse_dynamics, simulate
+from robodyn import inverse_dynamics, simulate
 from robodyn.dynamics.identities import BOUND, identities, sample_states
-from robodyn.elements.base import SPENT, Element
-from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
+from robodyn.elements.contacts import Mode
+from robodyn.elements.joints import (
+    CompliantStop,
+    DryFriction,
+    HardStop,
+    Rotor,
+    Slipping,
+    SmoothFriction,
+)
 from robodyn.elements.kinds import KINDS
 from robodyn.elements.loads import Force, VaryingMoment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.mechanics.mechanism import build
-from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.mechanics.modes import in_mode
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene import scene as described
 from robodyn.scene.scene import Law, Load, Moment, Motor, Point, Spring
@@ -82,7 +87,11 @@ def dry_friction(rng, scene):
     return on_link(scene, 1, friction=described.DryFriction(torque, torque + 0.1, 0.5))
 
 
-def stops(rng, scene):
+def hard_stops(rng, scene):
+    return on_link(scene, 1, limits=described.Limits(-2.0, 2.5, restitution=rng.uniform(0.2, 0.8)))
+
+
+def compliant_stops(rng, scene):
     return on_link(scene, 1, limits=described.Limits(-0.1, 0.15, rng.uniform(50, 90), 0.5))
 
 
@@ -99,7 +108,8 @@ CASES = {
     SmoothFriction: smooth_friction,
     DryFriction: dry_friction,
     Slipping: dry_friction,
-    Stops: stops,
+    HardStop: hard_stops,
+    CompliantStop: compliant_stops,
     Rotor: rotors,
 }
 
@@ -157,6 +167,19 @@ def test_its_identities_hold(kind, seed):
     checked(made(kind, seed))
 
 
+@pytest.mark.parametrize("kind", [CompliantStop, DryFriction, HardStop], ids=lambda x: x.__name__)
+@seeds
+def test_identities_hold_in_the_modes_of_contacts(kind, seed):
+    """Each state in its own: stops push at some and not at others, joints slip both ways."""
+    mechanism = made(kind, seed)
+    sample = sample_states(mechanism, 20)
+    beyond = (sample.q[:, 1] < -0.1) | (sample.q[:, 1] > 0.15)
+    assert beyond.any()
+    assert not beyond.all()
+    failed = [x for x in identities(mechanism, sample) if not x.holds]
+    assert not failed, failed
+
+
 @kinds
 @seeds
 def test_both_integrators_agree(kind, seed):
@@ -167,54 +190,3 @@ def test_both_integrators_agree(kind, seed):
 @seeds
 def test_torques_are_linear_in_its_parameters(kind, seed):
     regressed(made(kind, seed), seed)
-
-
-class QuadraticDrag(Element):
-    """-c qd^3/sqrt(qd^2 + 1e-4) at a joint."""
-
-    joint: int
-    c: float
-
-    @property
-    def acts(self):
-        return SPENT
-
-    @property
-    def at(self):
-        return self.joint
-
-    def rows(self, b):
-        v = b.v(self.joint)
-        square = b.product(v, v)
-        speed = b.power_of(b.sum((1.0, square), constant=1e-4), -0.5)
-        b.torque(self.joint, b.number(-self.c), b.product(b.product(square, v), speed))
-
-
-class TestANewKind:
-    @pytest.fixture(params=range(3))
-    def dragged(self, request):
-        plain = seeded_tree(request.param, LINKS).mechanism
-        elements = (*plain.elements, QuadraticDrag(1, 0.7))
-        return plain, replace(plain, elements=elements), request.param
-
-    def test_torques_have_it(self, dragged):
-        plain, mechanism, seed = dragged
-        q, qd, qdd = states(seed)
-        more = inverse_dynamics(mechanism, q, qd, qdd) - inverse_dynamics(plain, q, qd, qdd)
-        drag = 0.7 * qd[:, 1] ** 3 / np.sqrt(qd[:, 1] ** 2 + 1e-4)
-        assert np.allclose(more, drag[:, None] * [0, 1, 0], atol=1e-11)
-        tau = inverse_dynamics(mechanism, q, qd, qdd)[:, list(mechanism.actuated)]
-        assert np.allclose(forward_dynamics(mechanism, q, qd, tau), qdd, atol=1e-9)
-
-    def test_identities_with_the_balance_of_energy(self, dragged):
-        checked(dragged[1])
-
-    def test_both_integrators_agree(self, dragged):
-        runs_agree(dragged[1], dragged[2])
-
-    def test_it_changes_the_energy(self, dragged):
-        assert dragged[1].changes_energy
-        assert dragged[1].has_state_forces
-
-    def test_the_regressor_knows_it(self, dragged):
-        regressed(dragged[1], dragged[2])

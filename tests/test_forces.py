@@ -9,6 +9,7 @@ from conftest import ROOT
 
 from random_mechanisms import (
     LOOPS,
+    exchanged,
     forced,
     mechanism,
     seeded_scene,
@@ -79,10 +80,10 @@ class TestTorques:
         "change",
         [
             lambda mech: dataclasses.replace(mech, moments=tuple(x + 0.1 for x in mech.moments)),
-            lambda mech: mech.exchanged({PointSpring: mech.springs[1:]}),
-            lambda mech: mech.exchanged({JointSpring: ()}),
-            lambda mech: mech.exchanged({SmoothFriction: ()}),
-            lambda mech: mech.exchanged({Force: ()}),
+            lambda mech: exchanged(mech, {PointSpring: mech.springs[1:]}),
+            lambda mech: exchanged(mech, {JointSpring: ()}),
+            lambda mech: exchanged(mech, {SmoothFriction: ()}),
+            lambda mech: exchanged(mech, {Force: ()}),
         ],
     )
     @pytest.mark.thinned

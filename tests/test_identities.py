@@ -17,6 +17,7 @@ from random_mechanisms import (
     LOOPS,
     Shape,
     assert_close,
+    exchanged,
     loops,
     oracle_tree,
     seeded_scene,
@@ -227,7 +228,7 @@ class TestMotion:
     def test_energy_is_constant_and_loops_stay_closed(self, name):
         """Without damping and torque: E(t) = E(0), gap = 0 and Psi qd = 0, to the tolerance."""
         scene = seeded_scene(0, LOOPS[name])
-        mech, n = scene.mechanism.exchanged({JointDamper: ()}), scene.n
+        mech, n = exchanged(scene.mechanism, {JointDamper: ()}), scene.n
 
         def rates(_, y):
             return [*y[n:], *dyn.forward_dynamics(mech, y[:n], y[n:], np.zeros(n))]
@@ -351,7 +352,7 @@ class TestSelfTestDetects:
     @MODELS
     def test_a_wrong_damping(self, robot):
         mech = load_robot(robot)
-        assert broken(mech.exchanged({JointDamper: [JointDamper(k, 0.5) for k in range(mech.n)]}))
+        assert broken(exchanged(mech, {JointDamper: [JointDamper(k, 0.5) for k in range(mech.n)]}))
 
     @pytest.mark.parametrize("robot", ["four-bar", "slider-crank", "five-bar"])
     def test_a_wrong_closure(self, robot):

@@ -16,6 +16,7 @@ from scipy.linalg import null_space
 
 import robodyn
 from robodyn.dynamics import closed_form
+from robodyn.elements.joints import HardStop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation import recording
 from robodyn.simulation.simulation import Motion, simulate
@@ -60,7 +61,7 @@ def impacts(
     """
     n, hits = mechanism.n, [x for x in motion.events if " hits its " in x.name]
     told = {f"{mechanism.link_names[j]} hits its {'max' if s > 0 else 'min'}": (j, s)
-            for j, limits in mechanism.limits for s, _ in limits.ends}  # fmt: skip
+            for j, s, *_ in mechanism.of(HardStop)}  # fmt: skip
     time, turns, state = math.nan, list[set[tuple[int, int]]](), np.zeros(0)
     for hit in hits:
         if hit.t != time:
@@ -85,16 +86,15 @@ def check_impacts(mechanism: Mechanism, motion: Motion, qd: Array) -> int:
     for q, before, after, turns in impacts(mechanism, motion, qd):
         least, met = NEAR * np.abs(before).max(), set().union(*turns)
         ends, doubtful = [], []
-        for joint, stop in mechanism.limits:
-            for side, end in stop.ends:
-                if abs(q[joint] - end) <= NEAR * max(1.0, abs(end)):
-                    # one met at this instant by another impact may have left it, or rest on it
-                    stands = abs(before[joint]) <= least and (joint, side) in met
-                    if stands or side * before[joint] >= -least:
-                        (doubtful if stands else ends).append((joint, side))
+        for joint, side, end, _ in mechanism.of(HardStop):
+            if abs(q[joint] - end) <= NEAR * max(1.0, abs(end)):
+                # one met at this instant by another impact may have left it, or rest on it
+                stands = abs(before[joint]) <= least and (joint, side) in met
+                if stands or side * before[joint] >= -least:
+                    (doubtful if stands else ends).append((joint, side))
         M = closed_form.mass_matrix(mechanism, q)
         assert after @ M @ after <= (1.0 + 1e-9) * (before @ M @ before)
-        e = {joint: stop.restitution for joint, stop in mechanism.limits}
+        e = {stop.joint: stop.restitution for stop in mechanism.of(HardStop)}
         if max(e[joint] * abs(before[joint]) for joint, _ in ends) < 3e-3 or len(turns) >= 30:
             continue
         errors = []
@@ -211,9 +211,8 @@ def test_impacts_of_random_scenes(tens: int) -> None:
         motion = simulate(mechanism, q, qd, end, tau, method=method, rtol=1e-9, atol=1e-9)
         assert motion.outcome is recording.Outcome.FINISHED, seed
         assert motion.report.energy_drift < 1e-5, seed
-        for joint, stop in mechanism.limits:
-            for side, limit in stop.ends:
-                assert (side * (motion.q[:, joint] - limit)).max() < 1e-9, seed
+        for joint, side, limit, _ in mechanism.of(HardStop):
+            assert (side * (motion.q[:, joint] - limit)).max() < 1e-9, seed
         check_impacts(mechanism, motion, qd)
 
 

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 import oracles
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn import assemble, closure_gap, kinetic_energy, load, potential_energy, simulate
+from robodyn.elements.joints import SmoothFriction
 from robodyn.engines import machine
 from robodyn.engines.machine_motion import Status
 from robodyn.loops.loop_rates import loop_velocities
@@ -106,7 +107,7 @@ class TestForces:
         mechanism = build(from_text(text, "x"))
         assert mechanism.springs
         assert mechanism.joint_springs
-        assert not mechanism.friction
+        assert not mechanism.of(SmoothFriction)
         n = mechanism.n
         y = np.hstack([plain.q, plain.qd])[None]
         found = run(mechanism, y, 0.3)
@@ -126,7 +127,7 @@ class TestForces:
         text = forced(seed, seeded_tree(seed, 1 + seed)).text
         text = re.sub(r"speed: [^}]*}", f"speed: {speed}}}", text)
         mechanism = build(from_text(text, "x"))
-        assert mechanism.friction
+        assert mechanism.of(SmoothFriction)
         n = mechanism.n
         y = np.random.default_rng(seed).normal(size=(2, 2 * n))
         found = run(mechanism, y, 0.4, rtol=1e-11, atol=1e-11)

@@ -27,11 +27,12 @@ from random_mechanisms import (
     sliding,
     trees,
 )
+from robodyn.elements.contacts import Mode
 from robodyn.errors import InputError
 from robodyn.export.mjcf import DEEPEST, MINIMUM, TIMESTEP, mjcf
 from robodyn.export.model_xml import contact_notes, damping_ratio, restitution
 from robodyn.mechanics.mechanism import build, load
-from robodyn.mechanics.modes import Mode, in_mode, pressed
+from robodyn.mechanics.modes import in_mode, pressed
 
 ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))
 EACH_ROBOT = pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)

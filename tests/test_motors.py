@@ -81,7 +81,7 @@ def test_open_trees_against_the_lagrangian(joints: str) -> None:
         plain, gamma = random_tree(seed, joints, OPEN[joints]), complex(*rng.uniform(-10, 10, 2))
         tree, text = with_motors(seed, plain, text_of(plain, gamma))
         mech = mechanism(text)
-        assert len(mech.rotors) == mech.n
+        assert len(mech.spins) == mech.n
         q, qd, tau = rng.uniform(-2.0, 2.0, (3, mech.n))
         terms = Terms(oracles.sympy_terms(tree, gamma, backend="mpmath"), q, qd)
         for name, own in (
@@ -116,7 +116,7 @@ def random_motors(seed: int) -> Scene:
 def test_identities(seed: int) -> None:
     """KE, Mdot - 2C, power, forward of inverse and closures; by the model built anew."""
     mech = random_motors(seed).mechanism
-    assert mech.rotors
+    assert mech.spins
     sample = identities.sample_states(mech, 6, seed)
     for identity in identities.identities(mech, sample) if len(sample.q) else []:
         assert identity.residual is not None, identity
@@ -560,7 +560,7 @@ def test_scenes_without_motors_keep_their_rows() -> None:
 
     for path in sorted((ROOT / "robots").glob("*.yaml")):
         mech = load(path)
-        assert not mech.rotors
+        assert not mech.spins
         assert mech.arrays.spins.shape == (0, mech.n)
     plain = ARM[: ARM.rindex(", motor")] + "}\n"
     sizes = []

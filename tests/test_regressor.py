@@ -147,7 +147,7 @@ def test_how_many_base_parameters_there_are(name: str, count: int) -> None:
 def test_base_parameters_give_the_torques(path) -> None:
     """At states that they were not found from."""
     mech = rd.load(path)
-    q, qd, qdd = random_states(mech, 20, seed=7)
+    q, qd, qdd = random_states(mech, 40, seed=7)  # more than it has base parameters
     found = rd.regressor(mech, q, qd, qdd)
     base = base_parameters(mech)
     columns = [found.names.index(x.name) for x in base]

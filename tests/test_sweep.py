@@ -23,6 +23,7 @@ from robodyn import (
     simulate,
 )
 from robodyn.dynamics.dynamics import RobodynWarning
+from robodyn.elements.joints import SmoothFriction
 from robodyn.engines import machine
 from robodyn.errors import DescriptionError, InputError, RobodynError
 from robodyn.loops import loop_rates
@@ -176,7 +177,7 @@ class TestMotions:
             assert rows.outcomes == ["finished"] * 2
             assert column(each, rows, "drift").max() < 1e-6
             mechanism = build(SceneValues(each.scene, "x").base)
-            assert mechanism.friction or mechanism.description.couplings
+            assert mechanism.of(SmoothFriction) or mechanism.description.couplings
             start = assemble(mechanism, [rows.values[0, list(each.columns()).index("q1")]])
             motion = simulate(mechanism, start, 0.0 * start, 0.3, rtol=1e-11, atol=1e-11)
             found = [column(each, rows, f"q{k + 1}_end")[0] for k in range(mechanism.n)]

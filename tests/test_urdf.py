@@ -358,14 +358,14 @@ def later(magnets=(), backlash=0.0):
 
 
 def test_keys_that_are_not_said_are_refused_where_they_hold_something():
-    refuse_unsaid(later(), "XYZ", {})
+    refuse_unsaid(build(later()), "XYZ", {})
     with pytest.raises(InputError, match=r"2r\.yaml: magnets: XYZ cannot say it"):
-        refuse_unsaid(later(magnets=("one",)), "XYZ", {})
+        refuse_unsaid(build(later(magnets=("one",))), "XYZ", {})
     with pytest.raises(InputError, match=r"magnets: for a reason"):
-        refuse_unsaid(later(magnets=("one",)), "XYZ", {"magnets": "for a reason"})
+        refuse_unsaid(build(later(magnets=("one",))), "XYZ", {"magnets": "for a reason"})
     with pytest.raises(InputError, match=r"links\[0\] \(upper arm\)\.backlash = 0\.2: XYZ"):
-        refuse_unsaid(later(backlash=0.2), "XYZ", {})
-    refuse_unsaid(later(("one",), 0.2), "XYZ", {}, ["magnets", "backlash"])
+        refuse_unsaid(build(later(backlash=0.2)), "XYZ", {})
+    refuse_unsaid(build(later(("one",), 0.2)), "XYZ", {}, ["magnets", "backlash"])
 
 
 @FORMATS

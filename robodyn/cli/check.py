@@ -21,12 +21,13 @@ from robodyn.dynamics.identities import (
     identities,
     sample_states,
 )
+from robodyn.elements.contacts import Mode
 from robodyn.errors import InputError, overflow
 from robodyn.loops import assembly
 from robodyn.loops.branches import scene_start
 from robodyn.mechanics.loop_rows import loop_class
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.mechanics.modes import in_mode
 
 STATES = 200
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains

@@ -10,6 +10,7 @@ from typing import Literal
 from robodyn.cli.options import Model, Out, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.progress import progress
+from robodyn.elements.contacts import STICKS
 from robodyn.equations.code import c99, python
 from robodyn.equations.derivation import Derivation, check_size
 from robodyn.equations.derivation_latex import derivation_latex
@@ -63,9 +64,9 @@ def equations(
     mechanism = model.load()
     if steps:
         check_size(mechanism)
-    if mechanism.dry:
+    if STICKS in mechanism.contacts:
         note("dry friction is that in motion; at rest it holds any load up to static")
-    if any(stop.stiffness is None for _, stop in mechanism.limits):
+    if any(x.firm for x in mechanism.ranges):
         note("hard stops and limits are left out: the equations hold between them")
     if format in CODE:
         content = CODE[format](recorded(mechanism, numeric))

@@ -60,7 +60,7 @@ def regressor(
     chosen = structural(mechanism).kept if base else list(range(len(names)))
     joints = [k + 1 for k in balanced_joints(mechanism)]
     columns = [f"Y{j}_{names[k]}" for j in joints for k in chosen]
-    loaded = bool(mechanism.description.loads or mechanism.laws or mechanism.limits)
+    loaded = bool(mechanism.description.loads or mechanism.signals or mechanism.ranges)
     columns += [f"Y{j}_known" for j in joints if loaded]
 
     def compute(**motion: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.summaries import KeptRows, correlations
 from robodyn.tables.table_writer import Writer
 
-_Q = "Angles, rad, or 30deg, of the joints that determine all others. Default: zero."
+_Q = "Angles of the joints that determine all others, rad. Default: a whole `start`, or zero."
 _QDD = "Accelerations of these joints, rad/s^2, for torques. Default: zero."
 _TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
 _OF = "The points of such columns, as `points` has them; repeatable."

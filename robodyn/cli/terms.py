@@ -10,6 +10,7 @@ from robodyn.cli.states import StateOptions, remarks, single_state
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.columns import DEGREES, SLIDING, scene_units
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
+from robodyn.elements.contacts import COMPLIANT, HARD, STICKS
 from robodyn.errors import InputError, RobodynError, overflow
 from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism
@@ -53,13 +54,13 @@ def terms(
     if not derivatives:
         refuse("is for --derivatives: give that too", by=by, qdd=qdd, tau=tau)
     q_, qd_ = single_state(mechanism, state.quantities())
-    resting = [k for k, _ in mechanism.dry if not qd_[k]]
+    resting = [k for k in mechanism.dry if not qd_[k]]
     if resting:
         dry = ", ".join(mechanism.link_names[k] for k in resting)
         note(
             f"Note: Q is without the dry friction of {dry}: at rest it holds any load up to static"
         )
-    if any(stop.restitution is not None for _, stop in mechanism.limits):
+    if HARD in mechanism.contacts:
         note("Note: Q is without what hard stops hold")
     np.seterr(all="ignore")  # what leaves the range of floats is told below
     content: dict[str, tuple[str, np.ndarray]] = {  # the unit and the value
@@ -71,8 +72,7 @@ def terms(
     }
     if any(mechanism.damping):
         content["D"] = "N m s/rad", np.diag(mechanism.damping)
-    compliant = any(stop.stiffness is not None for _, stop in mechanism.limits)
-    if mechanism.has_state_forces or mechanism.dry or compliant:
+    if mechanism.has_state_forces or mechanism.contacts & {STICKS, COMPLIANT}:
         content["Q"] = "N m", closed_form.other_forces(mechanism, q_, qd_)
     if mechanism.rows:
         content["Psi"] = "m", closed_form.closure_jacobian(mechanism, q_)

@@ -38,10 +38,11 @@ from robodyn.dynamics.placed import (
     matvec,
     placed,
 )
+from robodyn.elements.contacts import COMPLIANT, Mode
 from robodyn.engines.row_values import rows_of
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.mechanics.modes import Mode, in_mode, moving_mode, pressed, pushes
+from robodyn.mechanics.modes import in_mode, moving_mode, pressed, pushes
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.tables.arrays import Array, Complex
 
@@ -76,7 +77,7 @@ def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
     Raises InputError where q is not finite or not n wide.
     """
     M = _of_joints(mechanism, absolute_inertia(mechanism, placed(mechanism, q)))
-    return M + rotor_inertia(mechanism) if mechanism.rotors else M
+    return M + rotor_inertia(mechanism) if mechanism.spins else M
 
 
 def rotor_inertia(mechanism: Mechanism) -> Array:
@@ -121,7 +122,7 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     arrays, at = mechanism.arrays, placed(mechanism, q)
     loads = -columns(mechanism, arrays.weights, at.X, at.E).real - arrays.moments
     G: Array = matvec(arrays.J.T, loads)
-    if mechanism.springs or mechanism.joint_springs:
+    if mechanism.stores:
         rows = rows_of(parts.stored, mechanism)
         check_directions(rows.mechanism, np.asarray(q, float))
         G = G + rows("torques", q)
@@ -152,17 +153,15 @@ def _forces_by_modes(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) ->
     shape = np.broadcast_shapes(q.shape, qd.shape, (*np.shape(t), mechanism.n))
     q, qd = (np.broadcast_to(x, shape).reshape(-1, mechanism.n) for x in (q, qd))
     times = np.broadcast_to(np.asarray(t, float), shape[:-1]).ravel()
-    limits, Q = dict(mechanism.limits), np.empty(q.shape)
+    Q = np.empty(q.shape)
 
     def mode_of(at: list[float], rates: list[float]) -> Mode:
         return moving_mode(mechanism, at, rates, [0.0] * mechanism.n)
 
     for mode, which in _by_mode(q, qd, mode_of).items():
         found = other_forces(in_mode(mechanism, mode), q[which], qd[which], times[which])
-        for joint, side in mode.pressed:
-            stop = limits[joint]
-            push = pushes(stop, side, q[which, joint], qd[which, joint])
-            found[:, joint] -= side * (stop.stiffness or 0.0) * push
+        for joint, push in pushes(mechanism, mode, q[which], qd[which]):
+            found[:, joint] += push
         Q[which] = found
     return Q.reshape(shape)
 
@@ -186,7 +185,7 @@ def _kinetic(mechanism: Mechanism, at: Placed, qd: ArrayLike) -> Array:
     arrays = mechanism.arrays
     v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
     KE: Array = 0.5 * (matvec(arrays.A, v) * v.conj()).real.sum(axis=-1)
-    if mechanism.rotors:
+    if mechanism.spins:
         spins = matvec(arrays.spins, as_states(mechanism, "qd", qd))
         KE = KE + 0.5 * (spins**2 * arrays.rotors).sum(axis=-1)
     return KE
@@ -203,14 +202,14 @@ def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
 
 def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
     """KE and PE, (...), J, of the same states: the links' directions are found once."""
-    if any(stop.stiffness is not None for _, stop in mechanism.limits):
+    if COMPLIANT in mechanism.contacts:
         return _energies_by_stops(mechanism, q, qd)
     arrays, at = mechanism.arrays, placed(mechanism, q)
     KE = _kinetic(mechanism, at, qd)
     PE: Array = mechanism.energy_offset - (at.X * arrays.weights).real.sum(axis=-1)
     if any(mechanism.moments):
         PE = PE - (at.x * arrays.moments).sum(axis=-1)
-    if mechanism.springs or mechanism.joint_springs:
+    if mechanism.stores:
         PE = PE + rows_of(parts.stored, mechanism)("PE", q)[..., 0]
     return KE, PE
 

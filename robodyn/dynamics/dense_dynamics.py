@@ -85,7 +85,7 @@ def required_load(
         rates, accelerations = np.broadcast_arrays(rates, accelerations)
     bent = at.accelerations(mechanism, rates, accelerations)
     load = matvec(mechanism.arrays.J.T, _loads(mechanism, at, bent))
-    if mechanism.rotors:
+    if mechanism.spins:
         load = load + matvec(rotor_inertia(mechanism), as_states(mechanism, "qdd", qdd))
     return load + joint_loads(mechanism, q, qd, t)
 
@@ -109,7 +109,7 @@ def joint_loads(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) -> Arra
 def _whole_inertia(mechanism: Mechanism, at: Placed) -> Array:
     """M in x, rotors included."""
     M = absolute_inertia(mechanism, at)
-    if mechanism.rotors:
+    if mechanism.spins:
         turned = relative_matrix(mechanism)
         M = M + turned.T @ rotor_inertia(mechanism) @ turned
     return M

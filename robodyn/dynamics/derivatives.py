@@ -19,6 +19,7 @@ from robodyn.dynamics.dense_dynamics import RANK_CUT, elimination_is_safe
 from robodyn.dynamics.dynamics import PIVOT_CUT
 from robodyn.dynamics.placed import absolute_rates, check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
+from robodyn.elements.contacts import Mode
 from robodyn.engines import formulas, straightline
 from robodyn.engines.batches import FormulaBatches
 from robodyn.engines.formulas import (
@@ -26,7 +27,7 @@ from robodyn.engines.formulas import (
     residual_derivatives_formula,
 )
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.mechanics.modes import in_mode
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from robodyn.dynamics import closed_form, dynamics
 from robodyn.dynamics.placed import absolute_rates, frame_rates, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of
+from robodyn.elements.contacts import Mode
 from robodyn.engines.row_values import RowValues, rows_of
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
@@ -25,6 +26,7 @@ from robodyn.loops.assembly_plan import assembly_plan, with_independent
 from robodyn.loops.closing import random_states
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.mechanics.modes import in_mode, moving_mode
 from robodyn.tables.arrays import Array
 
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
@@ -124,10 +126,34 @@ def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     """Every identity at the sampled states.
 
     The closed forms are held against the program of rows of the scene, built anew: a wrong
-    constant of the numeric model shows.
+    constant of the numeric model shows.  Of states that differ in the joints that slip or press
+    compliant stops each is held in its own mode, and the worst residual is told.
     """
+    if not mechanism.switches:
+        return _of_one_mode(mechanism, sample)
+    modes: dict[Mode, list[int]] = {}
+    for k, (q, qd) in enumerate(zip(sample.q.tolist(), sample.qd.tolist(), strict=True)):
+        mode = moving_mode(mechanism, q, qd, [0.0] * mechanism.n)
+        modes.setdefault(mode, []).append(k)
+    found: dict[str, Identity] = {}
+    for mode, which in (modes or {Mode(): []}).items():
+        part = replace(sample, q=sample.q[which], qd=sample.qd[which])
+        for each in _of_one_mode(in_mode(mechanism, mode), part):
+            found[each.name] = _worse(found.get(each.name), each)
+    return list(found.values())
+
+
+def _worse(one: Identity | None, other: Identity) -> Identity:
+    if one is None or other.residual is None:
+        return other
+    return one if one.residual is None or one.residual >= other.residual else other
+
+
+def _of_one_mode(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     q, qd, scene = sample.q, sample.qd, build(mechanism.description)
     scene = replace(scene, elements=(*scene.elements, *mechanism.added))
+    if mechanism.mode is not None:
+        scene = in_mode(scene, mechanism.mode)
     rows = RowValues(replace(scene, A=()))  # which none reads, and which is large
     M, C = closed_form.mass_matrix(mechanism, q), closed_form.coriolis_matrix(mechanism, q, qd)
     found = [
@@ -291,6 +317,9 @@ def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
             above = link.hangs_from.link
             carried = 0.0 if above is None else spinning[:, above]
             KE = KE + 0.5 * link.motor.inertia * (carried + link.motor.ratio * qd[:, k]) ** 2
+    own = sum(bool(x.motor and x.motor.inertia) for x in scene.description.links)
+    for spin in scene.spins[own:]:  # of elements that no description has
+        KE = KE + 0.5 * spin.inertia * sum(c * rates[:, k] for k, c in spin.terms) ** 2
     return np.asarray(KE)
 
 

@@ -14,14 +14,14 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
-from robodyn.elements.joints import DryFriction, Stops
+from robodyn.elements.contacts import Mode
 from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value, slopes_by, substituted
 from robodyn.engines.formulas import KINDS, Formula, Recorded, residuals
 from robodyn.engines.planar_numbers import Planar
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import ClosureRow, Mechanism, constants, with_kept
-from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.mechanics.modes import in_mode
 from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues
 
@@ -83,7 +83,7 @@ def with_variables(
     couplings = tuple(row for row in mechanism.rows if row.closure is None)
     rows = (*made.rows, *couplings)
     if mode is None:
-        return replace(made, rows=rows).exchanged({DryFriction: (), Stops: ()})
+        return in_mode(replace(made, rows=rows), Mode())
     # what holds joints is a matter of rates: its rows have no number of the scene
     held = in_mode(mechanism, mode).rows[len(mechanism.rows) :]
     moving = in_mode(replace(made, rows=rows), mode._replace(held=()))

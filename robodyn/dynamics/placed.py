@@ -79,17 +79,18 @@ def finite(name: str, array: Array) -> Array:
 
 
 def check_directions(mechanism: Mechanism, q: Array) -> None:
-    """Raise SingularError if at q (..., n) a spring that needs a direction has none.
+    """Raise SingularError if at q (..., n) an element that needs a direction has none.
 
-    Then the ends of the spring meet, but for rounding.
+    Then the ends of the element meet, but for rounding.
     """
-    if not mechanism.springs:
+    if not mechanism.parted:
         return
     with np.errstate(all="ignore"):
         met = parts.met_ends(mechanism, list(np.moveaxis(q, -1, 0)), np.exp)
-    for spring, states in met.items():
+    for place, states in met.items():
         if np.any(states):
-            raise parts.no_direction(mechanism, spring)
+            name = mechanism.name_of(mechanism.elements[place])
+            raise parts.no_direction(mechanism, name)
 
 
 def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, Array]:

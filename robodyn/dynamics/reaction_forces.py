@@ -19,7 +19,7 @@ between links are internal; those at the ground are in F and M.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -36,15 +36,26 @@ from robodyn.dynamics.dynamics import (
     pins_at,
 )
 from robodyn.dynamics.placed import Placed, absolute_rates, as_states, frame_rates, matvec, placed
+from robodyn.elements.base import PointForce
 from robodyn.engines.row_values import rows_of
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
+from robodyn.mechanics.force_rows import LinkMoment
 from robodyn.mechanics.link_tree import Tree, places_of
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Moment, Point
 from robodyn.tables.arrays import Array, Complex
 
 Part = Callable[[Mechanism], Mechanism]
+
+
+class Acts(NamedTuple):
+    """What elements do to links: forces at points, N, and moments, N m, of numbers (...)."""
+
+    forces: Sequence[tuple[PointForce, Any]]  # complex ones
+    moments: Sequence[tuple[LinkMoment, Any]]
+
+
 Push = tuple[Complex, Complex, Array]  # where a force acts, the force, which links carry that
 
 FELT = 1e-9  # part of the largest force of a null vector that is more than rounding
@@ -70,8 +81,7 @@ class Felt:
 
     Formulas stand in arrays of objects, complex ones as `Planar`: where they are (`at`), X'' and
     E'' (`bent`), x'' and qdd (n,).  `pins` (..., closures) N act on the sides named first, `kept`
-    (..., k) N m of those that keep an angle; `rows` gives what acts by a part (`parts.py`) and a
-    name (`RowValues`), forces as complex numbers.
+    (..., k) N m of those that keep an angle; `rows` gives what acts of a part (`parts.py`).
     """
 
     def __init__(
@@ -83,7 +93,7 @@ class Felt:
         qdd: Array,
         pins: Complex,
         kept: Array,
-        rows: Callable[[Part, str], NDArray[Any]],
+        rows: Callable[[Part], Acts],
     ) -> None:
         self.mechanism, self.bodies, self.at = mechanism, bodies_of(mechanism), at
         self.pins, self.kept, self.rows = pins, kept, rows
@@ -110,7 +120,7 @@ class Felt:
         carried, tree = self.bodies.carried, Tree(self.mechanism.description.links)
         each = (np.moveaxis(x, -1, 0) for x in (self.place, self.load))
         forces: list[Push] = list(zip(*each, self.bodies.below, strict=True))
-        moments = self._moments()[..., :-1]
+        moments = self._moments(parts.acting)[..., :-1]
         for there, force, link in self._acting():
             if link is not None:
                 forces.append((there, force, carried[link]))
@@ -127,35 +137,26 @@ class Felt:
             found.append(-total)
         return found
 
-    def _moments(self) -> Array:
-        """On each link of inertia, rotors and loads, (..., n + 1); the last on the ground."""
+    def _moments(self, part: Part) -> Array:
+        """On each link of inertia, rotors and `part`, (..., n + 1); the last on the ground."""
         mechanism = self.mechanism
         own = -(self.turning * self.bodies.inertia)
         moments = np.concatenate([own, np.zeros_like(own[..., :1])], axis=-1)
-        for rotor, back in zip(mechanism.rotors, self.spun, strict=True):
-            above = mechanism.parent[rotor.joint]
-            moments[..., -1 if above is None else above] += back
+        for spin, back in zip(mechanism.spins, self.spun, strict=True):
+            moments[..., -1 if spin.carrier is None else spin.carrier] += back
         for entry in mechanism.description.loads:
             if isinstance(entry, Moment):
                 moments[..., entry.link] += entry.torque
-        if mechanism.varying_moments:
-            values = np.moveaxis(self.rows(parts.loaded, "moments"), -1, 0)
-            for varying, value in zip(mechanism.varying_moments, values, strict=True):
-                moments[..., varying.link] += value
+        for couple, value in self.rows(part).moments:
+            moments[..., -1 if couple.link is None else couple.link] += value
         return moments
 
     def _acting(self) -> Iterator[tuple[Complex, Complex, int | None]]:
-        """The forces of springs and loads: where each acts, and on which link."""
-        mechanism = self.mechanism
-        if not (mechanism.springs or mechanism.forces):
-            return
-        acting = iter(np.moveaxis(self.rows(parts.acting, "forces"), -1, 0))
-        for spring, force in zip(mechanism.springs, acting, strict=False):
-            first, second = map(self._place, spring.ends)
-            yield first, force, spring.first
-            yield second, -force, spring.second
-        for given, force in zip(mechanism.forces, acting, strict=True):
-            yield self._place(given.point), force, given.link
+        """The forces of elements: where each acts, and on which link."""
+        for acting, force in self.rows(parts.acting).forces:
+            yield self._place(acting.at[0]), force, acting.at[1]
+            if acting.back is not None:
+                yield self._place(acting.back[0]), -force, acting.back[1]
 
     def _pinned(self, tree: Tree) -> Iterator[tuple[Complex, Complex, Array | float, int]]:
         """What closures do to the links of their sides: where, the force, the moment, the link."""
@@ -176,11 +177,10 @@ class Felt:
         force = self.load.sum(axis=-1)
         # moments on links that cannot turn are no load of the mechanism's, but of the ground's
         moment = _imaginary(self.place.conj() * self.load).sum(axis=-1)
-        moment = moment + self._moments().sum(axis=-1)
-        if self.mechanism.forces:
-            F = self.rows(parts.loaded, "forces")
-            points = [x.point for x in self.mechanism.forces]
-            arms = points_of(self.mechanism, points).place(self.at)
+        moment = moment + self._moments(parts.loaded).sum(axis=-1)
+        if loads := self.rows(parts.loaded).forces:
+            F = np.stack([value for _, value in loads], axis=-1)
+            arms = points_of(self.mechanism, [x.at[0] for x, _ in loads]).place(self.at)
             force = force + F.sum(axis=-1)
             moment = moment + _imaginary(arms.conj() * F).sum(axis=-1)
         return force.real, force.imag, moment
@@ -259,9 +259,14 @@ def _of_numbers(
     if lam is not None:
         pins, kept = pins_at(mechanism, lam, at.E), kept_moments(mechanism, lam)
 
-    def rows(part: Part, name: str) -> NDArray[Any]:
+    def rows(part: Part) -> Acts:
+        if not any(x.acts for x in mechanism.elements):
+            return Acts((), ())
         found = rows_of(part, mechanism)
-        return (found if name == "moments" else found.planar)(name, q, qd, t)
+        forces, couples = found.acting, found.couples
+        each = np.moveaxis(found.planar("forces", q, qd, t), -1, 0) if forces else ()
+        moments = np.moveaxis(found("moments", q, qd, t), -1, 0) if couples else ()
+        return Acts(list(zip(forces, each, strict=True)), list(zip(couples, moments, strict=True)))
 
     bent = at.accelerations(mechanism, xd, xdd)
     return Felt(mechanism, at, bent, xdd, joints, pins, kept, rows)
@@ -330,14 +335,14 @@ def bodies_of(mechanism: Mechanism) -> Bodies:
         above = mechanism.parent[k]
         if above is not None:
             carried[k] += carried[above]
-    spins = [mechanism.spins(rotor) for rotor in mechanism.rotors]
+    spins = [spin.rates for spin in mechanism.spins]
     return Bodies(
         mass=dense([mass for _, mass, _ in own], float),
         points=Points(*places_of(Tree(links), [point for _, _, point in own])),
         below=carried[[k for k, _, _ in own]],
         carried=carried,
         inertia=dense([link.I for link in links], float),
-        rotors=dense([rotor.inertia for rotor in mechanism.rotors], float),
+        rotors=dense([spin.inertia for spin in mechanism.spins], float),
         spins=dense([x.get(k, 0.0) for x in spins for k in range(n)], float).reshape(-1, n),
     )
 

@@ -24,8 +24,10 @@ from robodyn.dynamics import dynamics
 from robodyn.dynamics.closed_form import energies, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import joint_loads, responses
 from robodyn.dynamics.placed import finite
+from robodyn.elements.contacts import NEAR, Mode
+from robodyn.elements.joints import HardStop
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import NEAR, Mode, in_mode, moving_mode, pressed, resting_friction
+from robodyn.mechanics.modes import in_mode, moving_mode, pressed, resting_friction
 from robodyn.tables.arrays import Array
 
 AT_REST = 1e-12  # part of the fastest joint's rate below which a joint stands still
@@ -52,7 +54,7 @@ class Bounds(NamedTuple):
 
 def bounds(mechanism: Mechanism, joint: int, sides: Sequence[int]) -> Bounds:
     """Of a joint that touches the hard stops of these sides."""
-    friction = dict(mechanism.dry).get(joint)
+    friction = mechanism.dry.get(joint)
     most = 0.0 if friction is None else friction.static
     low = -math.inf if 1 in sides else -most
     high = math.inf if -1 in sides else most
@@ -63,7 +65,7 @@ def resting(mechanism: Mechanism, qd: ArrayLike) -> list[int]:
     """The joints with dry friction that stand still at the rates qd (n)."""
     rates = np.abs(np.asarray(qd, float))
     least = AT_REST * float(rates.max(initial=0.0))
-    return [joint for joint, _ in mechanism.dry if rates[joint] <= least]
+    return [joint for joint in mechanism.dry if rates[joint] <= least]
 
 
 def touching(mechanism: Mechanism, q: Array, qd: Array) -> list[tuple[int, int]]:
@@ -71,8 +73,7 @@ def touching(mechanism: Mechanism, q: Array, qd: Array) -> list[tuple[int, int]]
     least = AT_REST * float(np.abs(qd).max(initial=0.0))
     return [
         (joint, side)
-        for joint, stop in mechanism.limits
-        for side, end in (stop.ends if stop.restitution is not None else [])
+        for joint, side, end, _ in mechanism.of(HardStop)
         if abs(q[joint] - end) <= NEAR * max(1.0, abs(end)) and side * qd[joint] >= -least
     ]
 
@@ -114,7 +115,7 @@ def mode_at(
     for joint, side in touches:
         sides.setdefault(joint, []).append(side)
     still = sorted({*rests, *sides})
-    slips = {j: int(math.copysign(1.0, qd[j])) for j, _ in mechanism.dry if j not in still}
+    slips = {j: int(math.copysign(1.0, qd[j])) for j in mechanism.dry if j not in still}
     if pushing is None:
         pushing = pressed(mechanism, q.tolist(), qd.tolist())
     starts = dict(starting)
@@ -125,7 +126,7 @@ def mode_at(
         by = responses(mechanism, q, still)
         slack = SLACK * np.abs(by) @ load_sizes(free, q, qd, tau, t)
         starts = _starts(mechanism, qdd, slack, by[:, still], limits, starts)
-    slips |= {joint: way for joint, way in starts.items() if joint in dict(mechanism.dry)}
+    slips |= {joint: way for joint, way in starts.items() if joint in mechanism.dry}
     own = tuple(joint for joint in still if joint not in starts)
     mode = Mode(own, tuple(sorted(slips.items())), pushing)
     return Standing(mode._replace(held=independent(mechanism, own, q)), own)
@@ -157,7 +158,7 @@ def _starts(
     qdd (k) are their accelerations if nothing holds them, right but for `slack` (k).
     Friction that falls at once from what holds to what slips may let others start too.
     """
-    still, dry, starts = list(limits), dict(mechanism.dry), dict(starting)
+    still, dry, starts = list(limits), mechanism.dry, dict(starting)
     low, high = (np.array([getattr(limits[j], x) for j in still]) for x in ("low", "high"))
     while True:
         for k, joint in enumerate(still):
@@ -244,7 +245,7 @@ def stopped(
     none = AT_REST * np.abs(qd).max(initial=0.0)
     after[np.abs(after) <= none] = 0.0  # what rounding leaves
     least = np.maximum(STOPPED * np.abs(qd), none)
-    also = [j for j, _ in mechanism.dry if j not in joints and abs(after[j]) <= least[j]]
+    also = [j for j in mechanism.dry if j not in joints and abs(after[j]) <= least[j]]
     after[also] = 0.0
     return after, also
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+import re
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
+from robodyn.elements.contacts import End, Guard, Mode
 from robodyn.scene.scene import Signal
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, Term
+    from robodyn.mechanics.force_rows import Builder, Slot, Term
 
 STORED, SPENT = "stored", "spent"
 
@@ -31,8 +33,25 @@ class PlanarPoint(Record):
         return abs(self.constant) + sum(abs(c) for _, c in self.terms)
 
 
+Grip = tuple[PlanarPoint, int | None]  # a point, and the link (None: the ground) that it is of
+
+
+class PointForce(NamedTuple):
+    """A force of an element at a point, N: `unit` times the planar slot `force`, or `unit` itself.
+
+    What feels the opposite, if anything does, is `back`.
+    """
+
+    element: Element
+    unit: complex
+    force: Slot | None
+    at: Grip
+    back: Grip | None = None
+    square: Slot | None = None  # of the distance that gives its direction
+
+
 class NoDirection(ZeroDivisionError):
-    """The ends of the spring between points of this place coincide at every state."""
+    """The ends of the element of this name coincide at every state."""
 
 
 class Element(Record):
@@ -85,6 +104,14 @@ class Element(Record):
         """What it holds, J."""
         yield from ()
 
+    def kinetic(self, b: Builder) -> Iterator[Term]:
+        """What moves in it, J."""
+        yield from ()
+
+    def also(self) -> Iterable[Element]:
+        """Further elements that stand for it: a damper beside a spring, a rotor."""
+        return ()
+
     def stored(self) -> Element | None:
         """The part of it that has a potential."""
         return self if self.acts == STORED else None
@@ -96,6 +123,59 @@ class Element(Record):
     def untimed(self) -> Element | None:
         """What remains of it where nothing knows the time."""
         return self
+
+    # -- in modes ----------------------------------------------------------------------------------
+
+    @property
+    def contact(self) -> str:
+        """STICKS, HARD or COMPLIANT where it is a contact, which acts in modes alone."""
+        return ""
+
+    def in_mode(self, mode: Mode) -> Iterable[Element]:
+        """What stands for it where the mechanism is in a mode."""
+        return (self,)
+
+    def guards(self, mode: Mode, touches: Collection[End]) -> Iterator[Guard]:
+        """What ends a mode, where joints rest on the hard ends `touches`."""
+        yield from ()
+
+    # -- what others ask of it ---------------------------------------------------------------------
+
+    @property
+    def word(self) -> str:
+        """What its kind is called."""
+        return re.sub("(?<!^)(?=[A-Z])", " ", type(self).__name__).lower()
+
+    @property
+    def parted(self) -> PlanarPoint | None:
+        """The way between its ends, m, if its force has no limit where that vanishes."""
+        return None
+
+    @property
+    def free(self) -> float | None:
+        """Where its joint, whose turns count by it, is free of it, rad or m; None: they do not."""
+        return None
+
+    def gradual(self, rate: float) -> Element:
+        """It, if what it gives falls by that rate of its joint, rad/s or m/s, and not at once."""
+        return self
+
+    @property
+    def bend_rate(self) -> float | None:
+        """The rate of its joint, rad/s or m/s, about which it bends; None: it does not so."""
+        return None
+
+    @property
+    def bell(self) -> float | None:
+        """The width, rad/s or m/s, of a bell over the joint's rate beyond which it vanishes."""
+        return None
+
+
+def whole(elements: Iterable[Element]) -> Iterator[Element]:
+    """The elements, each followed by those that stand for it as well."""
+    for x in elements:
+        yield x
+        yield from whole(x.also())
 
 
 def conserves(law: Signal | None) -> bool:

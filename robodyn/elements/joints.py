@@ -9,13 +9,18 @@ the force along its axis where the joint slides.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterator
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from robodyn.elements.base import FRICTION, SLIPPING, SPENT, Element
+from robodyn.elements.contacts import COMPLIANT, HARD, STICKS, End, Guard, Mode
 from robodyn.elements.springs import JointDamper, JointSpring
+from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder
+    from robodyn.mechanics.force_rows import Builder, Term
+    from robodyn.tables.arrays import Array
 
 
 class SmoothFriction(Element):
@@ -37,6 +42,10 @@ class SmoothFriction(Element):
     def at(self) -> int:
         return self.joint
 
+    @property
+    def bend_rate(self) -> float:
+        return self.speed
+
     def rows(self, b: Builder) -> None:
         slow = b.sum((b.number(1.0 / self.speed), b.v(self.joint)))
         smooth = b.function("tanh", slow)
@@ -52,9 +61,38 @@ class DryFriction(Element):
     static: float
     stribeck: float | None = None  # rad/s, or m/s
 
-    def slipping(self, way: int) -> Slipping:
-        """What it is where its joint slips this way, 1 or -1."""
-        return Slipping(self.joint, self.torque, self.static, self.stribeck, way)
+    @property
+    def at(self) -> int:
+        return self.joint
+
+    @property
+    def contact(self) -> str:
+        return STICKS
+
+    @property
+    def bend_rate(self) -> float | None:
+        return self.stribeck
+
+    def in_mode(self, mode: Mode) -> Iterator[Slipping]:
+        for joint, way in mode.slips:
+            if joint == self.joint:
+                yield Slipping(self.joint, self.torque, self.static, self.stribeck, way)
+
+    def gradual(self, rate: float) -> DryFriction:
+        return self._replace(stribeck=self.stribeck or rate)
+
+    def guards(self, mode: Mode, touches: Collection[End]) -> Iterator[Guard]:
+        for joint, way in mode.slips:
+            if joint == self.joint:
+                yield Guard("slips", joint, way, partial(self._onward, way), self._rates)
+
+    def _onward(self, way: int, q: Array, qd: Array) -> Array:
+        """How fast its joint slips this way."""
+        return way * qd[:, self.joint]
+
+    def _rates(self, q: Array, qd: Array) -> Array:
+        total: Array = abs(qd).sum(axis=1)
+        return total
 
 
 class Slipping(Element):
@@ -78,6 +116,14 @@ class Slipping(Element):
     def at(self) -> int:
         return self.joint
 
+    @property
+    def bend_rate(self) -> float | None:
+        return self.stribeck
+
+    @property
+    def bell(self) -> float | None:
+        return self.stribeck
+
     def rows(self, b: Builder) -> None:
         j, way, number = self.joint, self.way, b.number
         b.constant_torque(j, -way * self.torque)
@@ -91,18 +137,13 @@ class Slipping(Element):
             b.bends(bell, more)
 
 
-class Stops(Element):
-    """Where a joint ends, rad or m: at compliant stops, at hard ones, or at no more than a limit.
-
-    They act in a mode alone: a compliant one that is pressed is a spring and a damper.
-    """
+class Range(Record):
+    """From where to where a joint goes, rad or m; None: on and on."""
 
     joint: int
     low: float | None
     high: float | None
-    stiffness: float | None = None  # N m/rad, or N/m
-    damping: float = 0.0  # N m s/rad, or N s/m
-    restitution: float | None = None
+    firm: bool = True  # whether nothing passes its ends: there is no compliant stop
 
     @property
     def ends(self) -> list[tuple[int, float]]:
@@ -110,11 +151,95 @@ class Stops(Element):
         sides = ((-1, self.low), (1, self.high))
         return [(side, end) for side, end in sides if end is not None]
 
-    def pressed(self, side: int) -> tuple[JointSpring, JointDamper]:
-        """What a compliant stop is where its joint presses it."""
-        assert self.stiffness is not None
-        spring = JointSpring(self.joint, self.stiffness, dict(self.ends)[side])
-        return spring, JointDamper(self.joint, self.damping)
+    def guards(self, touches: Collection[End]) -> Iterator[Guard]:
+        """Of each end that nothing passes, unless the joint rests on it."""
+        for side, end in self.ends if self.firm else ():
+            if (self.joint, side) not in touches:
+                inside, reach = partial(self._inside, side, end), partial(self._reach, end)
+                yield Guard("inside", self.joint, side, inside, reach)
+
+    def _inside(self, side: int, end: float, q: Array, qd: Array) -> Array:
+        return -side * (q[:, self.joint] - end)
+
+    def _reach(self, end: float, q: Array, qd: Array) -> Array:
+        return abs(q[:, self.joint]) + abs(end)
+
+
+class HardStop(Element):
+    """What throws a joint back at an end of its range: it acts in impacts, and as a row."""
+
+    joint: int
+    side: int  # -1: at the low end, 1: at the high one
+    end: float  # rad, or m
+    restitution: float
+
+    @property
+    def at(self) -> int:
+        return self.joint
+
+    @property
+    def contact(self) -> str:
+        return HARD
+
+    def in_mode(self, mode: Mode) -> Iterator[Element]:
+        yield from ()
+
+
+class CompliantStop(Element):
+    """A spring and a damper beyond an end of a joint's range, which push and never pull."""
+
+    joint: int
+    side: int  # -1: at the low end, 1: at the high one
+    end: float  # rad, or m
+    stiffness: float  # N m/rad, or N/m
+    damping: float  # N m s/rad, or N s/m
+
+    @property
+    def at(self) -> int:
+        return self.joint
+
+    @property
+    def contact(self) -> str:
+        return COMPLIANT
+
+    def in_mode(self, mode: Mode) -> Iterator[Element]:
+        if (self.joint, self.side) in mode.pressed:
+            yield JointSpring(self.joint, self.stiffness, self.end)
+            yield JointDamper(self.joint, self.damping)
+
+    def push(self, q: Any, qd: Any) -> Any:
+        """Its force over its stiffness, away from its side, rad or m, by q and qd of its joint.
+
+        As its spring and damper have it: below zero it would pull, and does not act.
+        """
+        return self.side * (q - self.end + self.damping / self.stiffness * qd)
+
+    def pushes(self, q: float, qd: float) -> bool:
+        """Whether its joint is beyond it, and no faster out than it follows."""
+        return self.side * (q - self.end) > 0.0 and self.push(q, qd) > 0.0
+
+    def guards(self, mode: Mode, touches: Collection[End]) -> Iterator[Guard]:
+        if (self.joint, self.side) in touches:
+            return
+        if (self.joint, self.side) in mode.pressed:
+            yield Guard("presses", self.joint, self.side, self._presses, self._reach)
+        else:
+            yield Guard("apart", self.joint, self.side, self._apart, self._reach)
+
+    def _presses(self, q: Array, qd: Array) -> Array:
+        push: Array = self.push(q[:, self.joint], qd[:, self.joint])
+        return push
+
+    def _apart(self, q: Array, qd: Array) -> Array:
+        """Inside of the end, or faster out than the stop follows."""
+        import numpy as np  # of a run, which has it
+
+        inside = -self.side * (q[:, self.joint] - self.end)
+        return np.asarray(np.maximum(-self._presses(q, qd), inside))
+
+    def _reach(self, q: Array, qd: Array) -> Array:
+        reach = abs(q[:, self.joint]) + abs(self.end)
+        return reach + self.damping / self.stiffness * abs(qd[:, self.joint])
 
 
 class Rotor(Element):
@@ -137,3 +262,14 @@ class Rotor(Element):
         if self.carrier is None:
             return (own,)
         return own, (self.carrier, 1.0 if self.slides else 1.0 - self.ratio)
+
+    @property
+    def at(self) -> int:
+        return self.joint
+
+    def rows(self, b: Builder) -> None:
+        b.rotor(self.joint, self.inertia, self.ratio, self.carrier)
+
+    def kinetic(self, b: Builder) -> Iterator[Term]:
+        half, spin = b.number(0.5 * self.inertia), b.spin(self.joint, self.ratio, self.carrier)
+        yield half, b.product(spin, spin)

@@ -1,7 +1,14 @@
 """The kinds of elements that a scene has."""
 
 from robodyn.elements.base import Element
-from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
+from robodyn.elements.joints import (
+    CompliantStop,
+    DryFriction,
+    HardStop,
+    Rotor,
+    Slipping,
+    SmoothFriction,
+)
 from robodyn.elements.loads import Force, VaryingMoment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 
@@ -14,6 +21,7 @@ KINDS: tuple[type[Element], ...] = (
     SmoothFriction,
     DryFriction,
     Slipping,
-    Stops,
+    HardStop,
+    CompliantStop,
     Rotor,
 )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element, PlanarPoint
+from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element, PlanarPoint, PointForce
 from robodyn.scene.scene import Law, Signal, Table
 
 if TYPE_CHECKING:
@@ -56,10 +56,9 @@ class Force(Element):
         return self._replace(parts=(x, y))
 
     def rows(self, b: Builder) -> None:
-        frame = b.mechanism.frames[self.link] if self.turns else None
+        E = b.direction(self.link) if self.turns else None  # without it it is among the weights
         if self.parts is None:
-            E = None if frame is None else b.x[frame]  # without it it is among the weights
-            b.force(self.point, self.force, E, self.link)
+            b.force(PointForce(self, self.force, E, (self.point, self.link)))
             if b.work and E is not None:
                 turned = b.planar_sum((b.planar_number(self.force), E))
                 b.works(1.0, b.inner(turned, b.rate(b.point(self.point))))
@@ -70,11 +69,11 @@ class Force(Element):
                 slot = b.signal(signal, self.point.reach)
             else:
                 slot = b.number_slot(signal)
-            if frame is not None:
-                slot = b.scaled(slot, b.x[frame])
+            if E is not None:
+                slot = b.scaled(slot, E)
             force.append((b.planar_number(unit), slot))
         acting = b.planar_sum(*force)
-        b.force(self.point, 1.0, acting, self.link)
+        b.force(PointForce(self, 1.0, acting, (self.point, self.link)))
         if b.work and self.point.terms:
             b.works(1.0, b.inner(acting, b.rate(b.point(self.point))))
 

@@ -23,6 +23,7 @@ from robodyn.elements.base import (
     Element,
     NoDirection,
     PlanarPoint,
+    PointForce,
     conserves,
 )
 from robodyn.scene.scene import Signal
@@ -44,9 +45,13 @@ class PointSpring(Element):
     law: Signal | None = None  # its pull, N, in place of the stiffness
 
     @property
-    def directed(self) -> bool:
-        """Whether its force has no limit where its ends meet."""
-        return bool((self.stiffness and self.length) or self.damping or self.law)
+    def word(self) -> str:
+        return "spring"
+
+    @property
+    def parted(self) -> PlanarPoint | None:
+        directed = (self.stiffness and self.length) or self.damping or self.law
+        return self.between if directed else None
 
     @property
     def acts(self) -> str:
@@ -87,8 +92,9 @@ class PointSpring(Element):
 
     def rows(self, b: Builder) -> None:
         place, number = self.between, b.number
-        if self.directed and not (place.terms or place.constant):
-            raise NoDirection(next(k for k, x in enumerate(b.mechanism.springs) if x is self))
+        directed = self.parted is not None
+        if directed and not (place.terms or place.constant):
+            raise NoDirection(b.mechanism.name_of(self))
         d = b.point(place)
         pull: list[Term] = []
         if self.law is not None:
@@ -98,7 +104,7 @@ class PointSpring(Element):
             pull.append((-1.0, b.quotient(tension, b.power_of(square, 0.5))))
             if b.work and place.terms and not conserves(self.law):
                 b.works(-1.0, b.product(tension, b.rate(longer)))
-        s = b.inner(d, d) if self.directed else None
+        s = b.inner(d, d) if directed else None
         if s is not None and self.length and self.stiffness:
             pull.append((number(self.stiffness * self.length), b.power_of(s, -0.5)))
         if s is not None and self.damping:
@@ -111,7 +117,8 @@ class PointSpring(Element):
         if pull:
             factor = b.sum(*pull, constant=number(-self.stiffness))
             unit, force = 1.0, b.scaled(factor, d)
-        b.force(place, unit, force, self.first, self.second, s)
+        first, second = zip(self.ends, (self.first, self.second), strict=True)
+        b.force(PointForce(self, unit, force, first, second, s), place)
         if pull and place.terms:
             b.bends_planar(force, place.reach)  # its parts stay finite where d passes 0
 
@@ -137,6 +144,10 @@ class JointSpring(Element):
     @property
     def at(self) -> int:
         return self.joint
+
+    @property
+    def free(self) -> float:
+        return self.angle
 
     @property
     def signals(self) -> tuple[Signal, ...]:
@@ -167,6 +178,10 @@ class JointDamper(Element):
 
     joint: int
     damping: float
+
+    @property
+    def at(self) -> int:
+        return self.joint
 
     @property
     def changes_energy(self) -> bool:

@@ -199,7 +199,7 @@ class Recorded:
         equations.write(driven, power, chained=chained)
         slots = [x for name in ("gap", "load", "power") for x in program.named.get(name, [])]
         signals = [*equations.tables, *equations.laws]
-        slots += [*equations.varying_moments, *(x for _, x in signals)]
+        slots += [*(x.torque for x in equations.couples), *(x for _, x in signals)]
         return Series(
             program,
             self.arithmetic,

@@ -11,6 +11,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robodyn.elements.base import Element, NoDirection, PointForce
 from robodyn.engines import straightline
 from robodyn.engines.arithmetic import Planar, planar_times
 from robodyn.engines.array_blocks import ArrayFormula
@@ -19,7 +20,8 @@ from robodyn.engines.formulas import Formula, Recorded, balance, energies
 from robodyn.engines.series import Series
 from robodyn.errors import SignalError
 from robodyn.mechanics import parts
-from robodyn.mechanics.force_rows import NoDirection
+from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.force_rows import LinkMoment
 from robodyn.mechanics.parts import no_direction
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import finite
@@ -60,10 +62,9 @@ class _Code:
 class RowValues:
     """The rows of a mechanism at states, by name.
 
-    "torques" (n) are what joints must carry, N m; "forces" (2p) those of springs between points
-    (on the first end), then of loads, x and y side by side, N;
-    "tables" are what they are over, "laws" what expressions are, "moments" the torques on links
-    that vary, N m; "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J and
+    "torques" (n) are what joints must carry, N m; "forces" (2p) those of `acting`, x and y side by
+    side, N; "moments" those of `couples`, N m; "tables" are what they are over, "laws" what
+    expressions are; "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J and
     "PE rate" (1) W.
     """
 
@@ -102,7 +103,8 @@ class RowValues:
         code.arrays.fill(states, (values, squares))
         lost = np.argwhere(squares == 0.0)
         if lost.size:
-            raise no_direction(self.mechanism, list(self._squares())[lost[0, -1]])
+            element, _ = self._squares()[lost[0, -1]]
+            raise no_direction(self.mechanism, self.mechanism.name_of(element))
         if self.mechanism.signals and name not in SIGNALS and not np.isfinite(values).all():
             self.check_signals(q, qd, t)
         return values.reshape(shape)
@@ -148,7 +150,7 @@ class RowValues:
 
     def _formula(self, name: str) -> Formula:
         rows = tuple(self.nodes(name))
-        squares = tuple(self._squares().values()) if name in DIRECTED else ()
+        squares = tuple(x for _, x in self._squares()) if name in DIRECTED else ()
         return Formula(self._recorded.inputs + self._recorded.timed, rows, squares)
 
     def nodes(self, name: str) -> Sequence[Value]:
@@ -165,9 +167,9 @@ class RowValues:
                 rates = enumerate(self._recorded.relative["qd"])
                 return slopes_by(self.nodes("PE"), {f"q{k}": {"t": x} for k, x in rates}, ["t"])
         real, named = self._series.real, self._series.program.named
-        equations = self._recorded.equations  # which has them written
+        equations = self._written
         given = {name: [x for _, x in getattr(equations, name)] for name in SIGNALS}
-        given["moments"] = equations.varying_moments
+        given["moments"] = [x.torque for x in equations.couples]
         if name in given:
             return [real[slot][0] for slot in given[name]]
         return [real[slot][0] for slot in named[name]] or [0.0]  # without power where none acts
@@ -175,27 +177,41 @@ class RowValues:
     @property
     def tables(self) -> list[tuple[Table, int]]:
         """Those that are asked for what they are over."""
-        return self._recorded.equations.tables
+        return self._written.tables
+
+    @property
+    def acting(self) -> list[PointForce]:
+        """The forces at points."""
+        return self._written.forces
+
+    @property
+    def couples(self) -> list[LinkMoment]:
+        """The torques on links."""
+        return self._written.couples
+
+    @property
+    def _written(self) -> EquationsOfMotion:
+        _, equations = self._series, self._recorded.equations  # the series has them written
+        return equations
 
     @cached_property
     def _series(self) -> Series:
         try:
             series = self._recorded.series([0.0] * self.mechanism.n, power=True)
-        except NoDirection as spring:
-            raise no_direction(self.mechanism, *spring.args) from None
+        except NoDirection as error:
+            raise no_direction(self.mechanism, *error.args) from None
         series.residuals(0)
         return series
 
     def _forces(self) -> Iterator[Planar]:
-        series = self._series  # which has the forces written
-        for unit, slot, *_ in self._recorded.equations.forces:
-            by = unit.real, unit.imag
-            yield by if slot is None else planar_times(by, series.ground(slot, 0))
+        for x in self.acting:
+            by = x.unit.real, x.unit.imag
+            yield by if x.force is None else planar_times(by, self._series.ground(x.force, 0))
 
-    def _squares(self) -> dict[int, Value]:
-        """|d|^2 of each spring that needs a direction, by its place."""
-        real, forces = self._series.real, enumerate(self._recorded.equations.forces)
-        return {k: real[x.square][0] for k, x in forces if x.square is not None}
+    def _squares(self) -> list[tuple[Element, Value]]:
+        """|d|^2 of each element that needs a direction."""
+        real = self._series.real
+        return [(x.element, real[x.square][0]) for x in self.acting if x.square is not None]
 
 
 def near_table_end(mechanism: Mechanism, t: float, y: Array) -> str:

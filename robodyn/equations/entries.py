@@ -55,10 +55,10 @@ class Entries:
             case "M":
                 K = self._series(A=named.A).matrix()
                 M = self._in_joints(name, [[row.get(k, 0.0) for k in joints] for row in K])
-                for rotor in named.rotors:
-                    spins = named.spins(rotor).items()
+                for spin in named.spins:
+                    spins = spin.rates.items()
                     for (a, x), (c, y) in product(spins, spins):
-                        M[a][c] = plus(M[a][c], times(rotor.inertia, times(x, y)))
+                        M[a][c] = plus(M[a][c], times(spin.inertia, times(x, y)))
                 return [[M[min(a, c)][max(a, c)] for c in joints] for a in joints]
             case "C":
                 series = self._series(A=named.A)

@@ -144,7 +144,7 @@ def contact_terms(
     """Dry friction in motion and compliant stops, with symbols for their numbers."""
     for j, friction in dry.items():
         link, unit = _joint(mechanism, j)
-        numbers = dict(mechanism.dry)[j]
+        numbers = mechanism.dry[j]
         text = "a*sign(v)" if friction.torque else ""
         if numbers.stribeck is not None and numbers.static > numbers.torque:
             text = "s*sign(v)*exp(-(v/w)**2)"

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
+from robodyn.elements.base import SPENT
+from robodyn.elements.contacts import COMPLIANT, STICKS
 from robodyn.equations.named_laws import SWITCHES, Definition, Formula
 from robodyn.equations.parameters import Parameter, Parameters
 from robodyn.errors import printable
@@ -126,7 +128,7 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
     acting = {
         "gravity": mechanism.gamma != 0.0,
         "springs": any(spring.stiffness for spring in springs) or any(map(conserves, laws)),
-        "loads": len(loads) > len(mechanism.forces) + len(mechanism.varying_moments),
+        "loads": len(loads) > sum(x.is_load for x in mechanism.elements),
     }
     potentials = [name for name, present in acting.items() if present]
     if potentials:
@@ -134,11 +136,8 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         if potentials != ["gravity"]:
             meaning = f"gradient of the potential energy ({', '.join(potentials)})"
         yield Head("left", "G", meaning, load, "vector")
-    acts: list[object] = [*mechanism.forces, *mechanism.varying_moments]
-    acts += [*mechanism.friction, *mechanism.dry]
-    acts += [stop for _, stop in mechanism.limits if stop.stiffness is not None]
-    acts += [law for law in laws if not conserves(law)]
-    if acts or any(spring.damping for spring in mechanism.springs):
+    spends = any(x.acts == SPENT or (x.acts and x.changes_energy) for x in mechanism.elements)
+    if spends or mechanism.contacts & {STICKS, COMPLIANT}:
         meaning = f"{unit('torques', 'forces')} of what has no potential"
         inputs = ("q", "qd", "t") if mechanism.timed else ("q", "qd")
         yield Head("right", "Q", meaning, load, "vector", inputs)

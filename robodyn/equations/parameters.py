@@ -85,6 +85,9 @@ class Parameters:
 
     def __init__(self, mechanism: Mechanism) -> None:
         description = self.description = mechanism.description
+        for x in mechanism.added:
+            limit = "equations have no symbols for it"
+            raise InputError(x.word, where=description.source, limit=limit)
         for place, signal in signals_of(description):
             if isinstance(signal, Table):
                 limit = "equations have expressions, no tables"

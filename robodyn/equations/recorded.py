@@ -13,6 +13,7 @@ from functools import partial
 from itertools import chain
 from typing import Any
 
+from robodyn.elements.base import NoDirection
 from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, Recorded
@@ -21,7 +22,6 @@ from robodyn.equations.named_laws import Formula, contact_terms
 from robodyn.equations.outline import Block, Equations, Head, heads, load_unit
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import Planar, Role, Sum
-from robodyn.mechanics.force_rows import NoDirection
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large, with_kept
 from robodyn.mechanics.parts import no_direction
 
@@ -67,8 +67,8 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
             raise OverflowError
     except OverflowError:
         raise too_large(mechanism.description) from None
-    except NoDirection as spring:
-        raise no_direction(mechanism, *spring.args) from None
+    except NoDirection as error:
+        raise no_direction(mechanism, *error.args) from None
     used = {str(node.args[0]) for node in nodes if node.op == "var"}
     return Equations(mechanism, tuple(found), parameters, used, numeric)
 

@@ -63,7 +63,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     mass or inertia, which MuJoCo refuses; AssemblyError where no pose is found that closes.
     """
     description = mechanism.description
-    refuse_unsaid(description, "MJCF", REASONS, SAID, _unsaid)
+    refuse_unsaid(mechanism, "MJCF", REASONS, SAID, _unsaid)
     for k, link in enumerate(description.links):
         for key, value in (("m", link.m), ("I", link.I)):
             if value < MINIMUM and (key == "m" or mechanism.frames[k] is not None):
@@ -126,17 +126,18 @@ class _Elements:
             self._couple(f"coupling{c + 1}", coupling)
         for p, spring in enumerate(description.springs):
             self._spring(f"spring{p + 1}", spring)
-        for k, stop in mechanism.limits:
-            if is_slack(stop):
+        for k, stop in enumerate(link.limits for link in self.links):
+            if stop is not None and is_slack(stop):
                 pushes = {
                     "springlength": joint_range(stop),
                     "stiffness": number(stop.stiffness or 0.0),
                 }
                 self._fixed(f"stop{k + 1}", [(k, 1.0)], pushes)
-        for rotor in mechanism.rotors:
-            if rotor.carrier is not None:  # else it is the armature of its joint
-                spins, inertia = mechanism.spins(rotor).items(), number(rotor.inertia)
-                self._fixed(f"rotor{rotor.joint + 1}", spins, {"armature": inertia})
+        for spin in mechanism.spins:
+            *_, k = spin.rates
+            if len(spin.rates) > 1:  # else it is the armature of its joint
+                has = {"armature": number(spin.inertia)}
+                self._fixed(f"rotor{k + 1}", spin.rates.items(), has)
         for k in mechanism.actuated:
             joint = self.names[k]
             SubElement(self.actuator, "motor", name=joint, joint=joint, gear="1")
@@ -180,9 +181,9 @@ class _Elements:
     def _turning(self, joint: int) -> dict[str, str]:
         """The dampers and springs of a joint; springs beside one another act as one."""
         found = {}
-        for rotor in self.mechanism.rotors:
-            if rotor.joint == joint and rotor.carrier is None:
-                found["armature"] = number(rotor.inertia * rotor.ratio**2)
+        for spin in self.mechanism.spins:
+            if spin.rates.keys() == {joint}:
+                found["armature"] = number(spin.inertia * spin.rates[joint] ** 2)
         if self.mechanism.damping[joint]:
             found["damping"] = number(self.mechanism.damping[joint])
         known = self.mechanism.joint_springs

@@ -35,7 +35,6 @@ import numpy as np
 
 from robodyn import __version__
 from robodyn.dynamics.closed_form import mass_matrix
-from robodyn.elements.joints import Stops
 from robodyn.equations.symbolic import Atom, Role, of, summed
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.mechanism import Mechanism
@@ -125,19 +124,22 @@ def comment(mechanism: Mechanism, joints: Iterable[str]) -> list[str]:
 
 
 def refuse_unsaid(
-    description: Description,
+    mechanism: Mechanism,
     format: str,
     reasons: Mapping[str, str],
     more: Collection[str] = (),
     unsaid: Callable[[str, Signal], str] | None = None,
 ) -> None:
-    """Raise InputError for what the scene names and the format is not made to say.
+    """Raise InputError for what acts, or the scene names, and the format is not made to say.
 
     What is said is listed, here and in `more` keys of the scene or of links; any other key is
     refused where it holds something, one that a later scene format adds too.  `reasons` tell why.
     `unsaid` tells why of what varies at a place; nothing where it is said; None: nothing is.
     Dry friction and ends of joints are told in notes, where they are not exact.
     """
+    description = mechanism.description
+    for x in mechanism.added:
+        raise InputError(x.word, where=mechanism.source, limit=f"{format} cannot say it")
     holders: list[tuple[str, Description | Link, frozenset[str]]] = [("", description, SCENE_SAID)]
     links = enumerate(description.links)
     holders += [(f"links[{k}] ({link.name}).", link, LINK_SAID) for k, link in links]
@@ -209,12 +211,12 @@ def joint_contacts(mechanism: Mechanism, joint: int, timestep: float) -> dict[st
     return found
 
 
-def is_slack(stop: Limits | Stops) -> bool:
+def is_slack(stop: Limits) -> bool:
     """Whether it is compliant without damping, so that a tendon slack between its ends is as it."""
     return stop.stiffness is not None and not stop.damping
 
 
-def joint_range(stop: Limits | Stops) -> str:
+def joint_range(stop: Limits) -> str:
     """From where to where a joint goes."""
     low = -FAR if stop.low is None else stop.low
     return f"{number(low)} {number(FAR if stop.high is None else stop.high)}"

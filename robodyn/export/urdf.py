@@ -43,8 +43,8 @@ def urdf(mechanism: Mechanism) -> str:
     cannot say: closures, springs, loads, smooth friction, rotors, and couplings of more than two
     joints.
     """
-    plain = [] if mechanism.rotors else ["motor"]  # a gear alone is no matter of dynamics
-    refuse_unsaid(mechanism.description, "URDF", REASONS, ["couplings", "limits", *plain])
+    plain = [] if mechanism.spins else ["motor"]  # a gear alone is no matter of dynamics
+    refuse_unsaid(mechanism, "URDF", REASONS, ["couplings", "limits", *plain])
     couplings = {coupling.joint: coupling for coupling in mechanism.description.couplings}
     for c, coupling in enumerate(mechanism.description.couplings):
         if len(coupling.terms) != 1 or coupling.terms[0][0] in couplings:

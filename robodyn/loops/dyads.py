@@ -74,7 +74,7 @@ def by_dyads(
             for k, root in enumerate(plan.turns_with):
                 if root == link:
                     alpha[..., k] += angle
-    free = {spring.joint: spring.angle for spring in mechanism.joint_springs}
+    free = {x.at: x.free for x in mechanism.elements if x.free is not None}
     for k in {k for step in plan.steps for k in step.unknown}:
         above, middle = mechanism.above[k], free.get(k, 0.0)
         relative = alpha[..., k] - (0.0 if above is None else alpha[..., above])

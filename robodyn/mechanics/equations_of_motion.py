@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from robodyn.elements.joints import Rotor
 from robodyn.mechanics.force_rows import Builder, PlanarTerm, Term
 from robodyn.mechanics.program import (
     Coefficient,
@@ -79,7 +78,7 @@ class EquationsOfMotion(Builder):
         self.work = work
         self._scene_forces()
         self._joints(torques, steady)
-        self._rotors()
+        self._spun()
         multipliers = self._closures()
         F = [
             program.add(PlanarSum(number(c), tuple(x)))
@@ -123,27 +122,8 @@ class EquationsOfMotion(Builder):
         moment = program.number(-mechanism.moments[k])
         return program.sum((1.0, turning), *self.moments[k], constant=moment)
 
-    def spin(self, rotor: Rotor) -> Slot:
-        """The rate of a rotor."""
-        program = self.program
-        terms: list[Term] = [(program.number(rotor.ratio), self.v(rotor.joint))]
-        if rotor.carrier is not None:
-            terms.append((1.0, self.w(rotor.carrier)))
-        return program.sum(*terms)
-
-    def _rotors(self) -> None:
-        """What the rotors do to the joints that they drive, and to the links that carry them."""
-        program = self.program
-        for rotor in self.mechanism.rotors:
-            k, d, bend = rotor.joint, rotor.carrier, program.add(Derivative(self.spin(rotor)))
-            terms: list[Term] = [(program.number(-rotor.inertia * rotor.ratio), bend)]
-            before = self.torques[k]
-            self.torques[k] = program.sum(*([] if before is None else [(1.0, before)]), *terms)
-            if d is not None:
-                self.moments[d].append((program.number(rotor.inertia), bend))
-
     def kinetic(self) -> Slot:
-        """1/2 sum of A_jj w_j^2, or A_jj |X_j'|^2, and of Re(conj(X_j') A_jk X_k')."""
+        """1/2 sum of A_jj w_j^2, or A_jj |X_j'|^2, of Re(conj(X_j') A_jk X_k'), and of elements."""
         program = self.program
         terms: list[Term] = []
         for j, k, value in self.mechanism.A:
@@ -154,9 +134,7 @@ class EquationsOfMotion(Builder):
             one, other = (self._moving(i) for i in (j, k))
             moved = program.planar_sum((program.planar_number(value), other))
             terms.append((1.0 if j != k else 0.5, program.add(Inner(one, moved))))
-        for rotor in self.mechanism.rotors:
-            half, spin = program.number(0.5 * rotor.inertia), self.spin(rotor)
-            terms.append((half, program.add(Product(spin, spin))))
+        terms += self.kinetic_energies()
         return program.sum(*terms)
 
     def _moving(self, k: int) -> Slot:

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from robodyn.elements.base import Element, PlanarPoint
-from robodyn.elements.base import NoDirection as NoDirection
+from robodyn.elements.base import Element, PlanarPoint, PointForce
 from robodyn.mechanics.link_rows import LinkRows
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import (
@@ -34,22 +33,19 @@ PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]
 
 
-class PointForce(NamedTuple):
-    """A force at points, N: `unit` times the planar slot `force`, or `unit` itself."""
+class LinkMoment(NamedTuple):
+    """A torque of an element on a link (None: the ground), N m."""
 
-    unit: complex
-    force: Slot | None
-    first: int | None  # the link that feels it, and the one that feels the opposite
-    second: int | None = None
-    square: Slot | None = None  # of the distance that gives its direction
+    link: int | None
+    torque: Slot
 
 
 class Builder(LinkRows):
     """What acts, of each force once.
 
-    `torques` (n) are all that acts at each joint, None where nothing does; `forces` the springs
-    between points, then the loads, as forces on links.  F, constants and moments (n each) gather
-    what acts on each link, `power` what changes the energy, with `work` alone.
+    `torques` (n) are all that acts at each joint, None where nothing does; `forces` and `couples`
+    what elements do to links.  F, constants and moments (n each) gather what acts on each link,
+    `power` what changes the energy, with `work` alone.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -57,7 +53,7 @@ class Builder(LinkRows):
         self.work = False
         self.torques: list[Slot | None] = [None] * mechanism.n
         self.forces: list[PointForce] = []
-        self.varying_moments: list[Slot] = []
+        self.couples: list[LinkMoment] = []
         self.tables: list[tuple[Table, Slot]] = []  # and what they are over
         self.laws: list[tuple[Law, Slot]] = []  # and what they are
         self.F: list[list[PlanarTerm]] = [[] for _ in self.x]
@@ -65,6 +61,7 @@ class Builder(LinkRows):
         self.moments: list[list[Term]] = [[] for _ in self.x]
         self.power: list[Term] = []
         self._acting: list[list[Term]] = [[] for _ in self.x]
+        self._rotors: list[tuple[int, int | None, float, float, Slot]] = []
         self._constant = [0.0] * mechanism.n
 
     # what elements write rows with
@@ -141,29 +138,33 @@ class Builder(LinkRows):
 
     # what elements do
 
-    def force(
-        self,
-        point: PlanarPoint,
-        unit: complex,
-        force: Slot | None,
-        first: int | None,
-        second: int | None = None,
-        square: Slot | None = None,
-    ) -> None:
-        """A force at a point, N: see `PointForce`."""
-        self.forces.append(PointForce(unit, force, first, second, square))
-        if force is not None and unit:
-            for k, c in point.terms:
-                self.F[k].append((self.planar_number(-c.conjugate() * unit), force))
+    def force(self, acting: PointForce, between: PlanarPoint | None = None) -> None:
+        """A force at a point, N; `between` is the way to there from what feels the opposite."""
+        self.forces.append(acting)
+        if acting.force is not None and acting.unit:
+            for k, c in (between or acting.at[0]).terms:
+                self.F[k].append((self.planar_number(-c.conjugate() * acting.unit), acting.force))
 
-    def moment(self, link: int, torque: Slot) -> None:
-        """A torque on a link, N m, which changes the energy."""
-        self.varying_moments.append(torque)
-        d = self.mechanism.frames[link]
+    def moment(self, link: int | None, torque: Slot, spends: bool = True) -> None:
+        """A torque on a link, N m; whether the energy changes by it."""
+        self.couples.append(LinkMoment(link, torque))
+        d = None if link is None else self.mechanism.frames[link]
         if d is not None:
             self.moments[d].append((-1.0, torque))
-            if self.work:
+            if spends and self.work:
                 self.works(1.0, self.product(torque, self.w(d)))
+
+    def spin(self, joint: int, ratio: float, carrier: int | None) -> Slot:
+        """w_carrier + ratio qd, the rate of a rotor at a joint, rad/s."""
+        terms: list[Term] = [(self.number(ratio), self.v(joint))]
+        if carrier is not None:
+            terms.append((1.0, self.w(carrier)))
+        return self.sum(*terms)
+
+    def rotor(self, joint: int, inertia: float, ratio: float, carrier: int | None) -> None:
+        """What a rotor does to the joint that drives it, and to the link that carries it."""
+        bend = self.rate(self.spin(joint, ratio, carrier))
+        self._rotors.append((joint, carrier, inertia, ratio, bend))
 
     def torque(self, joint: int, c: Coefficient, slot: Slot, spends: bool = True) -> None:
         """A torque c times `slot` at a joint, N m, or N; whether the energy changes by it."""
@@ -197,6 +198,11 @@ class Builder(LinkRows):
         for element in self.mechanism.elements:
             yield from element.energy(self)
 
+    def kinetic_energies(self) -> Iterator[Term]:
+        """What moves in them."""
+        for element in self.mechanism.elements:
+            yield from element.kinetic(self)
+
     def _scene_forces(self) -> None:
         on_links = (x for x in self.mechanism.elements if x.at is None and x.acts)
         for element in sorted(on_links, key=lambda x: x.rank):
@@ -220,3 +226,12 @@ class Builder(LinkRows):
             acting, constant = self._acting[j], self._constant[j]
             if acting or constant:
                 self.torques[j] = self.sum(*acting, constant=self.number(constant))
+
+    def _spun(self) -> None:
+        """What rotors do, beside all that acts at their joints."""
+        for k, d, inertia, ratio, bend in self._rotors:
+            before = self.torques[k]
+            own: list[Term] = [] if before is None else [(1.0, before)]
+            self.torques[k] = self.sum(*own, (self.number(-inertia * ratio), bend))
+            if d is not None:
+                self.moments[d].append((self.number(inertia), bend))

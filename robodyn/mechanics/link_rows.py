@@ -71,6 +71,11 @@ class LinkRows:
             return self.program.add(Given("t"))
         return self.v(int(name[2:])) if name.startswith("qd") else self.q(int(name[1:]))
 
+    def direction(self, link: int) -> Slot | None:
+        """E of a link; None: it is that of the ground, 1."""
+        frame = self.mechanism.frames[link]
+        return None if frame is None else self.x[frame]
+
     def point(self, point: PlanarPoint) -> Slot:
         """A point of the mechanism."""
         number = self.program.planar_number

@@ -31,7 +31,14 @@ from pathlib import Path
 from typing import Any
 
 from robodyn.elements.base import Element
-from robodyn.elements.joints import DryFriction, Rotor, SmoothFriction, Stops
+from robodyn.elements.joints import (
+    CompliantStop,
+    DryFriction,
+    HardStop,
+    Range,
+    Rotor,
+    SmoothFriction,
+)
 from robodyn.elements.loads import Force, VaryingMoment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import InputError
@@ -74,7 +81,7 @@ def build(description: Description) -> Mechanism:
         numbers = [*mechanism.B, *mechanism.weights, *largest(Tree(description.links))]
         numbers += [mechanism.energy_offset, *(row.offset for row in mechanism.rows)]
         numbers += mechanism.damping
-        numbers += [x.inertia * x.ratio * x.ratio for x in mechanism.rotors]
+        numbers += [x.inertia * c * c for x in mechanism.spins for c in x.rates.values()]
     except OverflowError:
         raise too_large(description) from None
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
@@ -138,6 +145,7 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
         weights=tuple(weights),
         moments=tuple(moments),
         elements=OnDemand(_elements, tree, description, forces),
+        ranges=tuple(_ranges(description)),
         slides=tuple(k for k, link in enumerate(links) if link.slides),
         frames=tuple(tree.frames),
         unit=tree.unit,
@@ -228,9 +236,26 @@ def _elements(tree: Tree, description: Description, forces: Sequence[Load]) -> I
             yield SmoothFriction(k, *rubs)
         if isinstance(rubs, described.DryFriction) and rubs.static:
             yield DryFriction(k, *rubs)
-        if link.limits is not None:
-            yield Stops(k, *link.limits)
+    yield from _stops(description)
     yield from _rotors(tree)
+
+
+def _ranges(description: Description) -> Iterator[Range]:
+    for k, link in enumerate(description.links):
+        if link.limits is not None:
+            yield Range(k, link.limits.low, link.limits.high, link.limits.stiffness is None)
+
+
+def _stops(description: Description) -> Iterator[Element]:
+    """A stop for each end of a range where the scene says what happens."""
+    for place in _ranges(description):
+        stop = description.links[place.joint].limits
+        assert stop is not None
+        for side, end in place.ends:
+            if stop.stiffness is not None:
+                yield CompliantStop(place.joint, side, end, stop.stiffness, stop.damping)
+            elif stop.restitution is not None:
+                yield HardStop(place.joint, side, end, stop.restitution)
 
 
 def _rotors(tree: Tree) -> Iterator[Rotor]:

@@ -8,12 +8,13 @@ holds it.  The mechanism in a mode is one like any other, and every engine serve
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from robodyn.elements.joints import DryFriction, Slipping, Stops
+from robodyn.elements.contacts import COMPLIANT, NEAR, End, Mode
+from robodyn.elements.joints import CompliantStop
 from robodyn.mechanics.loop_rows import coupling_rows
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Coupling, Link, Point
@@ -21,18 +22,7 @@ from robodyn.scene.scene import Coupling, Link, Point
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-NEAR = 1e-12  # rad or m, or part of where it is: so near to an end a joint touches it
-
 BELL = 6.0  # widths of a bell, beyond which it is zero to rounding
-
-
-class Mode(NamedTuple):
-    """Which joints are held, which slip and which way, which press the stop of which side."""
-
-    held: tuple[int, ...] = ()
-    slips: tuple[tuple[int, int], ...] = ()
-    pressed: tuple[tuple[int, int], ...] = ()
-    stands: bool = False  # nothing can move, and the mechanism is `_standing`
 
 
 @lru_cache(maxsize=256)
@@ -40,14 +30,16 @@ def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
     """The mechanism in a mode; the rows of what is held follow its own."""
     if mode.stands:
         return _standing(mechanism)
-    dry, limits = dict(mechanism.dry), dict(mechanism.limits)
     description = mechanism.description
     held = description._replace(couplings=tuple(Coupling(k, (), 0.0) for k in mode.held))
     rows = [row._replace(held=True) for row in (coupling_rows(held) if mode.held else ())]
-    acting = [x for x in mechanism.elements if not isinstance(x, (DryFriction, Slipping, Stops))]
-    acting += [x for joint, side in mode.pressed for x in limits[joint].pressed(side)]
-    acting += [dry[joint].slipping(way) for joint, way in mode.slips]
-    return replace(mechanism, rows=mechanism.rows + tuple(rows), elements=tuple(acting))
+    return replace(
+        mechanism,
+        rows=mechanism.rows + tuple(rows),
+        elements=tuple(part for x in mechanism.elements for part in x.in_mode(mode)),
+        ranges=(),
+        mode=mode,
+    )
 
 
 def _standing(mechanism: Mechanism) -> Mechanism:
@@ -72,29 +64,29 @@ def _standing(mechanism: Mechanism) -> Mechanism:
         couplings=tuple(Coupling(k, (), 0.0) for k in range(mechanism.n)),
     )
     made = build(joints)
-    return replace(made, rows=tuple(row._replace(held=True) for row in made.rows))
+    rows = tuple(row._replace(held=True) for row in made.rows)
+    return replace(made, rows=rows, mode=Mode(stands=True))
 
 
-def pushes(stop: Stops, side: int, q: Any, qd: Any) -> Any:
-    """The force of a compliant stop over its stiffness, away from its side, rad or m.
-
-    As its spring and damper have it: below zero it would pull, and does not act.
-    """
-    assert stop.stiffness is not None
-    return side * (q - dict(stop.ends)[side] + stop.damping / stop.stiffness * qd)
-
-
-def pressed(
-    mechanism: Mechanism, q: Sequence[float], qd: Sequence[float]
-) -> tuple[tuple[int, int], ...]:
+def pressed(mechanism: Mechanism, q: Sequence[float], qd: Sequence[float]) -> tuple[End, ...]:
     """The compliant stops that push in a state: of joints beyond them, and no faster out."""
-    found = []
-    for joint, stop in mechanism.limits:
-        for side, end in stop.ends if stop.stiffness is not None else []:
-            beyond = side * (q[joint] - end) > 0.0
-            if beyond and pushes(stop, side, q[joint], qd[joint]) > 0.0:
-                found.append((joint, side))
-    return tuple(found)
+    if COMPLIANT not in mechanism.contacts:
+        return ()
+    stops = mechanism.of(CompliantStop)
+    return tuple((x.joint, x.side) for x in stops if x.pushes(q[x.joint], qd[x.joint]))
+
+
+def pushes(
+    mechanism: Mechanism, mode: Mode, q: NDArray[Any], qd: NDArray[Any]
+) -> Iterator[tuple[int, NDArray[Any]]]:
+    """The joints that press compliant stops in a mode, and the forces (k,) of the stops on them.
+
+    The states q, qd are (k, n); a force is N m, or N, and counts towards larger q.
+    """
+    for stop in mechanism.of(CompliantStop):
+        if (stop.joint, stop.side) in mode.pressed:
+            push = stop.push(q[:, stop.joint], qd[:, stop.joint])
+            yield stop.joint, -stop.side * stop.stiffness * push
 
 
 def beyond(
@@ -106,13 +98,11 @@ def beyond(
     limits of both sides where it is so but for whole turns.
     """
     found = []
-    for joint, stop in mechanism.limits:
-        if stop.stiffness is not None:
-            continue
-        for side, end in stop.ends:
+    for joint, ends in ((x.joint, x.ends) for x in mechanism.ranges if x.firm):
+        for side, end in ends:
             way = side * (q[joint] - end)
-            if turns and joint not in mechanism.slides and len(stop.ends) == 2 and way > 0.0:
-                range_ = stop.ends[1][1] - stop.ends[0][1]
+            if turns and joint not in mechanism.slides and len(ends) == 2 and way > 0.0:
+                range_ = ends[1][1] - ends[0][1]
                 way = -1.0 if -way % math.tau <= range_ + NEAR else way
             if way > NEAR * max(1.0, abs(end)):
                 found.append((joint, side, end))
@@ -126,7 +116,7 @@ def end_word(side: int) -> str:
 
 def resting_friction(mechanism: Mechanism, qd: NDArray[Any], qdd: NDArray[Any]) -> bool:
     """Whether in any of the motions (k, n) a joint with dry friction stays at rest."""
-    joints = [joint for joint, _ in mechanism.dry]
+    joints = list(mechanism.dry)
     return bool(((qd[:, joints] == 0.0) & (qdd[:, joints] == 0.0)).any())
 
 
@@ -137,7 +127,7 @@ def moving_mode(
 
     A joint that neither moves nor starts has no friction here: all within what it holds is right.
     """
-    ways = ((j, qd[j] or qdd[j]) for j, _ in mechanism.dry)
+    ways = ((j, qd[j] or qdd[j]) for j in mechanism.dry)
     slips = tuple((j, 1 if way > 0.0 else -1) for j, way in ways if way)
     return Mode((), slips, pressed(mechanism, q, qd))
 
@@ -147,15 +137,13 @@ def falls_over(
 ) -> bool:
     """Whether friction that falls with the rate may rise and fall between two states (q, qd, ...).
 
-    Its bell exp(-(v/stribeck)^2) and all derivatives vanish where v is some times `stribeck`: no
+    Its bell exp(-(v/width)^2) and all derivatives vanish where v is some times the width: no
     method sees from there that it comes.  The states are h (s) apart, and v in the middle is what
     Simpson's rule makes of the way between them: it may turn round there.
     """
     n = mechanism.n
-    for joint, friction, _ in mechanism.slips:
-        v, then, width = before[n + joint], after[n + joint], friction.stribeck
-        if width is None:
-            continue
+    for joint, width in mechanism.bells:
+        v, then = before[n + joint], after[n + joint]
         for there in (then, 1.5 * (after[joint] - before[joint]) / h - 0.25 * (v + then)):
             if abs(there - v) > max(0.5 * abs(v), width):
                 nearest = min(abs(v), abs(there)) if v * there > 0.0 else 0.0

@@ -27,6 +27,7 @@ def bare(mechanism: Mechanism, elements: Iterable[Element | None] = ()) -> Mecha
         weights=zero,
         moments=zero,
         energy_offset=0.0,
+        ranges=(),
         elements=tuple(x for x in elements if x is not None),
     )
 
@@ -60,18 +61,17 @@ def acting(mechanism: Mechanism) -> Mechanism:
 
 
 def met_ends(mechanism: Mechanism, q: Sequence[Any], exp: Callable[[Any], Any]) -> dict[int, Any]:
-    """Return whether the ends of each spring that needs a direction meet within rounding.
+    """Return whether the ends of each element that needs a direction meet within rounding.
 
-    Keys are places among the springs.  The n values of `q` are floats or arrays, and `exp` is the
+    Keys are places among the elements.  The n values of `q` are floats or arrays, and `exp` is the
     complex exponential of them.  Ends that are apart by less than NOTHING of the lengths which lead
     from one to the other meet.
     """
-    directed = {k: x.between for k, x in enumerate(mechanism.springs) if x.directed}
     x, met = list(q), {}
-    for k in mechanism.order if directed else ():
+    for k in mechanism.order if mechanism.parted else ():
         if (above := mechanism.above[k]) is not None:
             x[k] = x[k] + x[above]
-    for place, between in directed.items():
+    for place, between in mechanism.parted:
         apart, lengths = between.constant, abs(between.constant)
         for k, c in between.terms:
             turned = mechanism.frames[k]
@@ -82,10 +82,10 @@ def met_ends(mechanism: Mechanism, q: Sequence[Any], exp: Callable[[Any], Any]) 
     return met
 
 
-def no_direction(mechanism: Mechanism, spring: int) -> SingularPoseError:
-    """The error of a spring between points whose ends coincide."""
+def no_direction(mechanism: Mechanism, name: str) -> SingularPoseError:
+    """The error of the element of this name (`Mechanism.name_of`), whose ends coincide."""
     return SingularPoseError(
-        f"the ends of spring {spring + 1} between two points coincide",
+        f"the ends of {name} between two points coincide",
         where=mechanism.source,
         limit="its force has no direction there; only length 0 without damping allows that",
     )

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from robodyn.elements.base import Element
+from robodyn.elements.base import Element, whole
 from robodyn.elements.base import PlanarPoint as PlanarPoint
 from robodyn.elements.base import conserves as conserves
-from robodyn.elements.joints import DryFriction, Rotor, Slipping, SmoothFriction, Stops
-from robodyn.elements.kinds import KINDS
-from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.contacts import Mode
+from robodyn.elements.joints import DryFriction, Range, Rotor
+from robodyn.elements.loads import Force
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
@@ -32,6 +32,15 @@ if TYPE_CHECKING:
 
 
 Kind = TypeVar("Kind", bound=Element)
+
+
+class Spin(NamedTuple):
+    """What spins beside the links, a rotor: M has inertia r r^T more."""
+
+    inertia: float  # kg m^2
+    carrier: int | None  # the link on which it sits; None: the ground
+    rates: Mapping[int, float]  # r in joints: its rate is the sum of coefficients times qd
+    terms: Sequence[tuple[int, float]]  # r in x
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,6 +72,9 @@ class Mechanism:
     weights: tuple[complex, ...]  # of gravity and constant forces, N m
     moments: tuple[float, ...]  # constant torques on links, N m
     elements: Sequence[Element] = ()  # all that acts but weights and constant moments
+    added: tuple[Element, ...] = ()  # those that the description does not have, in no mode
+    ranges: tuple[Range, ...] = ()  # from where to where joints go, of those that have ends
+    mode: Mode | None = None  # whose equations its own are; None: it has none, or may change it
     slides: tuple[int, ...] = ()  # the joints that are prismatic
     frames: tuple[int | None, ...] = ()  # of each link whose E it has; None: the ground's, 1
     unit: float = 1.0  # length that displacements are compared with angles by, m
@@ -71,15 +83,15 @@ class Mechanism:
         """The elements of a kind, in their order."""
         return tuple(x for x in self.elements if isinstance(x, kind))
 
-    @property
-    def added(self) -> tuple[Element, ...]:
-        """Elements of kinds that no scene has: a description does not give them."""
-        return tuple(x for x in self.elements if type(x) not in KINDS)
+    def name_of(self, element: Element) -> str:
+        """What one of the elements is called: its kind, and its number among those from 1."""
+        alike = (x for x in self.elements if x.word == element.word)
+        return f"{element.word} {next(k for k, x in enumerate(alike, start=1) if x is element)}"
 
-    def exchanged(self, new: Mapping[type[Element], Sequence[Element]]) -> Mechanism:
-        """The same with other elements of these kinds."""
-        kept = [x for x in self.elements if not isinstance(x, tuple(new))]
-        return replace(self, elements=(*kept, *(x for entries in new.values() for x in entries)))
+    def with_added(self, *elements: Element) -> Mechanism:
+        """The same with these too, and with the elements that stand for each of them."""
+        more = tuple(whole(elements))
+        return replace(self, elements=(*self.elements, *more), added=(*self.added, *more))
 
     @cached_property
     def damping(self) -> tuple[float, ...]:
@@ -106,34 +118,41 @@ class Mechanism:
         return self.of(Force)
 
     @cached_property
-    def varying_moments(self) -> tuple[VaryingMoment, ...]:
-        """The torques on links that vary."""
-        return self.of(VaryingMoment)
+    def dry(self) -> dict[int, DryFriction]:
+        """Friction that sticks, by joint: see `modes.py`."""
+        return {x.joint: x for x in self.of(DryFriction)}
 
     @cached_property
-    def friction(self) -> tuple[tuple[int, SmoothFriction], ...]:
-        """Smooth friction, each with its joint."""
-        return tuple((x.joint, x) for x in self.of(SmoothFriction))
+    def contacts(self) -> frozenset[str]:
+        """Which of STICKS, HARD and COMPLIANT it has (`elements/contacts.py`)."""
+        return frozenset(x.contact for x in self.elements if x.contact)
 
     @cached_property
-    def dry(self) -> tuple[tuple[int, DryFriction], ...]:
-        """Friction that sticks, each with its joint: see `modes.py`."""
-        return tuple((x.joint, x) for x in self.of(DryFriction))
+    def parted(self) -> tuple[tuple[int, PlanarPoint], ...]:
+        """Places of elements, and the ways between their ends that must not vanish, m."""
+        each = ((place, x.parted) for place, x in enumerate(self.elements))
+        return tuple((place, between) for place, between in each if between is not None)
 
     @cached_property
-    def slips(self) -> tuple[tuple[int, Slipping, int], ...]:
-        """Joints that slip, and which way."""
-        return tuple((x.joint, x, x.way) for x in self.of(Slipping))
+    def stores(self) -> bool:
+        """Whether elements have a potential."""
+        return any(x.stored() is not None for x in self.elements)
 
     @cached_property
-    def limits(self) -> tuple[tuple[int, Stops], ...]:
-        """Ends of joints: see `modes.py`."""
-        return tuple((x.joint, x) for x in self.of(Stops))
+    def bells(self) -> tuple[tuple[int, float], ...]:
+        """Joints, and the widths of what rises and falls with their rates (`Element.bell`)."""
+        each = ((x.at, x.bell) for x in self.elements)
+        return tuple((k, width) for k, width in each if k is not None and width is not None)
 
     @cached_property
-    def rotors(self) -> tuple[Rotor, ...]:
-        """Those with inertia."""
-        return self.of(Rotor)
+    def spins(self) -> tuple[Spin, ...]:
+        """What spins beside the links."""
+        found = []
+        for x in self.of(Rotor):
+            carried = [] if x.carrier is None else self.turns_by(x.carrier)
+            rates = dict.fromkeys(carried, 1.0) | {x.joint: x.ratio}
+            found.append(Spin(x.inertia, self.parent[x.joint], rates, x.spin))
+        return tuple(found)
 
     @cached_property
     def above(self) -> tuple[int | None, ...]:
@@ -189,15 +208,10 @@ class Mechanism:
     def inertias(self) -> dict[int, float]:
         """Of each coordinate what its own acceleration takes, kg m^2, or kg; zeros left out."""
         found = {j: float(value.real) for j, k, value in self.A if j == k}
-        for rotor in self.rotors:
-            for k, c in rotor.spin:
-                found[k] = found.get(k, 0.0) + rotor.inertia * c * c
+        for spin in self.spins:
+            for k, c in spin.terms:
+                found[k] = found.get(k, 0.0) + spin.inertia * c * c
         return {k: value for k, value in found.items() if value > 0.0}
-
-    def spins(self, rotor: Rotor) -> dict[int, float]:
-        """r in joints: a rotor's rate is the sum of coefficients times qd."""
-        carried = [] if rotor.carrier is None else self.turns_by(rotor.carrier)
-        return dict.fromkeys(carried, 1.0) | {rotor.joint: rotor.ratio}
 
     @cached_property
     def has_state_forces(self) -> bool:
@@ -212,18 +226,12 @@ class Mechanism:
     @cached_property
     def switches(self) -> bool:
         """Whether its equations of motion change on the way: dry friction, ends of joints."""
-        return bool(self.dry or self.limits)
+        return bool(self.contacts or self.ranges)
 
     @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """All laws, expressions and tables of springs and loads."""
         return tuple(signal for x in self.elements for signal in x.signals)
-
-    @cached_property
-    def laws(self) -> list[Signal]:
-        """Those of springs."""
-        laws = [*(x.law for x in self.springs), *(x.law for x in self.joint_springs)]
-        return [law for law in laws if law is not None]
 
     @cached_property
     def has_tables(self) -> bool:
@@ -271,8 +279,8 @@ class Mechanism:
             "inertias",
             "signals",
         )
-        made += ("damping", "springs", "joint_springs", "forces", "varying_moments")
-        made += ("friction", "dry", "slips", "limits", "rotors")
+        made += ("damping", "springs", "joint_springs", "forces")
+        made += ("dry", "contacts", "parted", "bells", "spins")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 
@@ -319,9 +327,9 @@ def _arrays(mechanism: Mechanism) -> Arrays:
             P[row, k] = coefficient
         for k, turn in entry.angles:
             angles[row, k] = turn
-    spins = np.zeros((len(mechanism.rotors), n))
-    for i, rotor in enumerate(mechanism.rotors):
-        for k, c in mechanism.spins(rotor).items():
+    spins = np.zeros((len(mechanism.spins), n))
+    for i, spin in enumerate(mechanism.spins):
+        for k, c in spin.rates.items():
             spins[i, k] = c
     arrays = Arrays(
         A=A,
@@ -335,7 +343,7 @@ def _arrays(mechanism: Mechanism) -> Arrays:
         damping=np.array(mechanism.damping, float),
         weights=np.array(mechanism.weights, complex),
         moments=np.array(mechanism.moments, float),
-        rotors=np.array([rotor.inertia for rotor in mechanism.rotors], float),
+        rotors=np.array([spin.inertia for spin in mechanism.spins], float),
         spins=spins,
     )
     for array in arrays:

@@ -34,7 +34,7 @@ from robodyn.dynamics.dynamics import pins_at
 from robodyn.dynamics.named_numbers import with_variables
 from robodyn.dynamics.named_points import NamedPoint, named_points
 from robodyn.dynamics.placed import Placed
-from robodyn.dynamics.reaction_forces import Felt, Part
+from robodyn.dynamics.reaction_forces import Acts, Felt, Part
 from robodyn.dynamics.transmission import ratio_named, transmission_loops, turn_between
 from robodyn.engines import expression
 from robodyn.engines.array_blocks import ArrayFormula
@@ -135,12 +135,14 @@ class ColumnFormulas:
         xdd, qdd, moments = (np.array(values, object) for values in each)
         return Felt(self.named, at, bent, xdd, qdd, pins, moments, self._rows)
 
-    def _rows(self, part: Part, name: str) -> NDArray[Any]:
+    def _rows(self, part: Part) -> Acts:
         """What acts, from the rows of its program."""
-        found: Sequence[Any] = RowValues(part(self.named), self.graph).nodes(name)
-        if name != "moments":
-            found = [Planar(x, y) for x, y in zip(found[::2], found[1::2], strict=True)]
-        return np.array(found, object)
+        rows = RowValues(part(self.named), self.graph)
+        forces, couples = rows.acting, rows.couples
+        parts = rows.nodes("forces") if forces else []
+        each = [Planar(x, y) for x, y in zip(parts[::2], parts[1::2], strict=True)]
+        moments = rows.nodes("moments") if couples else []
+        return Acts(list(zip(forces, each, strict=True)), list(zip(couples, moments, strict=True)))
 
     @cached_property
     def loop_forces(self) -> list[Value]:

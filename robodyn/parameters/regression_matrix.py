@@ -31,8 +31,7 @@ from robodyn.dynamics.dynamics import PIVOT_CUT
 from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.dynamics.placed import check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
-from robodyn.elements.joints import DryFriction, Slipping, Stops
-from robodyn.elements.springs import JointDamper, JointSpring
+from robodyn.elements.springs import JointDamper
 from robodyn.engines.batches import FormulaBatches
 from robodyn.engines.expression import Graph, Value, slopes_by, substituted
 from robodyn.engines.formulas import Formula, Recorded, balance, inverse_of, written
@@ -57,10 +56,16 @@ class Parameter(NamedTuple):
     unit: str
 
 
-def linear_parameters(description: Description) -> tuple[Parameter, ...]:
-    """Those of a scene, with their values there, link by link, then the springs'."""
+def linear_parameters(
+    description: Description, damping: Sequence[float] | None = None
+) -> tuple[Parameter, ...]:
+    """Those of a scene, with their values there, link by link, then the springs'.
+
+    `damping` (n) are the dampers at joints, if the mechanism has others than its scene.
+    """
     found: list[Parameter] = []
-    links, damping = description.links, joint_damping(description)
+    links = description.links
+    damping = joint_damping(description) if damping is None else damping
     for k, (m, first, J) in enumerate(zip(*bodies(links), strict=True)):
         link, i = links[k], k + 1
         force, rate = ("N", "s/m") if link.slides else ("N m", "s/rad")
@@ -96,7 +101,7 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
     def damped(entry: Any, **others: Any) -> Any:
         return entry and entry._replace(damping=0.0, **others)
 
-    links, springs, slips = [], [], []
+    links, springs = [], []
     for i, link in enumerate(base.links, start=1):
         friction, motor = link.friction, link.motor
         if friction is not None:
@@ -104,11 +109,6 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
         if isinstance(friction, described.DryFriction):
             static = values.get(f"fs{i}", friction.torque)
             friction = friction._replace(static=static)
-            slips += [
-                Slipping(k, friction.torque, static, friction.stribeck, way)
-                for k, _, way in mechanism.slips
-                if k == i - 1
-            ]
         motor = damped(motor, inertia=values.get(f"Jr{i}"))
         links.append(link._replace(damping=values[f"d{i}"], friction=friction, motor=motor))
     for i, spring in enumerate(base.springs, start=1):
@@ -120,26 +120,11 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
     own = Bodies(m, [Planar(x, y) for x, y in zip(mx, my, strict=True)], J)  # type: ignore[misc]
     scene = base._replace(links=tuple(links), springs=tuple(springs))
     made = constants(with_formulas(scene), own)
-    stops = zip(made.damping, mechanism.damping, joint_damping(base), strict=True)
-    pressed = mechanism.joint_springs[_kept(base) :]
-    dampers = [JointDamper(k, d + (now - plain)) for k, (d, now, plain) in enumerate(stops)]
-    exchanged = made.exchanged(
-        {
-            JointDamper: dampers,
-            JointSpring: (*made.joint_springs, *pressed),
-            Slipping: slips,
-            DryFriction: (),
-            Stops: (),
-        }
-    )
-    elements = (*exchanged.elements, *mechanism.added)
-    return replace(exchanged, elements=elements, actuated=mechanism.actuated, rows=mechanism.rows)
-
-
-def _kept(description: Description) -> int:
-    """How many springs at joints a mechanism has of its scene; those of stops follow."""
-    springs = (x for x in description.springs if isinstance(x, described.JointSpring))
-    return sum(bool(x.stiffness or x.law) for x in springs)
+    more = (x for x in mechanism.added if not isinstance(x, JointDamper))  # d_k has all dampers
+    made = replace(made, elements=(*made.elements, *more))
+    if mechanism.mode is not None:
+        made = in_mode(made, mechanism.mode)
+    return replace(made, actuated=mechanism.actuated, rows=mechanism.rows)
 
 
 def with_formulas(value: Any) -> Any:
@@ -179,7 +164,7 @@ def regressor(
         finite(name, array)
     shape, times = states["q"].shape[:-1], times_of(t, states["q"]).ravel()
     flat = {name: array.reshape(-1, mechanism.n) for name, array in states.items()}
-    parameters = linear_parameters(mechanism.description)
+    parameters = linear_parameters(mechanism.description, mechanism.damping)
     a, p = len(mechanism.actuated), len(parameters)
     if mechanism.switches:
         Y, known = np.empty((len(times), a * p)), np.empty((len(times), a))
@@ -205,7 +190,7 @@ def rows_at_rest(
     rates = np.abs(together(mechanism, named)["qd"])
     slow = rates <= (RESTS * rates.max(axis=0, initial=0.0) if rest is None else rest)
     found = np.zeros((len(rates), len(joints)), bool)
-    for k, _ in mechanism.dry:
+    for k in mechanism.dry:
         for i, joint in enumerate(joints):
             if joint == k or k not in joints:
                 found[:, i] |= slow[:, k] & slow[:, joint]

@@ -15,6 +15,8 @@ from robodyn.dynamics.dynamics import (
 )
 from robodyn.dynamics.placed import placed
 from robodyn.dynamics.reaction_forces import reactions
+from robodyn.elements import loads as elements
+from robodyn.elements.springs import PointSpring
 from robodyn.engines.row_values import rows_of
 from robodyn.errors import RobodynError
 from robodyn.loops.loop_rates import check_way_on
@@ -77,13 +79,15 @@ def forces(
     pins = pin_forces(mechanism, multipliers, q) @ np.array([1, 1j])
     for c, force in enumerate(pins.tolist()):
         add("pin", f"f{c + 1}", tree.point(description.closures[c].first), force)
-    springs = [f"s{k + 1}" for k, x in enumerate(description.springs) if isinstance(x, Spring)]
-    loads = [f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, Load)]
-    points = [x.ends[0] for x in mechanism.springs] + [x.point for x in mechanism.forces]
-    if points:
-        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd, 0.0).tolist()
-        for name, point, force in zip(springs + loads, points, acting, strict=True):
-            add("load", name, point, force)
+    springs = (f"s{k + 1}" for k, x in enumerate(description.springs) if isinstance(x, Spring))
+    loads = (f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, Load))
+    names = {PointSpring: springs, elements.Force: loads}
+    rows = rows_of(parts.acting, mechanism)
+    if rows.acting:
+        acting = rows.planar("forces", q, qd, 0.0).tolist()
+        for x, force in zip(rows.acting, acting, strict=True):
+            name = next(names.get(type(x.element), iter([x.element.word])))
+            add("load", name, x.at[0], force)
     torques = np.zeros(mechanism.n) if tau is None else tau
     for k in mechanism.actuated:
         value, slides = float(torques[k]), k in mechanism.slides

@@ -27,6 +27,7 @@ from robodyn.dynamics.closed_form import closure_bias, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import decompose, joint_loads, required_load
 from robodyn.dynamics.derivatives import InverseDerivatives, inverse_dynamics_derivatives
 from robodyn.dynamics.placed import as_states
+from robodyn.elements.contacts import STICKS
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
@@ -73,7 +74,7 @@ def rests(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> NDArray[np.b
     or whose loads vary with time, has none.
     """
     still = ~qd.any(axis=-1)
-    if mechanism.dry or mechanism.timed or not still.any():
+    if STICKS in mechanism.contacts or mechanism.timed or not still.any():
         return np.zeros(len(q), bool)
     zero, units, arrays = np.zeros_like(q), mechanism.arrays.units, mechanism.arrays
     load = joint_loads(mechanism, q, zero, 0.0)

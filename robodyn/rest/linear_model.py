@@ -237,7 +237,7 @@ def _tell_bends(
 
     `slopes` are those of qdd by q, qd and tau there, of which the first two belong to one side.
     """
-    if not (mechanism.signals or mechanism.limits):
+    if not (mechanism.signals or mechanism.ranges):
         return
     units = mechanism.arrays.units
     weight = np.abs(mechanism.arrays.weights).sum() * np.abs(slopes[2]).max()

@@ -12,6 +12,7 @@ import math
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import islice, product
 from typing import NamedTuple, TypeVar
 
@@ -26,14 +27,14 @@ from robodyn.dynamics.closed_form import (
 )
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.sticking import held_forces
-from robodyn.elements.springs import JointSpring
+from robodyn.elements.contacts import Mode
 from robodyn.engines.factors import damped
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
 from robodyn.loops.assembly import assemble, attempt
 from robodyn.loops.closing import close_positions, half_turn, loop_size, random_states
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.mechanism import Mechanism, joint_index
-from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
+from robodyn.mechanics.modes import beyond, end_word, in_mode, pressed
 from robodyn.rest.balance import Balance, balance, balances, free_motions, single
 from robodyn.rest.linear_model import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
@@ -117,8 +118,8 @@ def equilibria(
     end of them, else as `equilibrium`.
     """
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
-    sprung = {spring.joint for spring in mechanism.joint_springs}
-    counting = {*sprung, *dict(mechanism.limits), *mechanism.slides}
+    sprung = {x.at for x in mechanism.elements if x.free is not None}
+    counting = {*sprung, *(x.joint for x in mechanism.ranges), *mechanism.slides}
     coupled = {k for x in mechanism.description.couplings for k in (x.joint, *dict(x.terms))}
     turning = [k for k in range(mechanism.n) if k not in counting]
     alone = [k for k in turning if k not in coupled]
@@ -176,18 +177,21 @@ def searched_turns(
     the worst of STARTS random poses, MOST_TURNS turns at most.
     """
     held, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
-    barred = {joint for joint, stop in mechanism.limits if len(stop.ends) == 2}
+    barred = {x.joint for x in mechanism.ranges if len(x.ends) == 2}
     barred |= {*held, *mechanism.slides}
-    springs = [x for x in mechanism.joint_springs if x.joint not in barred]
-    if not springs:
+    frees: dict[int, list[float]] = {}  # of each joint where what makes turns differ is free
+    for x in mechanism.elements:
+        if x.at is not None and x.free is not None and x.at not in barred:
+            frees.setdefault(x.at, []).append(x.free)
+    if not frees:
         return {}
     begin = _near(mechanism, near)
     poses = list(islice(_starts(mechanism, held, begin, {}), STARTS))
     motions = [free_motions(mechanism, pose) for pose in poses]
     found: dict[int, tuple[int, int]] = {}
-    for joint in sorted({x.joint for x in springs}):
-        others = tuple(x for x in mechanism.joint_springs if x.joint != joint)
-        bare, most = mechanism.exchanged({JointSpring: others}), 0.0
+    for joint in sorted(frees):
+        others = tuple(x for x in mechanism.elements if x.free is None or x.at != joint)
+        bare, most = replace(mechanism, elements=others), 0.0
         for pose, N in zip(poses, motions, strict=True):
             size = float(N[joint] @ N[joint])
             with suppress(RobodynError):  # beyond the rows of a table nothing rests
@@ -196,10 +200,7 @@ def searched_turns(
                     most = max(most, 2.0 * abs(float(wanted)))
         ends = []
         for side in (-1, 1):
-            turn = max(
-                (round(x.angle / math.tau) for x in springs if x.joint == joint),
-                key=lambda k: side * k,
-            )
+            turn = max((round(x / math.tau) for x in frees[joint]), key=lambda k: side * k)
             for _ in range(MOST_TURNS):
                 there = begin.copy()
                 there[joint] = math.tau * turn + side * math.pi
@@ -297,8 +298,7 @@ def _starts(
     drawn_first = 0
     for count in DRAWN:
         drawn = random_states(mechanism, rng, count)
-        for joint, stop in mechanism.limits:
-            low, high = (dict(stop.ends).get(side) for side in (-1, 1))
+        for joint, low, high, _ in mechanism.ranges:
             if low is not None and high is not None:
                 drawn[:, joint] = rng.uniform(low, high, count)
         shifts = {

@@ -208,11 +208,12 @@ class Drawing:
     def _check_pins(self, bar: Bar, faulty: set[str]) -> None:
         """Faults of the pins of one link; those in `faulty` are nowhere."""
         node, place, reader = bar.given.get("pins", bar.node), f"{bar.place}.pins", self.reader
+        count = len(bar.pins)
         bar.pins = [name for name in bar.pins if self._is_pin(name, node, place)]
-        if "pins" in bar.given and bar.along is None and len(bar.pins) == 1:
+        if bar.along is None and count == 1:
             limit = "needs two pins: its joint, and one that its x axis goes to"
             reader.fault(place, node, f"{limit}; one alone is for a link that slides (`along`)")
-        elif isinstance(bar.given.get("pins"), Sequence) and not bar.pins:
+        elif isinstance(bar.given.get("pins"), Sequence) and not count:
             reader.fault(place, node, "needs at least one pin")
         for first, second in combinations([x for x in bar.pins if x not in faulty], 2):
             apart = abs(self.z[first] - self.z[second])
@@ -543,7 +544,7 @@ class Drawing:
             limit += f"third crank does, must have them to {SINGULAR:g}"
             self.reader.fault("links", node, limit)
             return
-        actuated = description.actuated or self._first_of_loops(description, moved)
+        actuated = self.actuated(description)
         passive = [k for k in range(n) if k not in actuated]
         most = n - rank - len(actuated)  # freedoms that no actuated joint decides
 
@@ -596,12 +597,16 @@ class Drawing:
                 found.append((row * along.conjugate()).imag[None])
         return found
 
-    def _first_of_loops(self, description: Description, rows: Listed[Array]) -> list[int]:
-        """The joints that are actuated where the scene names none.
+    def actuated(self, description: Description) -> Listed[int]:
+        """The joints that the scene names as actuated, or else that are so by default.
 
-        They are those outside of loops, and the first of each group of loops that share joints; a
-        joint that a coupling gives is none, and a group with one outside of loops is driven there.
+        By default they are those outside of loops, and the first of each group of loops that share
+        joints; a joint that a coupling gives is none, and a group with one outside of loops is
+        driven there.
         """
+        if description.actuated is not None:
+            return description.actuated
+        rows = self._psi(self._elsewhere())
         loops = [{*np.flatnonzero(np.abs(x).max(axis=0) > SINGULAR).tolist()} for x in rows]
         in_loops = set().union(*loops)
         groups: list[set[int]] = []

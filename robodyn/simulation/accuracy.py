@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robodyn.elements.contacts import HARD
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -183,7 +184,7 @@ class _Motion:
 
     def _apart(self, recorder: Recorder) -> Array:
         """How far the times are from the contacts of a run, where its rates may jump."""
-        jumps = any(stop.restitution is not None for _, stop in self._of[0].limits)
+        jumps = HARD in self._of[0].contacts
         hits = np.array([event.t for event in recorder.contacts if jumps])
         if not len(hits):
             return np.full(len(self.times), np.inf)

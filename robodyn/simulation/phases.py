@@ -19,7 +19,6 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +26,8 @@ from robodyn.dynamics import closed_form, sticking
 from robodyn.dynamics.dense_dynamics import responses
 from robodyn.dynamics.dynamics import motion_dynamics
 from robodyn.dynamics.sticking import AT_REST, TOGETHER, forces_between, mode_at, resting
+from robodyn.elements.contacts import NEAR, End, Guard, Mode
+from robodyn.elements.joints import HardStop
 from robodyn.errors import InputError, SingularError
 from robodyn.events.functions import EventFunction
 from robodyn.events.single_zeros import ROUNDING
@@ -35,26 +36,15 @@ from robodyn.loops.closing import close_positions
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import NEAR, Mode, beyond, end_word, in_mode, pressed, pushes
+from robodyn.mechanics.modes import beyond, end_word, in_mode, pressed
 from robodyn.simulation.motion_columns import applied_torques
 from robodyn.tables.arrays import Array
-
-End = tuple[int, int]  # a joint and a side
 
 ONWARD = 10.0  # times what is missed: slower back than so a joint may only seem to turn back
 TURNS = 30  # impacts in turn at one instant, after which they have no end
 LAST = 10  # of them, those whose ends take part in all that would follow
 DOUBTS = 3  # times that a joint is let leave its end
 KINK = 1e-14  # of the time of a run: so much beyond a kink the torques are those that follow it
-
-
-class Guard(NamedTuple):
-    """What ends a phase: one that slips, holds, is inside of a hard end, presses or is apart from
-    a compliant one."""
-
-    kind: str
-    joint: int
-    side: int  # of the joint's end; or the way that it slips
 
 
 class Phases:
@@ -75,7 +65,9 @@ class Phases:
         self.mechanism, self.actuation, self.t_end = mechanism, actuation, t_end
         self.small = small
         self._reach(0.0)
-        self.limits, self.dry = dict(mechanism.limits), dict(mechanism.dry)
+        self.dry = mechanism.dry
+        self.ends = {(x.joint, side): end for x in mechanism.ranges for side, end in x.ends}
+        self.restitutions = restitutions(mechanism)
         self.found: list[Event] = []
         self.begun, self.idle = 0.0, 0  # when the phase began, and how many took no time before
         self.bounces = Bounces(mechanism, t_end, small)
@@ -146,13 +138,10 @@ class Phases:
 
     def _watch(self, t: float) -> None:
         """The functions that are positive while the mode lasts."""
-        self.guards: list[Guard] = [Guard("slips", *slip) for slip in self.mode.slips]
-        for joint, stop in self.mechanism.limits:
-            for side, _ in stop.ends:
-                if (joint, side) not in self.touches:
-                    compliant = "presses" if (joint, side) in self.mode.pressed else "apart"
-                    kind = "inside" if stop.stiffness is None else compliant
-                    self.guards.append(Guard(kind, joint, side))
+        touches = self.touches
+        found = [x for own in self.mechanism.elements for x in own.guards(self.mode, touches)]
+        found += [guard for own in self.mechanism.ranges for guard in own.guards(touches)]
+        self.guards = sorted(found, key=lambda x: (x.kind != "slips", x.joint, x.side))
         left = self._margins(np.array([t]), self.y[None])[0] if self.still else []
         self.guards += [Guard("holds", k, 0) for k, x in enumerate(left) if math.isfinite(x)]
         self.functions = [self._function(guard, t) for guard in self.guards]
@@ -181,18 +170,10 @@ class Phases:
         )
 
     def _value(self, guard: Guard, t: Array, y: Array) -> Array:
-        n, (kind, joint, side) = self.mechanism.n, guard
-        if kind == "slips":
-            return np.asarray(side * y[:, n + joint])
-        if kind == "holds":
-            return self._margins(t, y)[:, joint]
-        q, qd = y[:, joint], y[:, n + joint]
-        inside = -side * (q - dict(self.limits[joint].ends)[side])
-        if kind == "inside":
-            return np.asarray(inside)
-        push: Array = pushes(self.limits[joint], side, q, qd)
-        # apart: inside of the end, or faster out than the stop follows
-        return push if kind == "presses" else np.maximum(-push, inside)
+        if guard.value is None:
+            return self._margins(t, y)[:, guard.joint]
+        n = self.mechanism.n
+        return np.asarray(guard.value(y[:, :n], y[:, n : 2 * n]))
 
     def _but_for(self, missed: float, guard: Guard, values: Array, y: Array) -> Array:
         """The values, where these may be less than zero by what is missed.
@@ -206,19 +187,14 @@ class Phases:
         return np.maximum(values, np.minimum(values + missed, onward))
 
     def _size(self, guard: Guard, t: Array, y: Array) -> Array:
-        n, (kind, joint, side) = self.mechanism.n, guard
-        if kind == "slips":
-            return np.asarray(np.abs(y[:, n : 2 * n]).sum(axis=1))
-        if kind == "holds":
+        n = self.mechanism.n
+        if guard.size is None:
             held = [x for b in self.bounds.values() for x in (b.low, b.high) if math.isfinite(x)]
             tau = self._torques(t, y)
             acting = sticking.load_sizes(self.moving, y[:, :n], y[:, n : 2 * n], tau, t)
             size = np.abs(self._forces(t, y)) + acting[:, list(self.mode.held)]
             return np.asarray(size.sum(axis=1) + sum(map(abs, held)))
-        stop = self.limits[joint]
-        reach = np.abs(y[:, joint]) + abs(dict(stop.ends)[side])
-        lag = stop.damping / (stop.stiffness or math.inf)
-        return np.asarray(reach + lag * np.abs(y[:, n + joint]))
+        return np.asarray(guard.size(y[:, :n], y[:, n : 2 * n]))
 
     def _forces(self, t: Array, y: Array) -> Array:
         """What holds each held joint, (k, held)."""
@@ -236,10 +212,10 @@ class Phases:
 
     def ends_run(self, place: int) -> str:
         """What ends the run where the guard at a place does; nothing where the run goes on."""
-        kind, joint, side = self.guards[place]
-        if kind != "inside" or self.limits[joint].restitution is not None:
+        kind, joint, side, *_ = self.guards[place]
+        if kind != "inside" or (joint, side) in self.restitutions:
             return ""
-        name, end = self.mechanism.link_names[joint], dict(self.limits[joint].ends)[side]
+        name, end = self.mechanism.link_names[joint], self.ends[joint, side]
         return f"q{joint + 1} ({name}) passes its {end_word(side)}, {end:.9g}"
 
     def next(self, t: float, y: Array, place: int) -> Array:
@@ -274,7 +250,7 @@ class Phases:
             touches.add((guard.joint, guard.side))
         q, qd = self._split(y := y.copy())
         for joint, side in hits:  # rounding must not grow from bounce to bounce
-            q[joint] = dict(self.limits[joint].ends)[side]
+            q[joint] = self.ends[joint, side]
         if hits and self.mechanism.rows:
             # closures may tie some of these joints to one another
             fixed = sticking.independent(self.mechanism, [joint for joint, _ in hits], q)
@@ -327,7 +303,7 @@ class Phases:
         tau = self._torque(t, y)
         # ends that throw joints at one another again and again in no time leave them no rates
         last = {end for turn in self.turns[-LAST:] for end in turn}
-        endless = any(self.limits[joint].restitution != 1.0 for joint, _ in last)
+        endless = any(self.restitutions[end] != 1.0 for end in last)
         over = last if endless and len(self.turns) > TURNS else set()
         ends = {*hits, *touches, *over}
         y[n : 2 * n] = self.bounces.after(*self._split(y), tau, t, ends, over)
@@ -378,8 +354,8 @@ class Bounces:
 
         At those that are `over` joints are at rest.  Torques are those before it.
         """
-        ends, limits = sorted(touches), dict(self.mechanism.limits)
-        own = [limits[joint].restitution or 0.0 for joint, _ in ends]
+        ends, every = sorted(touches), restitutions(self.mechanism)
+        own = [every[end] for end in ends]
         p, jumps = impulses(self.mechanism, q, qd, ends, own)
         after = _settled(qd, jumps @ p)
         leaving = [-side * float(after[joint]) for joint, side in ends]
@@ -423,21 +399,27 @@ class Bounces:
         return fast or abs(v - last) <= BLUR * last or not last
 
 
+def restitutions(mechanism: Mechanism) -> dict[End, float]:
+    """The restitution of each hard stop, by joint and side."""
+    return {(x.joint, x.side): x.restitution for x in mechanism.of(HardStop)}
+
+
 def rates_after(
     mechanism: Mechanism,
     q: Array,
     qd: Array,
-    touches: Sequence[tuple[int, int]],
-    restitutions: Sequence[float | None],
+    touches: Sequence[End],
+    parts: Sequence[float | None],
 ) -> Array:
     """qd (n) after an impact at q; `touches` are joints and the sides of their stops.
 
-    Those whose restitution is None are at rest from then on: what they have left to bounce, others
-    may have thrown them, is over at once, and the impulses of all that are one, p of any sign.
+    `parts` are their restitutions.  Those whose restitution is None are at rest from then on: what
+    they have left to bounce, others may have thrown them, is over at once, and the impulses of all
+    that are one, p of any sign.
 
     Raises SingularError where no impulses throw all of them back.
     """
-    p, jumps = impulses(mechanism, q, qd, touches, restitutions)
+    p, jumps = impulses(mechanism, q, qd, touches, parts)
     return _settled(qd, jumps @ p)
 
 
@@ -460,16 +442,16 @@ def impulses(
     mechanism: Mechanism,
     q: Array,
     qd: Array,
-    touches: Sequence[tuple[int, int]],
-    restitutions: Sequence[float | None],
+    touches: Sequence[End],
+    parts: Sequence[float | None],
 ) -> tuple[Array, Array]:
     """Those of `rates_after`, p (k), and how each makes qd jump, (n, k)."""
     joints = [joint for joint, _ in touches]
     ways = -np.array([side for _, side in touches], float)  # in which stops are left
     jumps = (ways[:, None] * responses(mechanism, q, joints)).T  # of qd (n, k) by each impulse
     W, v = ways[:, None] * jumps[joints], ways * qd[joints]
-    bounced = v + np.array([e or 0.0 for e in restitutions]) * v
-    least = np.array([-np.inf if e is None else 0.0 for e in restitutions])
+    bounced = v + np.array([e or 0.0 for e in parts]) * v
+    least = np.array([-np.inf if e is None else 0.0 for e in parts])
     p = forces_between(bounced, W, least, np.full(len(v), np.inf))
     if (W @ p + bounced >= -SLACK * np.abs(v).max(initial=0.0)).all():
         return p, jumps

@@ -100,7 +100,7 @@ class SmoothMotions:
         n, by_series = mechanism.n, self.settings.method == "taylor"
         if by_series:
             report.evaluator = "compiled"
-        if by_series and not mechanism.springs and dense_dynamics.elimination_is_safe(mechanism):
+        if by_series and not mechanism.parted and dense_dynamics.elimination_is_safe(mechanism):
             return
         with np.errstate(all="ignore"):  # rates that leave the floats end the run
             if by_series:

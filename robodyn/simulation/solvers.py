@@ -87,7 +87,7 @@ class Projecting(_Solver):  # type: ignore[misc]
         self.kinks = sorted(kinks)
         self.leaves = leaves
         self.told = told
-        self._slipping = slipping  # whose friction a step may leap over
+        self._slipping = slipping  # whose bells a step may leap over
         self._jumped = False  # whether the torque may have, at self.t
         self._options = options
         self.steps = 0
@@ -264,7 +264,7 @@ def solver_of(
         atol=each,
         projection=side.projection if projects else None,
         near=side.near,
-        slipping=recorder.mechanism if recorder.mechanism.slips else None,
+        slipping=recorder.mechanism if recorder.mechanism.bells else None,
         observer=recorder.step,
         kinks=actuation.kinks,
         leaves=actuation.leaves,

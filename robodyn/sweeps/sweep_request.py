@@ -209,10 +209,14 @@ def _events(mechanism: Mechanism, given: SweepRequest, wanted: bool) -> tuple[tu
 
 
 def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, ...]:
-    """The values of the independent joints, of torques of the actuated; zero if not given."""
+    """The values of the independent joints, of torques of the actuated; zero if not given.
+
+    A q that is not given is empty where each scene has a `start` of its own.
+    """
     mechanism = mechanism if name == "tau" else with_independent(mechanism)
     if text is None:
-        return (0.0,) * len(mechanism.actuated)
+        began = name == "q" and mechanism.description.begin(mechanism.actuated)
+        return () if began else (0.0,) * len(mechanism.actuated)
     values = vector_of_joints(mechanism, text, name, f"--{name}")
     if len(values) == mechanism.n:
         for k in mechanism.passive if name == "tau" else ():

@@ -29,6 +29,7 @@ import numpy as np
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.dynamics.placed import relative_matrix
+from robodyn.elements.contacts import Mode
 from robodyn.engines import machine, machine_motion
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.expansion import MotionProgram
@@ -39,7 +40,7 @@ from robodyn.events.single_zeros import MISSED
 from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.mechanics.modes import in_mode
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array, Complex
 

@@ -188,7 +188,7 @@ class TaylorRun:
         self.idle = self.idle + 1 if self.t == before else 0
         stuck = status in (Status.STUCK, Status.NOT_FINITE)
         # a spring whose ends meet has no series there, and a motion that leads across
-        steady = self.actuation.constants is not None and not self.mechanism.springs
+        steady = self.actuation.constants is not None and not self.mechanism.parted
         if self.idle == MOST_IDLE or (stuck and self.closing is None and steady):
             return Outcome.STEP_TOO_SMALL
         self.lead = LEAD if stuck else 0.0

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
-from robodyn.elements.joints import Stops
+from robodyn.elements.joints import Range
 from robodyn.errors import AssemblyError, SingularError
 from robodyn.loops.assembly import assemble
 from robodyn.loops.closing import loop_size
@@ -93,11 +93,12 @@ def _way(
         if error.u and (fold := _fold(mechanism, error.q, joint)) is not None:
             ended = "dead centre"
             ahead[place] += fold - error.q[joint]
-        if not (mechanism.limits and error.u > SHORT):
+        if not (mechanism.ranges and error.u > SHORT):
             return float(q[joint] + ahead[place]), ended
         followed = path(ahead * (1.0 - SHORT))
-    for k, limit in mechanism.limits:
-        for side, end in limit.ends if limit.stiffness is None else ():
+    for limit in (x for x in mechanism.ranges if x.firm):
+        k = limit.joint
+        for side, end in limit.ends:
             u = _first_beyond(followed, k, side, end + _turns(q, k, limit, mechanism))
             if u is not None:
                 ended, ahead = f"limit of q{k + 1}", ahead * u
@@ -143,7 +144,7 @@ def _fold(mechanism: Mechanism, q: Array, joint: int) -> float | None:
     return None
 
 
-def _turns(q: Array, joint: int, limit: Stops, mechanism: Mechanism) -> float:
+def _turns(q: Array, joint: int, limit: Range, mechanism: Mechanism) -> float:
     """The whole turns, rad, by which the limits of a joint lie off where it is."""
     if joint in mechanism.slides or limit.low is None or limit.high is None:
         return 0.0

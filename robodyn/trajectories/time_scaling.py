@@ -19,18 +19,18 @@ Limits hold between the rows too: extremes are found between the samples that fo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.dynamics import inverse_dynamics
-from robodyn.elements.joints import DryFriction
+from robodyn.elements.contacts import NEAR
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.loop_rates import loop_accelerations
 from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import NEAR, end_word
+from robodyn.mechanics.modes import end_word
 from robodyn.mechanics.motors import rate_limits, torque_limits
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
@@ -129,7 +129,7 @@ def check_starts(motion: ReferenceMotion, limits: Limits) -> None:
     """
     mechanism, most, x = motion.mechanism, limits.tau, 1.0 / motion.duration
     dry, driven = mechanism.dry, list(mechanism.actuated)
-    rubbing = {k for k, _ in dry}
+    rubbing = set(dry)
     if most is None or not dry:
         return
     u, piece = motion.path.grid()
@@ -155,8 +155,7 @@ def check_starts(motion: ReferenceMotion, limits: Limits) -> None:
         qdd[:, joint] = 0.0
         if mechanism.rows:
             qdd = loop_accelerations(mechanism, q, qd, qdd[:, driven])
-        falls = [friction._replace(stribeck=friction.stribeck or FALLS) for _, friction in dry]
-        held = mechanism.exchanged({DryFriction: falls})
+        held = replace(mechanism, elements=tuple(x.gradual(FALLS) for x in mechanism.elements))
         t = motion.begin + high * motion.duration
         tau = inverse_dynamics(held, q, qd, qdd, t)[:, joint]
         worst = int(np.argmax(way[:, joint] * tau))
@@ -174,8 +173,8 @@ def check_ends(motion: ReferenceMotion) -> None:
     mechanism = motion.mechanism
     ends = [
         (joint, side, end)
-        for joint, stop in mechanism.limits
-        for side, end in (stop.ends if stop.stiffness is None else [])
+        for joint, ends in ((x.joint, x.ends) for x in mechanism.ranges if x.firm)
+        for side, end in ends
     ]
     if not ends:
         return
@@ -406,7 +405,6 @@ def _natural_scale(mechanism: Mechanism, whole: WholePath) -> float:
 
 
 def _friction_speeds(mechanism: Mechanism) -> list[tuple[int, float]]:
-    """The joints whose friction changes with the rate, and about which rate it does."""
-    smooth = [(joint, friction.speed) for joint, friction in mechanism.friction]
-    falling = [(joint, friction.stribeck) for joint, friction in mechanism.dry]
-    return smooth + [(joint, speed) for joint, speed in falling if speed is not None]
+    """The joints at which something bends with the rate, and about which rate it does."""
+    bending = ((x.at, x.bend_rate) for x in mechanism.elements)
+    return [(k, rate) for k, rate in bending if k is not None and rate is not None]
