@@ -36,7 +36,7 @@ GROUPS = {
     "States": "torque accel reactions points assemble terms energy",
     "Motions": "simulate trajectory sweep bench",
     "Analysis": "equilibrium linearize regressor identify fit equations",
-    "Pictures": "plot draw animate",
+    "Tables and pictures": "summary plot draw animate",
     "Scenes": "init check schema export guide",
 }
 HEADINGS = {name: heading for heading, names in GROUPS.items() for name in names.split()}
@@ -46,7 +46,7 @@ _TELLING += "equilibrium linearize regressor identify fit"
 TELL_ANGLES = frozenset(_TELLING.split())
 
 _OUTPUT = (
-    "--every --points --sensitivity --event --events --differentiate --unwrap --extremes --degrees "
+    "--every --points --sensitivity --event --events --differentiate --unwrap --columns --degrees "
     "--quiet --report --size --dpi --format --out"
 )
 _CONTROL = "--control --track --unwrap --hold --kp --kd --ki --gain --at --tau-max --control-rate "
@@ -65,9 +65,9 @@ _OPTIONS = {
         "Start and torques": "--kind --q --qd --qdd --tau",
         "Control": _CONTROL,
         "Integration": "--time --rtol --atol --max-steps",
-        "Results": "--result --of --points --event --flip --correlations --extremes",
+        "Results": "--result --of --points --event --flip",
         "Work": "--workers --scheduler --patience",
-        "Output": "--degrees --quiet --out",
+        "Output": "--columns --degrees --quiet --out",
     },
     "trajectory": {
         "Joints": "--from --to --via --unwrap --ends --speed --turns",
@@ -78,6 +78,7 @@ _OPTIONS = {
         "Output": _OUTPUT,
     },
 }
+_OPTIONS["fit"] = {"State": "--q --qd --qdd --tau --force", "Output": "--degrees --format --out"}
 _OTHERS = {"State": "--q --qd --qdd --tau --force", "Output": _OUTPUT}
 OWN = "Options"  # of a command, which stand first; typer's word, too
 IMPLIED = {"--harmonics": "10"}  # whole numbers that may be left out behind their option
@@ -107,12 +108,28 @@ def _successor(message: str) -> str:
     """Return what to type in place of a removed option or value that the message refuses, or ""."""
     from robodyn.simulation.settings import REMOVED  # only a faulty option pays for the import
 
-    if "No such option: --ascii" in message:
-        return "; it was removed: charts are plain where stdout is not UTF-8, others take -o x.svg"
+    for option, successor in REMOVED_OPTIONS.items():
+        if re.search(f"No such option: {option}(?![\\w-])", message):
+            return f"; it was removed: {successor}"
     for value, successor in REMOVED.items():
         if f"'{value}' is not one of" in message:
             return f" {value} was removed: take {successor}."
     return ""
+
+
+_SUMMARY = "hand the rows on, | robodyn summary"
+REMOVED_OPTIONS = {
+    "--ascii": "charts are plain where stdout is not UTF-8, others take -o x.svg",
+    "--extremes": _SUMMARY,
+    "--correlations": f"{_SUMMARY} --correlations NAMES",
+    "--harmonics": f"{_SUMMARY} --harmonics",
+    "--power": "name power in --columns, as --columns tau,power",
+    "--residual": "name residual in --columns, as --columns tau,residual",
+    "--links": "name links in --columns, as --columns points,links",
+    "--transmission": "name transmission in --columns, as --columns points,transmission",
+    "--jacobian": "name jacobian in --columns, as --columns points,jacobian",
+    "--ratio": "name the ratio in --columns, as --columns points,rocker/crank",
+}
 
 
 def _heading(parameter: Any) -> str:

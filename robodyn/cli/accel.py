@@ -24,7 +24,7 @@ def accel(
       robodyn accel 2r --q 30deg,45deg --tau 12,2
       robodyn accel four-bar --q 60deg --qd 5 --tau 1.5
       robodyn accel 2r states.csv --format json
-      robodyn accel 2r states.csv --force tip2=0,-20 --extremes
+      robodyn accel 2r states.csv --force tip2=0,-20 | robodyn summary
     """
     mechanism = load_with(model, force)
     columns = column_names(mechanism, ["qdd", *LOOPS])

@@ -19,7 +19,7 @@ def energy(
     Examples:
       robodyn energy 2r --q 30deg,45deg --qd 1,0.5
       robodyn energy 2r motion.csv | cut -d, -f1,6-
-      robodyn energy 2r motion.csv --extremes
+      robodyn energy 2r motion.csv | robodyn summary
     """
     mechanism = load_with(model, force)
 

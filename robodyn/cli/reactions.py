@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from robodyn.cli.options import Force, Model, Qdd, Text, load_with, option
 from robodyn.cli.states import Quantity, TableOptions, state_rows
-from robodyn.cli.turns import shaking_orders
 from robodyn.dynamics.columns import REACTIONS, column_names
 from robodyn.errors import InputError
 
 _TAU = "Joint torques, N m, in place of --qdd: all joints, or the actuated ones."
-_HARMONICS = "In place of the rows, a turn: orders of the shaking force and moment, 0 to N or 10."
 
 
 def reactions(
@@ -18,7 +16,6 @@ def reactions(
     qdd: Qdd = None,
     tau: Text = option(_TAU, "VECTOR"),
     force: Force = None,
-    harmonics: int | None = option(_HARMONICS, "[N]"),
 ) -> None:
     """The force in every pin, and the shaking force and moment on the ground.
 
@@ -33,10 +30,6 @@ def reactions(
     columns tau1..) the accelerations follow, as in `accel`.  A table may hold both, as `simulate`
     writes them, if they belong together.  Rows of STATES pass through with the columns added.
 
-    --harmonics takes one turn of the one actuated joint, rows at equal steps of its angle theta,
-    the last a step before the first or as it, and tells for each order k amplitude and phase (rad):
-    shake_fx is the sum of shake_fx_amp cos(k theta + shake_fx_phase) over all orders.
-
     Where closures depend on one another, or at a change point, a note names the forces that are
     not unique.  shake_* always are.
 
@@ -45,9 +38,9 @@ def reactions(
       robodyn reactions 2r --q 30deg,45deg --qd 1,0.5
       robodyn reactions four-bar --q 60deg --qd 5 --tau 1.5
       robodyn reactions 2r states.csv --format json
-      robodyn reactions 2r states.csv --extremes
+      robodyn reactions 2r states.csv | robodyn summary
       robodyn trajectory slider-crank --speed 300rpm --turns 1 --points 361 | \\
-        robodyn reactions slider-crank - --harmonics
+        robodyn reactions slider-crank - | robodyn summary --harmonics
     """
     if qdd is not None and tau is not None:
         limit = "give one of them: the accelerations cause the torques, or the torques those"
@@ -55,8 +48,6 @@ def reactions(
     mechanism = load_with(model, force)
     quantities = given.quantities()
     either = [Quantity("qdd", qdd), Quantity("tau", tau)]
-    columns, summary = column_names(mechanism, REACTIONS), None
-    if harmonics is not None:
-        columns, summary = shaking_orders(mechanism, given, harmonics)
     advice = f", or give --tau {','.join(['0'] * mechanism.n)}"
-    state_rows(mechanism, given, quantities, columns, either=either, summary=summary, advice=advice)
+    columns = column_names(mechanism, REACTIONS)
+    state_rows(mechanism, given, quantities, columns, either=either, advice=advice)

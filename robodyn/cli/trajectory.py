@@ -17,11 +17,19 @@ from robodyn.cli.options import EACH, Model, Number, Text, Unwrap, option, refus
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.states import Quantity, driver_of, option_source, remarks, table_source
+from robodyn.cli.states import (
+    Quantity,
+    chosen_columns,
+    driver_of,
+    option_source,
+    remarks,
+    table_source,
+)
 from robodyn.cli.times import Points, output_times
-from robodyn.dynamics.columns import scene_units
+from robodyn.dynamics.columns import column_names, scene_units
 from robodyn.dynamics.joint_vectors import joint_values
-from robodyn.dynamics.named_points import named_point
+from robodyn.dynamics.named_points import named_point, named_points
+from robodyn.dynamics.state import State, find
 from robodyn.dynamics.sticking import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError, at_place, named_options, overflow
 from robodyn.mechanics.actuation import for_each_actuated
@@ -540,19 +548,26 @@ def _told(found: Shortest) -> ReferenceMotion:
 
 
 def _write(motion: ReferenceMotion, times: EvenTimes, rows: RowOptions) -> None:
-    n = motion.mechanism.n
-    columns = ["t", *(f"{name}{k + 1}" for name in ("q", "qd", "qdd") for k in range(n))]
-    block = max(1, min(BLOCK, WORK // n**3))
-    hidden = on_terminal(rows.out) and not rows.extremes  # the rows show how far they are
-    told = rows.writer(columns, units=scene_units(motion.mechanism))
-    with told as writer, progress("writing", hidden) as show:
+    mechanism, points = motion.mechanism, named_points(motion.mechanism)
+    columns = column_names(mechanism, ["t", "q", "qd", "qdd"])
+    own = columns
+    if rows.columns is not None:
+        own, _ = chosen_columns(mechanism, rows.columns, columns, [], points)
+    block = max(1, min(BLOCK, WORK // mechanism.n**3))
+    told = rows.writer(own, units=scene_units(mechanism), only=own)
+    gaps = [family.gaps for name in own if (family := find(mechanism, name, points))]
+    with told as writer, progress("writing", on_terminal(rows.out)) as show:
         for k in range(0, len(times), block):
             show(k / len(times))
             t = motion.begin + times[k : k + block]
             if k + block >= len(times):
                 t[-1] = motion.end
             with np.errstate(all="ignore"):
-                values = np.concatenate([t[:, None], *motion.states(t)], axis=1)
-            if not np.isfinite(values).all():
+                states = motion.states(t)
+                if own == columns:
+                    values = np.concatenate([t[:, None], *states], axis=1)
+                else:
+                    values = State(mechanism, *states, t=t, of=points).columns(own)
+            if not np.isfinite(values[:, np.logical_not(gaps)]).all() or np.isinf(values).any():
                 raise overflow()
             writer.write_columns(values)

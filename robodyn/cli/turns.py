@@ -1,4 +1,4 @@
-"""What is told of a turn of a machine in place of its rows: its flywheel, its shaking orders."""
+"""What is told of a turn of a machine in place of its rows: its flywheel."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ from functools import partial
 
 import numpy as np
 
-from robodyn.cli.output import Summary, degrees
+from robodyn.cli.output import degrees
 from robodyn.cli.states import Quantity, TableOptions, state_rows
-from robodyn.dynamics.columns import column_names
-from robodyn.dynamics.flywheel import Flywheel, flywheel, harmonics
-from robodyn.errors import InputError, at_place, named_options
+from robodyn.dynamics.flywheel import Flywheel, flywheel
+from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 from robodyn.tables.summaries import KeptRows, Rows
 
-FLYWHEEL, ORDERS = "--fluctuation", "--harmonics"
-MOST = 10_000  # orders
+FLYWHEEL = "--fluctuation"
 
 
 def tell_flywheel(
@@ -42,33 +40,10 @@ def tell_flywheel(
     state_rows(mechanism, given, quantities, names, summary=summary)
 
 
-def shaking_orders(
-    mechanism: Mechanism, given: TableOptions, most: int
-) -> tuple[list[str], Summary]:
-    """The columns to compute, and what writes their orders, up to `most`, in place of rows."""
-    if not 0 <= most <= MOST:
-        raise InputError(ORDERS, value=most, limit=f"must be in [0, {MOST}]")
-    k = _driven_joint(mechanism, given, ORDERS)
-    shaking = column_names(mechanism, ["shaking"])
-
-    def told(_: Sequence[str], __: Array, own: Array) -> tuple[Sequence[str], Rows]:
-        in_degrees = degrees.get()
-        theta = np.radians(own[:, 0]) if in_degrees else own[:, 0]
-        with named_options((), orders="harmonics"), at_place(ORDERS, "the "):
-            amplitudes, phases = harmonics(theta, own[:, 1:], most)
-        phase = "phase_deg" if in_degrees else "phase"
-        pairs = [amplitudes, np.degrees(phases) if in_degrees else phases]
-        each = np.stack(pairs, axis=-1).reshape(len(amplitudes), -1)
-        header = ["order", *(f"{name}_{what}" for name in shaking for what in ("amp", phase))]
-        return header, [[str(order), *row] for order, row in enumerate(each.tolist())]
-
-    return [f"q{k + 1}", *shaking], partial(KeptRows, of=told)
-
-
 def _driven_joint(mechanism: Mechanism, given: TableOptions, flag: str) -> int:
     """The one joint that is actuated, of a machine that turns; InputError where there is none."""
-    if given.extremes:
-        raise InputError(f"--extremes and {flag}", limit="exclude each other")
+    if given.columns is not None:
+        raise InputError(f"--columns and {flag}", limit="exclude each other")
     if given.states is None:
         raise InputError(flag, limit="needs STATES: rows over a turn")
     names = [mechanism.link_names[k] for k in mechanism.actuated]

@@ -10,6 +10,7 @@ the columns of two families need, they share.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from itertools import chain
 
@@ -103,23 +104,20 @@ class State:
 
     def _family(self, name: str) -> Family:
         """The family of a column; points and ratios that it names are the state's from then on."""
-        found = family_of(self.mechanism, name, self._own_points(declared(name)))
-        if found is None and (point := _point_of(self.mechanism, name)):
-            self.points.append(point)
+        known = declared(name)
+        points = self.points if known and "P" in known[0].kinds else []
+        count = len(points)
+        found = find(self.mechanism, name, points)
+        if len(points) > count:
             self._forget("{P}")
-            found = family_of(self.mechanism, name, self.points)
-        if found is None or found.values is None:
-            known = column_names(self.mechanism, STATE, self.points)
-            limit = f"is no column of a state{nearest(name, known)}"
+        if found is None:
+            names = column_names(self.mechanism, STATE, self.points)
+            limit = f"is no column of a state{nearest(name, names)}"
             raise InputError("columns", value=shown(name), limit=limit)
         if found is FAMILIES["ratio"] and name not in self.ratios:
             self.ratios.append(name)
             self._forget("{A}")
         return found
-
-    def _own_points(self, found: tuple[Family, str] | None) -> list[NamedPoint]:
-        """The points, of a family that has columns of them; without one, none is looked for."""
-        return self.points if found and "P" in found[0].kinds else []
 
     def _forget(self, place: str) -> None:
         """Drop the values of families whose columns have become more."""
@@ -131,7 +129,7 @@ class State:
         if family.name not in self._values:
             assert family.values is not None
             ratios = family is FAMILIES["ratio"]
-            points = self._own_points((family, ""))
+            points = self.points if "P" in family.kinds else []
             own = self.ratios if ratios else names_of(family, self.mechanism, points)
             self._values[family.name] = dict(zip(own, family.values(self).T, strict=True))
         return self._values[family.name]
@@ -245,16 +243,20 @@ def _check_agreement(qd: Array, given: Array, caused: Array) -> None:
         raise InputError(f"qdd{k + 1}", value=f"{given[row, k]:.9g}", limit=limit)
 
 
-def _point_of(mechanism: Mechanism, name: str) -> NamedPoint | None:
-    """The point that a column names which is not among those of its state; None for no point."""
-    found = declared(name)
-    if found is None or "P" not in found[0].kinds:
-        return None
-    try:
-        (point,) = named_points(mechanism, [name.rpartition("_")[0]])
-    except (InputError, ValueError):
-        return None
-    return point
+def find(mechanism: Mechanism, name: str, points: list[NamedPoint]) -> Family | None:
+    """The family of states that has a column of this name, or None.
+
+    A point that the name holds need not be among the points: it is added to them.
+    """
+    found = family_of(mechanism, name, points)
+    known = declared(name)
+    if found is None and known is not None and "P" in known[0].kinds:
+        with suppress(InputError, ValueError):
+            (point,) = named_points(mechanism, [name.rpartition("_")[0]])
+            if name in names_of(known[0], mechanism, [point]):
+                points.append(point)
+                found = known[0]
+    return None if found is None or found.values is None else found
 
 
 def motor_loads(mechanism: Mechanism, tau: ArrayLike, qd: ArrayLike) -> dict[str, Array]:
