@@ -38,7 +38,7 @@ def function_of(command: str) -> Any:
 def test_the_summaries_are_those_of_the_docstrings() -> None:
     for name in cli.COMMANDS:
         told = inspect.getdoc(function_of(name)) or ""
-        assert cli.summary(name) == told.split("\n\n")[0], name
+        assert cli.first_line(name) == told.split("\n\n")[0], name
 
 
 def test_the_list_of_commands_is_grouped_and_whole(robodyn: Run) -> None:
@@ -46,7 +46,7 @@ def test_the_list_of_commands_is_grouped_and_whole(robodyn: Run) -> None:
     assert "..." not in out.partition("States:")[2]
     shown = out.partition("States:")[2]
     for name in cli.COMMANDS:
-        words = r"\s+".join(map(re.escape, cli.summary(name).split()))
+        words = r"\s+".join(map(re.escape, cli.first_line(name).split()))
         assert re.search(rf"^  {name} +{words}$", shown, re.M)
     headings = re.findall(r"^(\w+):$", out, re.M)
     assert headings == ["Options", *cli.GROUPS]

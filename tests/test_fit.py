@@ -406,7 +406,7 @@ def test_a_condition_in_columns_holds_at_every_row() -> None:
     "name", ["slider-crank", "whitworth", "hydraulic-boom", "rp-arm", "hoeken"]
 )
 def test_turns_of_links_are_columns(name: str) -> None:
-    """angle, w and wd are those of `points --links`; their slopes are differences."""
+    """angle, w and wd are those of `points --columns links`; their slopes are differences."""
     mech = load(ROOT / f"robots/{name}.yaml")
     number = "links[1].l"
     columns = [f"{x}{k + 1}" for k in range(mech.n) for x in ("angle", "w", "wd")]

@@ -85,8 +85,8 @@ IMPLIED = {"--harmonics": "10"}  # whole numbers that may be left out behind the
 _NUMBER = "(?i)[+-]?([0-9][0-9.]*(e[+-]?[0-9]+)?|nan|inf)"  # right or not
 
 
-def summary(command: str) -> str:
-    """The first line of its docstring."""
+def first_line(command: str) -> str:
+    """Return the first line of a command's docstring, from its file."""
     source = (Path(__file__).parent / f"{command}.py").read_text("utf-8")
     return source.partition(f"\ndef {command}(")[2].split('"""')[1].partition("\n")[0]
 
@@ -300,7 +300,7 @@ def _application(arguments: list[str], whole: bool = True) -> typer.Typer:
             name,
             cls=Command,
             help=_flowing(function.__doc__ or "") if asked and sys.stdout.isatty() else None,
-            short_help=None if is_called else summary(name),
+            short_help=None if is_called else first_line(name),
             epilog=_more(name) if asked else None,
             rich_help_panel=HEADINGS[name],
         )(function)

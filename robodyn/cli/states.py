@@ -23,7 +23,7 @@ from robodyn.cli.output import (
     note,
     numbers_overflow_in_silence,
 )
-from robodyn.dynamics.columns import FAMILIES, STATE, column_names, scene_units
+from robodyn.dynamics.columns import FAMILIES, STATE, column_names, declared, names_of, scene_units
 from robodyn.dynamics.joint_vectors import vector_of_joints
 from robodyn.dynamics.state import State, find
 from robodyn.errors import (
@@ -358,9 +358,13 @@ def chosen_columns(
         elif family is not None and family.values is not None:
             names = column_names(mechanism, [name], points)
             if not names:
-                limit = f"has no column in this scene ({family.text})"
-                raise InputError("--columns", where=mechanism.source, value=name, limit=limit)
+                where = mechanism.source
+                raise InputError("--columns", where=where, value=name, limit=family.lacking)
         else:
+            likely = declared(name)
+            if likely and likely[0].values and not names_of(likely[0], mechanism, points):
+                limit = likely[0].lacking
+                raise InputError("--columns", where=mechanism.source, value=name, limit=limit)
             known = [*header, *computed, *column_names(mechanism, STATE, points), *STATE]
             limit = f"is no column{nearest(name, list(dict.fromkeys(known)))}"
             raise InputError("--columns", value=shown(name), limit=limit)

@@ -32,7 +32,7 @@ OF_STATES = ("t", "q", "qd", "qdd")  # families that stand behind the computed o
 
 
 def summary(
-    rows: Annotated[str, rows_argument("[TABLE]", _ROWS)] = "-",
+    rows: Annotated[str, rows_argument("TABLE", _ROWS)] = "-",
     harmonics: int | None = option(_HARMONICS, "[N]"),
     by: Text = option(_BY, "NAME"),
     correlations: Text = option(_CORRELATIONS, "NAMES"),
@@ -40,7 +40,7 @@ def summary(
     format: OutputFormat = None,
     out: Out = None,
 ) -> None:
-    """What the columns of a table come to, one a row: extremes, means, orders, correlations.
+    """What the columns of a table come to, one a row: extremes, means; or orders, correlations.
 
     Columns: column, min, min_t, min_q1, max, max_t, max_q1, mean, rms: of each column of numbers
     but t the least and the greatest value, the t and q1 of their rows, the mean and the root mean

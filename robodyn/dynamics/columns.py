@@ -195,7 +195,8 @@ class Family:
     has the unit of each, or one for all; `text` says what they are.  `values` gives the columns
     (T, columns) of states, NaN only if there are `gaps`; a family without it belongs to runs, or to
     results.  `needs` names what states must have but q: qdd (and qd), and tau, for what acts.
-    If it `slides`, columns of joints that slide are in m and N, not in rad and N m.
+    If it `slides`, columns of joints that slide are in m and N, not in rad and N m.  `lacking` says
+    why a scene has no such column.
     """
 
     name: str
@@ -206,6 +207,7 @@ class Family:
     needs: str = ""
     gaps: bool = False
     slides: bool = False
+    lacking: str = "there is none"  # why a scene may have no such column
 
     @property
     def each(self) -> Iterator[tuple[str, str]]:
@@ -259,6 +261,7 @@ _DECLARED = (
         _residual,
         "tau",
         slides=True,
+        lacking="no joint is free: the mechanism has as many actuators as freedoms",
     ),
     Family(
         "reactions",
@@ -312,7 +315,12 @@ _DECLARED = (
     ),
     Family("centres", "icx{k} icy{k}", "m", "the instant centre of each link", _centres, gaps=True),
     Family(
-        "transmission", "transmission{l}", "rad", "the transmission angle of a loop", _transmission
+        "transmission",
+        "transmission{l}",
+        "rad",
+        "the transmission angle of a loop",
+        _transmission,
+        lacking="no loop of this scene is closed by three pairs in a row",
     ),
     Family("ratio", "{A}/{B}", "", "the ratio of the rates of two links", _ratios, gaps=True),
     Family("KE", "KE", "J", "the kinetic energy", lambda s: s.energies[0][:, None]),
