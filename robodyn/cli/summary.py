@@ -117,7 +117,7 @@ def _rank(name: str) -> int:
 
 def _numeric(header: Sequence[str], rows: Array, but: Sequence[str]) -> list[int]:
     """The places of the computed columns of numbers; of all others, where there is none."""
-    whole: list[bool] = (~np.isnan(rows).all(axis=0)).tolist()
+    whole = [not np.isnan(x).all() for x in rows.T]
     there = [k for k, name in enumerate(header) if whole[k] and name not in but]
     return [k for k in there if not _rank(header[k])] or there
 
@@ -145,7 +145,7 @@ def _orders(
 def _correlated(
     header: Sequence[str], rows: Array, _: Array, varied: Sequence[str]
 ) -> tuple[Sequence[str], Rows]:
-    worded: list[bool] = np.isnan(rows).all(axis=0).tolist()
+    worded = [bool(np.isnan(x).all()) for x in rows.T]
     first = [header.index(name) for name in varied]
     others = [k for k, x in enumerate(header) if k not in first and x != "t" and not worded[k]]
     others.sort(key=lambda k: _rank(header[k]))

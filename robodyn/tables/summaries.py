@@ -11,7 +11,7 @@ import numpy as np
 
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import finite, is_missing, split_fields, unquoted
-from robodyn.tables.table import plain_numbers
+from robodyn.tables.numbers import read
 from robodyn.tables.table_writer import Writer
 
 Rows = list[list[float | str | None]]
@@ -88,7 +88,7 @@ class SummaryWriter(Writer):
 
         And which columns have numbers alone, and fields without a value.
         """
-        found = plain_numbers(lines, self._width, self._passing) if self._passing else None
+        found = read(lines, self._width, self._passing) if self._passing else None
         if found is not None:
             return found, [True] * len(self._passing)
         split = [split_fields(line) for line in lines]

@@ -20,13 +20,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Container, Iterator, Sequence
-from itertools import chain, compress, repeat
-from operator import contains
-from typing import Any, BinaryIO, NamedTuple
+from itertools import chain
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from robodyn.errors import InputError
+from robodyn.tables import numbers
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import (
     IN_DEGREES,
@@ -41,9 +41,6 @@ from robodyn.tables.csv_fields import (
     split_fields,
     unquoted,
 )
-from robodyn.tables.shortest import decimals
-
-FEW = 50  # lines that loadtxt reads in less time
 
 
 class Chunk(NamedTuple):
@@ -60,28 +57,6 @@ class _Rows(NamedTuple):
     lines: list[str]
     numbers: Sequence[int]
     quoted: bool  # whether any has a quote, so that not every comma ends a field
-
-
-def plain_numbers(rows: Sequence[str], width: int, places: Sequence[int]) -> Array | None:
-    """The columns `places` (n, k) of n rows of `width` fields, none quoted; all finite, or None."""
-    powers = np.fromiter(map(contains, rows, repeat("e")), bool, len(rows))
-    values = np.empty((len(powers), len(places)))
-    for chosen in (powers, ~powers):
-        lines = list(compress(rows, chosen))
-        found = None
-        if chosen is not powers and len(lines) >= FEW:
-            found = decimals(lines, width, places)
-        if found is None and lines:
-            # loadtxt parses exactly, but given columns does not mind rows of unequal length
-            if set(map(str.count, lines, repeat(","))) != {width - 1}:
-                return None
-            try:
-                plain: Any = {"delimiter": ",", "comments": None, "encoding": None}
-                found = np.loadtxt(lines, usecols=places, ndmin=2, **plain)
-            except ValueError:
-                return None
-        values[chosen] = found
-    return values if np.isfinite(values).all() else None
 
 
 class Reader:
@@ -140,7 +115,7 @@ class Reader:
         for rows in self._rows:
             values, fault = None, None
             if places and not rows.quoted:
-                values = plain_numbers(rows.lines, len(self.header), places)
+                values = numbers.read(rows.lines, len(self.header), places)
             if values is None:  # there is more to them, or a fault
                 values, fault = self._parsed(rows, [self.header[x] for x in places], places)
             if turned:

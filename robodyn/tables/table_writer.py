@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from robodyn.tables.csv_fields import finite, quoted, split_fields, unquoted
-from robodyn.tables.shortest import shortest
+from robodyn.tables.numbers import written
 
 if TYPE_CHECKING:
     from robodyn.tables.arrays import Array
 
 HELD = 1 << 21  # bytes; more than what is read or written at once takes in any one piece
 Told = Callable[[str], tuple[str, float]]  # of a column: its name there, and what its values are
-FEW = 2000  # numbers that are written by `repr` before all is ready for more
 
 
 class Writer:
@@ -132,9 +131,7 @@ class Writer:
                 fields = zip(lines[k].split(","), known[k], strict=True)
                 lines[k] = ",".join(field if there else "" for field, there in fields)
             return lines
-        if values.size < FEW:
-            return [",".join(map(repr, row)) for row in values.tolist()]
-        return shortest(values).split("\n")[:-1]
+        return written(values)
 
     def _texts(self, values: Array) -> Iterable[Sequence[str]]:
         """The same, each row by its fields."""
