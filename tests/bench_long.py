@@ -57,4 +57,4 @@ def nearly_locked(bench: Any) -> list[Any]:
         steps.append(run().report.steps)
     times = in_turn(*runs, min(bench.repeats, 5))
     each = [(ours / steps[0], theirs / steps[1]) for ours, theirs in times]
-    return [compared("step of a four-bar that is nearly locked", each, 1, "1e-3 m", aim=5.0)]
+    return [compared("step of a four-bar that is nearly locked", each, 1, "1e-3 m", bound=5.0)]

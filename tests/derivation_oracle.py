@@ -10,11 +10,13 @@ from functools import cached_property
 import numpy as np
 import sympy as sp
 
+from robodyn.elements.joints import DryFriction, SmoothFriction
+from robodyn.elements.loads import Force, Moment
+from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.equations.derivation import Derivation
 from robodyn.equations.derivation_text import derivation_json
 from robodyn.equations.written import equations
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.scene import DryFriction, Friction, JointSpring, Load, Moment, Spring
 
 TAKEN = re.compile(r"[HTFBY]\d+[xy]?")  # laws that vary: what their names stand for is as given
 NAMED = re.compile(  # what is left of an equal sign, but for the first side of a closure
@@ -128,7 +130,7 @@ class Oracle:
         for i, load in enumerate(self.scene.loads):
             if isinstance(load, Moment) and load.varying is None:
                 found[f"PEl{i + 1}"] = -load.torque * self.turn(load.link)
-            elif isinstance(load, Load) and self.steady(load):
+            elif isinstance(load, Force) and self.steady(load):
                 force = self.force(load)
                 found[f"PEl{i + 1}"] = -(force.T * self.place(load.point.link, load.point.at))[0]
         return found
@@ -139,7 +141,7 @@ class Oracle:
 
     def steady(self, load) -> bool:
         turns = load.turns and self.angle_moves(load.point.link)
-        return not load.varies and not turns
+        return not load.varied and not turns
 
     def angle_moves(self, k) -> bool:
         return bool(sp.sympify(self.angles[k]).free_symbols)
@@ -148,7 +150,7 @@ class Oracle:
         """The force of a load on the ground; what varies by its name."""
         x, y = load.force.real, load.force.imag
         i = self.scene.loads.index(load) + 1
-        if load.varies:
+        if load.varied:
             x, y = (
                 given if law is None else self.values[f"F{i}{axis}"]
                 for given, law, axis in zip((x, y), load.varying, "xy", strict=True)
@@ -199,7 +201,7 @@ class Oracle:
         """Q_i by virtual work."""
         total = 0.0
         for j, spring in enumerate(self.scene.springs):
-            if isinstance(spring, Spring) and spring.damping:
+            if isinstance(spring, PointSpring) and spring.damping:
                 S = self.between(spring)
                 size = sp.sqrt(S[0] ** 2 + S[1] ** 2)
                 total += self.value(-spring.damping * self.rate(size) * sp.diff(size, self.q[i]))
@@ -210,14 +212,14 @@ class Oracle:
                     reach = sp.sqrt(S[0] ** 2 + S[1] ** 2)
                 total -= self.values[f"H{j + 1}"] * self.value(sp.diff(reach, self.q[i]))
         for j, load in enumerate(self.scene.loads):
-            if isinstance(load, Load) and not self.steady(load):
+            if isinstance(load, Force) and not self.steady(load):
                 arm = self.place(load.point.link, load.point.at).diff(self.q[i])
                 total += self.value((self.force(load).T * arm)[0])
             elif isinstance(load, Moment) and load.varying is not None:
                 slope = self.value(sp.diff(self.angles[load.link], self.q[i]))
                 total += self.values[f"T{j + 1}"] * slope
         friction, rate = self.scene.links[i].friction, self.values[f"qd{i + 1}"]
-        if isinstance(friction, Friction):
+        if isinstance(friction, SmoothFriction):
             total -= friction.torque * math.tanh(rate / friction.speed)
         elif isinstance(friction, DryFriction):
             total -= self.values.get(f"B{i + 1}", 0.0)

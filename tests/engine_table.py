@@ -71,8 +71,8 @@ def forces_on_links(mech, q, qd, t):
     found = np.zeros(mech.n, complex)
     if mech.springs or mech.forces:
         each = iter(rows_of(parts.acting, mech).planar("forces", q, qd, t))
-        ends = [[(x.first, 1.0), (x.second, -1.0)] for x in mech.springs]
-        ends += [[(x.link, 1.0)] for x in mech.forces]
+        ends = [[(x.first.link, 1.0), (x.second.link, -1.0)] for x in mech.springs]
+        ends += [[(x.point.link, 1.0)] for x in mech.forces]
         for force, links in zip(each, ends, strict=True):
             for link, sign in links:
                 if link is not None:

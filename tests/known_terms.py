@@ -14,8 +14,10 @@ from varied_scenes import conserves, stored, value
 
 import oracles
 from random_mechanisms import Pose, oracle_tree
+from robodyn.elements.loads import Force, Moment
+from robodyn.elements.springs import JointSpring
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.scene import Description, JointSpring, Load, Moment, Point
+from robodyn.scene.scene import Description, Point
 
 DIGITS = 30
 
@@ -89,7 +91,7 @@ class Forces:
                 continue
             place = self.place(item.point)
             torque = real(np.conj(pose.slope(place)) * self.turned(item))
-            if item.turns or item.varies:
+            if item.turns or item.varied:
                 other = other + torque
             else:
                 potential = potential + torque
@@ -111,7 +113,7 @@ class Forces:
                 if link is not None:
                     total[link] += sign * F * d / abs(d)
         for item in self.description.loads:
-            if isinstance(item, Load):
+            if isinstance(item, Force):
                 total[item.point.link] += self.turned(item)
         return np.array(total)
 

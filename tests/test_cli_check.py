@@ -365,7 +365,7 @@ def test_all_faults_of_a_scene_are_told_one_a_line(
     assert failed.err.splitlines() == [
         f"Error: {path}:1: gravty: is an unknown key; did you mean gravity?",
         f"       {path}:3: links[0] (a).m = -1: must be >= 0",
-        f"       {path}:3: links[0] (a).l = yes: is a truth value, not a number",
+        f"       {path}:3: links[0] (a).l = yes: must be a number: yes is no unit or function",
         f"       {path}:3: links[0] (a).r = 1 values: must be two numbers, [x, y]",
         f"       {path}:3: links[0] (a).I = nan: must be a finite number",
     ]

@@ -23,9 +23,7 @@ from each_case import each
 from named_case import case
 
 from robodyn import cli
-from robodyn.scene import other_conventions
 from robodyn.scene.example_scenes import example_file
-from robodyn.scene.grammar import FORMS, MAPPINGS
 from robodyn.tables.csv_fields import Delimited
 
 Run = Callable[..., Outcome]
@@ -247,55 +245,32 @@ def test_a_tab_as_delimiter(robodyn: Run, tmp_path: Path) -> None:
     assert given.succeeds().out.startswith("q1,q2,tau1")
 
 
-# Other conventions
-
-
-def test_a_key_of_another_convention_gets_the_way_it_is_here(robodyn: Run, tmp_path: Path) -> None:
+def test_an_unknown_key_gets_the_nearest_name(robodyn: Run, tmp_path: Path) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text(
-        "g: 9.81\nlinks:\n"
-        "  - {name: a, mass: 1, length: 1, com: 0.5, inertia: 0.1, limits: [-1, 1]}\n"
-        "  - {name: b, m: 1, l: 1, r: 0.5, I: 0.1, type: prismatic, parent: a, origin: [0, 0]}\n"
-        "  - {name: c, m: 1, l: 1, r: 0.5, I: 0.1, a: 1, alpha: 0, d: 0, theta: 1, lenght: 2}\n"
-        "  - {name: d, m: 1, l: 1, r: 0.5, I: 0.1, limits: {lower: 0, upper: 1}}\n"
-        "  - {name: e, Mass: 1, L: 1, R: 0.5, i: 0.1, Type: prismatic, length_m: 3,\n"
-        "     centre-of-mass: 1}\n"
+        "links:\n"
+        "  - {name: a, m: 1, l: 1, r: 0.5, I: 0.1, dampnig: 1, limits: [-1, 1]}\n"
+        "  - {Name: b, m: 1, l: 1, R: 0.5, i: 0.1, theta: 1, FROM: a, lenght: 2}\n"
+        "  - {name: d, m: 1, l: 1, r: 0.5, I: 0.1, limits: {Min: 0, mx: 1}}\n"
         "  - [0, 0, 1, 0]\n"
     )
     told = robodyn("check", scene)
     for key, way in {
-        "g": "gravity",
-        "mass": "the mass is m",
-        "length": "the length is l",
-        "com": "the centre of gravity is r",
-        "inertia": "is I",
-        "type": "joint: prismatic and axis: [dx, dy]",
-        "parent": "is from: NAME",
-        "origin": "is from: NAME",
-        "a": "Denavit-Hartenberg rows are not read",
-        "theta": "Denavit-Hartenberg rows are not read",
-        "lenght": "known: ",
-        "lower": "the lower end is min",
-        "upper": "the upper end is max",
-        "Mass": "the mass is m",
-        "L": "the length is l",
+        "dampnig": "did you mean damping?",
+        "Name": "did you mean name?",
         "R": "did you mean r?",
         "i": "did you mean I?",
-        "Type": "joint: prismatic",
-        "length_m": "the length is l",
-        "centre-of-mass": "the centre of gravity is r",
+        "theta": "known: name, ",
+        "FROM": "did you mean from?",
+        "lenght": "known: ",
+        "Min": "did you mean min?",
+        "mx": "did you mean max?",
     }.items():
         line = next(
             x for x in told.err.splitlines() if re.search(rf"[ .]{key}: is an unknown key", x)
         )
-        assert way in line
-    told.fails(2, "[lower, upper] is {min: lower, max: upper}", "; Denavit-Hartenberg rows are not")
-
-
-@pytest.mark.parametrize("kind", other_conventions.KEYS)
-def test_no_key_of_another_convention_is_one_of_the_grammar(kind: str) -> None:
-    forms = [FORMS[name] for name in MAPPINGS.get(kind, {kind: ()})]
-    assert not set(other_conventions.KEYS[kind]) & {key for form in forms for key in form.keys}
+        assert way in line, line
+    told.fails(2, "limits = a list: must be a mapping with min, max", "must be a mapping with name")
 
 
 def test_no_option_is_written_as_optional() -> None:

@@ -16,6 +16,8 @@ import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.named_points import named_points
+from robodyn.elements.loads import Force as LoadForce
+from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.errors import AssemblyError, InputError
 from robodyn.loops.assembly import first_pose
 from robodyn.mechanics import mechanism
@@ -40,7 +42,6 @@ from robodyn.pictures.mechanism_picture import (
 )
 from robodyn.scene import description
 from robodyn.scene.description import from_text
-from robodyn.scene.scene import JointSpring, Load, Spring
 
 ROBOTS = sorted(ROOT.glob("robots/*.yaml"))
 
@@ -134,7 +135,7 @@ def test_springs_end_where_they_are_hung(seed: int) -> None:
     pose = Pose(oracle_tree(described), scene.q)
     drawn = drawing(scene.mechanism, scene.q)
     bodies = [b for b, body in enumerate(drawn.bodies) if body.end is not None]
-    springs = [s for s in described.springs if isinstance(s, Spring)]
+    springs = [s for s in described.springs if isinstance(s, PointSpring)]
     assert len(bodies) == len(springs)
     for b, spring in zip(bodies, springs, strict=True):
         first, second = (pose.position((p.link, p.at)) for p in (spring.first, spring.second))
@@ -718,7 +719,7 @@ def test_springs_and_loads(seed: int) -> None:
     pose = Pose(oracle_tree(mech.description), q)
     shown = 0
     for k, spring in enumerate(mech.description.springs, start=1):
-        if not isinstance(spring, Spring):
+        if not isinstance(spring, PointSpring):
             assert f"s{k}" not in found
             continue
         ends = [(p.link, p.at) for p in (spring.first, spring.second)]
@@ -729,7 +730,7 @@ def test_springs_and_loads(seed: int) -> None:
         assert found[f"s{k}"].place == pytest.approx(pose.position(ends[0]))
         shown += 1
     for k, item in enumerate(mech.description.loads, start=1):
-        if not isinstance(item, Load):
+        if not isinstance(item, LoadForce):
             assert f"load {k}" not in found
             continue
         turned = np.exp(1j * pose.alpha[item.point.link]) if item.turns else 1.0

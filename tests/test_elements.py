@@ -1,11 +1,20 @@
-"""Each kind of element in random trees: identities, both integrators, the regressor."""
+"""Each kind of element in random trees, written in files: identities, integrators, readers."""
+
+from __future__ import annotations
+
+from typing import ClassVar
 
 import numpy as np
 import pytest
+import yaml
+from jsonschema import Draft202012Validator
+from read_equations import module
 
 from random_mechanisms import seeded_tree
-from robodyn import inverse_dynamics, simulate
+from robodyn import forward_dynamics, inverse_dynamics, simulate
 from robodyn.dynamics.identities import BOUND, identities, sample_states
+from robodyn.elements import kinds
+from robodyn.elements.base import SPENT, Element
 from robodyn.elements.contacts import Mode
 from robodyn.elements.joints import (
     CompliantStop,
@@ -14,157 +23,215 @@ from robodyn.elements.joints import (
     Rotor,
     Slipping,
     SmoothFriction,
+    Stops,
 )
-from robodyn.elements.kinds import KINDS
-from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.keys import Way, key
+from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
+from robodyn.errors import InputError
+from robodyn.export.mjcf import mjcf
+from robodyn.export.urdf import urdf
 from robodyn.mechanics.mechanism import build
 from robodyn.mechanics.modes import in_mode
 from robodyn.parameters.regression_matrix import regressor
-from robodyn.scene import scene as described
-from robodyn.scene.scene import Law, Load, Moment, Motor, Point, Spring
+from robodyn.scene import grammar
+from robodyn.scene.description import from_text
+from robodyn.scene.plain_scene import plain_scene
+from robodyn.scene.scene_schema import scene_schema
+from robodyn.scene.scene_values import SceneValues
 
 LINKS = 3
+NAMES = [f"link{k}" for k in range(LINKS)]
 
 
-def point(rng, link):
-    return Point(link, complex(*rng.uniform(-0.4, 0.4, 2)))
+class QuadraticDrag(Element):
+    """-c qd^3/sqrt(qd^2 + 1e-4) at a joint: a kind that robodyn does not have."""
+
+    joint: int = key("link_name", "the link whose joint it is")
+    c: float = key("amount", "of the drag", unit="N m s²/rad²", symbol="cd: drag {}", linear="cd")
+
+    ways: ClassVar[tuple[Way, ...]] = (Way("drag", "load", "A quadratic drag.", ("c",)),)
+
+    @property
+    def acts(self) -> str:
+        return SPENT
+
+    @property
+    def at(self) -> int:
+        return self.joint
+
+    def rows(self, b) -> None:
+        v = b.v(self.joint)
+        square = b.product(v, v)
+        speed = b.power_of(b.sum((1.0, square), constant=1e-4), -0.5)
+        b.torque(self.joint, b.number(-self.c), b.product(b.product(square, v), speed))
 
 
-def on_link(description, k, **fields):
-    links = list(description.links)
-    links[k] = links[k]._replace(**fields)
-    return description._replace(links=tuple(links))
+def numbers(rng, low, high, count=2):
+    return rng.uniform(low, high, count).tolist()
 
 
-def law(code, *names):
-    return Law(code, code, frozenset(names))
+def number(rng, low, high):
+    return float(rng.uniform(low, high))
+
+
+def point(rng, k):
+    return {"link": NAMES[k], "at": numbers(rng, -0.4, 0.4)}
 
 
 def point_springs(rng, scene):
-    far = Point(None, complex(2.0, *rng.uniform(1.0, 2.0, 1)))
-    springs = (
-        Spring(point(rng, 2), far, rng.uniform(5, 20), 0.4, rng.uniform(0.1, 1)),
-        Spring(point(rng, 1), far, 0.0, 0.3, 0.0, law("9.0*x+4.0*x**3", "x")),
-        Spring(point(rng, 0), far, 0.0, 0.3, 0.0, law("3.0*x+0.5*v", "x", "v")),
-    )
-    return scene._replace(springs=springs)
+    far = [2.0, number(rng, 1.0, 2.0)]
+    stiff = {"stiffness": number(rng, 5, 20), "damping": number(rng, 0.1, 1)}
+    scene["springs"] = [
+        {"between": [point(rng, 2), far], "length": 0.4, **stiff},
+        {"between": [point(rng, 1), far], "length": 0.3, "law": "9*x + 4*x^3"},
+        {"between": [point(rng, 0), far], "length": 0.3, "law": "3*x + 0.5*v"},
+        {"between": [point(rng, 0), point(rng, 2)], "length": 0.0, "stiffness": 3.0},
+    ]
 
 
 def joint_springs(rng, scene):
-    springs = (
-        described.JointSpring(0, rng.uniform(1, 5), rng.uniform(-1, 1)),
-        described.JointSpring(2, 0.0, 0.2, 0.1, law("2.0*x+x**3", "x")),
-        described.JointSpring(2, 0.0, 0.2, 0.0, law("2.0*x+0.3*v", "x", "v")),
-    )
-    return scene._replace(springs=springs)
+    free = number(rng, -1, 1)
+    scene["springs"] = [
+        {"joint": NAMES[0], "stiffness": number(rng, 1, 5), "angle": free},
+        {"joint": NAMES[2], "angle": 0.2, "table": "", "law": "2*x + x^3"},
+        {"joint": NAMES[2], "angle": 0.2, "law": "2*x + 0.3*v"},
+        {"joint": NAMES[1], "angle": free, "stiffness": 0.0, "damping": 0.3},
+    ]
+    del scene["springs"][1]["table"]
 
 
 def forces(rng, scene):
-    loads = (
-        Load(point(rng, 2), complex(*rng.uniform(-3, 3, 2))),
-        Load(point(rng, 1), complex(*rng.uniform(-3, 3, 2)), True),
-        Load(point(rng, 0), 1.5 + 0j, True, (None, law("2.0*q1+qd0", "q1", "qd0"))),
-    )
-    return scene._replace(loads=loads)
+    scene["loads"] = [
+        {**point(rng, 2), "force": numbers(rng, -3, 3)},
+        {**point(rng, 1), "force": numbers(rng, -3, 3), "frame": "link"},
+        {**point(rng, 0), "force": [1.5, "2*q2 + qd1"], "frame": "link"},
+    ]
 
 
-def varying_moments(rng, scene):
-    return scene._replace(loads=(Moment(1, 0.0, law("1.5*q0-0.2*qd2", "q0", "qd2")),))
+def moments(rng, scene):
+    scene["loads"] = [
+        {"link": NAMES[1], "torque": "1.5*q1 - 0.2*qd3"},
+        {"link": NAMES[2], "torque": number(rng, -2, 2)},
+    ]
 
 
 def dampers(rng, scene):
-    scene = on_link(scene, 0, damping=rng.uniform(0.1, 1))
-    return on_link(scene, 1, motor=Motor(3.0, 0.0, rng.uniform(0.01, 0.1)))
+    scene["links"][0]["damping"] = number(rng, 0.1, 1)
+    scene["links"][1]["motor"] = {"ratio": 3.0, "inertia": 0.0, "damping": number(rng, 0.01, 0.1)}
 
 
 def smooth_friction(rng, scene):
-    return on_link(scene, 1, friction=described.Friction(rng.uniform(0.1, 0.5), 0.8))
+    scene["links"][1]["friction"] = {"torque": number(rng, 0.1, 0.5), "speed": 0.8}
 
 
 def dry_friction(rng, scene):
-    torque = rng.uniform(0.1, 0.2)
-    return on_link(scene, 1, friction=described.DryFriction(torque, torque + 0.1, 0.5))
+    torque = number(rng, 0.1, 0.2)
+    friction = {"torque": torque, "static": torque + 0.1, "stribeck": 0.5}
+    scene["links"][1]["friction"] = friction
+
+
+def stops(rng, scene):
+    ends = {"min": -0.1, "max": 0.15}
+    scene["links"][1]["limits"] = {**ends, "stiffness": number(rng, 50, 90), "damping": 0.5}
 
 
 def hard_stops(rng, scene):
-    return on_link(scene, 1, limits=described.Limits(-2.0, 2.5, restitution=rng.uniform(0.2, 0.8)))
-
-
-def compliant_stops(rng, scene):
-    return on_link(scene, 1, limits=described.Limits(-0.1, 0.15, rng.uniform(50, 90), 0.5))
+    ends = {"min": -2.0, "max": 2.5}
+    scene["links"][1]["limits"] = {**ends, "restitution": number(rng, 0.2, 0.8)}
 
 
 def rotors(rng, scene):
-    return on_link(scene, 2, motor=Motor(rng.uniform(5, 20), rng.uniform(0.001, 0.01)))
+    motor = {"ratio": number(rng, 5, 20), "inertia": number(rng, 0.001, 0.01)}
+    scene["links"][2]["motor"] = motor
+
+
+def drags(rng, scene):
+    scene["loads"] = [{"joint": NAMES[1], "c": number(rng, 0.3, 0.9)}]
 
 
 CASES = {
     PointSpring: point_springs,
     JointSpring: joint_springs,
     Force: forces,
-    VaryingMoment: varying_moments,
+    Moment: moments,
     JointDamper: dampers,
     SmoothFriction: smooth_friction,
     DryFriction: dry_friction,
     Slipping: dry_friction,
+    Stops: stops,
     HardStop: hard_stops,
-    CompliantStop: compliant_stops,
+    CompliantStop: stops,
     Rotor: rotors,
+    QuadraticDrag: drags,
+}
+# in which they act, where that is not the mode of a joint that is free
+MODES = {
+    DryFriction: Mode(slips=((1, 1),)),
+    Slipping: Mode(slips=((1, -1),)),
+    Stops: Mode(pressed=((1, 1),)),
+    CompliantStop: Mode(pressed=((1, 1),)),
 }
 
-kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+each_kind = pytest.mark.parametrize(
+    "kind", [*kinds.KINDS, QuadraticDrag], ids=lambda kind: kind.__name__
+)
 seeds = pytest.mark.parametrize("seed", range(3))
 
 
+@pytest.fixture(autouse=True)
+def declared():
+    """Scenes may have the drag."""
+    grammar.declare((*grammar.OTHERS, *kinds.KINDS, QuadraticDrag))
+    yield
+    grammar.declare((*grammar.OTHERS, *kinds.KINDS))
+
+
+def plain(seed):
+    return from_text(seeded_tree(seed, LINKS).text, "plain.yaml")
+
+
+def text_of(kind, seed):
+    """A random tree with elements of a kind, as a file."""
+    scene = plain_scene(plain(seed))
+    for link, name in zip(scene["links"], NAMES, strict=True):
+        assert link["name"] == name
+    CASES[kind](np.random.default_rng(seed), scene)
+    return yaml.safe_dump(scene, sort_keys=False)
+
+
 def made(kind, seed):
-    """A random tree with elements of a kind."""
-    rng = np.random.default_rng(seed)
-    return build(CASES[kind](rng, seeded_tree(seed, LINKS).mechanism.description))
+    return build(from_text(text_of(kind, seed), "kind.yaml"))
 
 
 def states(seed, rows=5):
     return np.random.default_rng(100 + seed).uniform(-1.0, 1.0, (3, rows, LINKS))
 
 
-def checked(mechanism):
-    free = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
-    found = identities(free, sample_states(free, 20))
-    failed = [x for x in found if x.residual is not None and not x.residual <= BOUND]
-    assert not failed, failed
-
-
-def runs_agree(mechanism, seed, tolerance=1e-6):
-    q, qd, _ = states(seed)
-    taylor, other = (
-        simulate(mechanism, q[0], qd[0], 0.5, method=method, rtol=1e-11, atol=1e-11)
-        for method in ("taylor", "DOP853")
-    )
-    assert np.abs(taylor.q[-1] - other.q[-1]).max() < tolerance
-    assert np.abs(taylor.qd[-1] - other.qd[-1]).max() < tolerance
-
-
-def regressed(mechanism, seed):
-    q, qd, qdd = states(seed)
-    found = regressor(mechanism, q, qd, qdd)
-    tau = inverse_dynamics(mechanism, q, qd, qdd)[:, list(mechanism.actuated)]
-    assert np.allclose(found.Y @ found.values + found.known, tau, rtol=1e-11, atol=1e-11)
-
-
 def test_every_kind_has_a_case():
-    assert set(CASES) == set(KINDS)
+    assert set(CASES) == {*kinds.KINDS, QuadraticDrag}
 
 
-@kinds
+@each_kind
 def test_its_case_has_it(kind):
-    if kind is not Slipping:  # which only a mode has
-        assert made(kind, 0).of(kind)
+    mechanism = made(kind, 0)
+    if kind in MODES:
+        mechanism = in_mode(mechanism, MODES[kind])
+    if kind is DryFriction:  # which slips there
+        kind = Slipping
+    pressed = kind in (Stops, CompliantStop)
+    assert mechanism.of(JointSpring if pressed else kind)
 
 
-@kinds
+@each_kind
 @seeds
 def test_its_identities_hold(kind, seed):
-    checked(made(kind, seed))
+    pressed = kind in (Stops, CompliantStop)  # one that is pressed is a spring
+    mode = Mode() if pressed else MODES.get(kind, Mode())
+    mechanism = in_mode(made(kind, seed), mode)
+    found = identities(mechanism, sample_states(mechanism, 20))
+    failed = [x for x in found if x.residual is not None and not x.residual <= BOUND]
+    assert not failed, failed
 
 
 @pytest.mark.parametrize("kind", [CompliantStop, DryFriction, HardStop], ids=lambda x: x.__name__)
@@ -180,13 +247,112 @@ def test_identities_hold_in_the_modes_of_contacts(kind, seed):
     assert not failed, failed
 
 
-@kinds
+@each_kind
 @seeds
 def test_both_integrators_agree(kind, seed):
-    runs_agree(made(kind, seed), seed)
+    mechanism, (q, qd, _) = made(kind, seed), states(seed)
+    taylor, other = (
+        simulate(mechanism, q[0], qd[0], 0.5, method=method, rtol=1e-11, atol=1e-11)
+        for method in ("taylor", "DOP853")
+    )
+    assert np.abs(taylor.q[-1] - other.q[-1]).max() < 1e-6
+    assert np.abs(taylor.qd[-1] - other.qd[-1]).max() < 1e-6
 
 
-@kinds
+@each_kind
 @seeds
 def test_torques_are_linear_in_its_parameters(kind, seed):
-    regressed(made(kind, seed), seed)
+    mechanism, (q, qd, qdd) = made(kind, seed), states(seed)
+    found = regressor(mechanism, q, qd, qdd)
+    tau = inverse_dynamics(mechanism, q, qd, qdd)[:, list(mechanism.actuated)]
+    assert np.allclose(found.Y @ found.values + found.known, tau, rtol=1e-11, atol=1e-11)
+    elements = (x for _, x in mechanism.description.elements)
+    letters = {y.linear for x in elements for _, y in x.linear()}
+    assert letters <= {name.rstrip("0123456789") for name in found.names}
+
+
+@each_kind
+@seeds
+def test_its_equations_in_python_are_its_rows(kind, seed):
+    mechanism, written = made(kind, seed), module(made(kind, seed))["inverse_dynamics"]
+    for q, qd, qdd in np.moveaxis(states(seed), 0, 1):
+        tau = inverse_dynamics(mechanism, q, qd, qdd)
+        assert np.allclose(written(q, qd, qdd), tau, rtol=1e-12, atol=1e-12)
+
+
+@each_kind
+@seeds
+def test_the_schema_accepts_it(kind, seed):
+    errors = Draft202012Validator(scene_schema()).iter_errors(yaml.safe_load(text_of(kind, seed)))
+    assert not list(errors)
+
+
+@each_kind
+def test_every_number_has_a_name(kind):
+    """And the description changes with it."""
+    text = text_of(kind, 0)
+    values = SceneValues(text, "kind.yaml")
+    for place, element in values.base.elements:
+        slides = element.at is not None and values.base.links[element.at].slides
+        for field, declared in element.keys.items():
+            value = getattr(element, field, None)
+            replaced = declared.instead and getattr(element, declared.instead)
+            if not isinstance(value, float) or replaced or (declared.optional and not value):
+                continue
+            name = f"{place}.{declared.of(slides).name or field}"
+            assert name in values, name
+            assert values.number(name) == value
+            changed = dict(values.replaced({name: 0.9 * value + 0.01}).elements)
+            assert changed[place] == element._replace(**{field: 0.9 * value + 0.01})
+
+
+@each_kind
+def test_the_mapping_of_its_scene_reads_back(kind):
+    text = text_of(kind, 0)
+    scene = from_text(text, "kind.yaml")
+    assert from_text(yaml.safe_dump(plain_scene(scene)), "kind.yaml") == scene
+
+
+@each_kind
+@pytest.mark.parametrize("write", [mjcf, urdf])
+def test_an_export_writes_it_or_refuses_it_by_name(kind, write):
+    mechanism = made(kind, 0)
+    places = [place for place, _ in mechanism.description.elements] or ["links"]
+    try:
+        model = write(mechanism)
+    except InputError as refused:
+        error = str(refused)
+    else:
+        error = ""
+        assert model != write(build(plain(0)))
+    heads = {place.partition("[")[0] for place in places}
+    assert not error or any(error.startswith(f"kind.yaml: {head}") for head in heads), error
+    assert error or kind is not QuadraticDrag
+
+
+def test_an_unknown_kind_is_refused_with_its_place():
+    with pytest.raises(InputError, match=r"loads\[0\]: MJCF cannot say it"):
+        mjcf(made(QuadraticDrag, 0))
+
+
+@seeds
+def test_a_new_kind_is_in_the_torques(seed):
+    bare, mechanism = build(plain(seed)), made(QuadraticDrag, seed)
+    q, qd, qdd = states(seed)
+    (drag,) = mechanism.of(QuadraticDrag)
+    more = inverse_dynamics(mechanism, q, qd, qdd) - inverse_dynamics(bare, q, qd, qdd)
+    expected = drag.c * qd[:, 1] ** 3 / np.sqrt(qd[:, 1] ** 2 + 1e-4)
+    assert np.allclose(more, expected[:, None] * [0, 1, 0], atol=1e-11)
+    tau = inverse_dynamics(mechanism, q, qd, qdd)[:, list(mechanism.actuated)]
+    assert np.allclose(forward_dynamics(mechanism, q, qd, tau), qdd, atol=1e-9)
+    assert mechanism.changes_energy
+    assert mechanism.has_state_forces
+
+
+@seeds
+def test_an_element_may_be_added_to_a_mechanism(seed):
+    bare, (q, qd, qdd) = build(plain(seed)), states(seed)
+    mechanism = bare.with_added(QuadraticDrag(1, 0.7))
+    found = regressor(mechanism, q, qd, qdd)
+    tau = inverse_dynamics(mechanism, q, qd, qdd)[:, list(mechanism.actuated)]
+    assert np.allclose(found.Y @ found.values + found.known, tau, rtol=1e-11, atol=1e-11)

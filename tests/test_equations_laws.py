@@ -104,6 +104,22 @@ def test_what_is_read_gives_the_torques(numeric: bool) -> None:
         assert_close(left, tau, np.abs(tau).max(), 1e-12)
 
 
+@pytest.mark.parametrize("load", ["at: [1, 0.2], force: [3, 1]", "torque: 2"])
+def test_a_constant_load_alone_is_in_G(load: str) -> None:
+    """Where nothing else has a potential; and there is no Q."""
+    mech = mechanism(
+        "links:\n  - {name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082}\n"
+        f"loads:\n  - {{link: a, {load}}}\n"
+    )
+    content = json.loads(as_json(equations(mech)))
+    assert "Q" not in content
+    scope = {name: entry["value"] for name, entry in content["symbols"].items()}
+    q, zero = [0.7], [0.0]
+    G = eval(content["G"][0], {**scope, "sin": math.sin, "cos": math.cos, "q1": q[0]})
+    assert pytest.approx(dynamics.inverse_dynamics(mech, q, zero, zero)[0], rel=1e-12) == G
+    assert module(mech)["G"](q)[0] == pytest.approx(G, rel=1e-12)
+
+
 def test_how_they_are_written() -> None:
     found = lines(text(equations(mechanism(SCENE))))
     for formula in (

@@ -356,7 +356,7 @@ class TestObject:
         )
         mech, bare = mechanism(text), mechanism(chain(4))
         assert [force.turns for force in mech.forces] == [False, True]
-        coefficients = dict(mech.forces[0].point.terms)
+        coefficients = dict(mech.tree.point(mech.forces[0].point).terms)
         for k, (weight, other) in enumerate(zip(mech.weights, bare.weights, strict=True)):
             expected = other + (3 + 2j) * coefficients.get(k, 0j)
             assert weight == pytest.approx(expected, rel=1e-14)

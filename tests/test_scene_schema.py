@@ -18,7 +18,7 @@ from named_case import case
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn.errors import DescriptionError
 from robodyn.scene.description import from_text
-from robodyn.scene.grammar import FORMS, MAPPINGS, NUMBERS, OR_VECTOR
+from robodyn.scene.grammar import FORMS, MAPPINGS, key_table
 from robodyn.scene.scene_schema import scene_schema
 
 SCHEMA = scene_schema()
@@ -262,10 +262,10 @@ def test_what_is_no_scene_does_not(text: str) -> None:
 
 def test_the_schema_knows_the_keys_of_the_grammar() -> None:
     for kind, form in FORMS.items():
-        place = f"plain_{kind}" if kind in MAPPINGS else kind
+        place = f"plain_{kind}" if len(MAPPINGS.get(kind, ())) > 1 else kind
         mapping = SCHEMA["$defs"][place]
         assert set(mapping["properties"]) == set(form.keys)
-        assert mapping["required"] == form.named(needed=True)
+        assert mapping["required"] == form.needed
 
 
 @pytest.mark.parametrize(
@@ -298,12 +298,9 @@ def test_the_tables_of_the_guide_are_the_grammar(form: str) -> None:
         "drawn_revolute_link": "key of a drawn link",
     }
     header = f"| {named.get(form, f'key of a {form}'.replace('_', ' '))} | unit | value | default |"
-    lines = [header.replace("a joint spring", "a spring at a joint"), "|---|---|---|---|"]
-    for name, key in FORMS[form].keys.items():
-        limit = NUMBERS.get(OR_VECTOR.get(key.kind, key.kind), "")
-        told = f"{key.help}, {limit}" if limit else key.help
-        lines.append(f"| `{name}` | {key.unit} | {told} | {key.default} |".replace("|  |", "| |"))
-    table = "\n".join(lines).replace("a point spring", "a spring between points")
+    header = header.replace("a joint spring", "a spring at a joint")
+    header = header.replace("a point spring", "a spring between points")
+    table = f"{header}\n|---|---|---|---|\n{key_table(form)}"
     page = "drawn" if form in ("drawn_scene", "drawn_revolute_link", "slot") else "scene"
     assert table in PAGES[page], f"the grammar says\n{table}"
 

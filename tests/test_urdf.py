@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import namedtuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -341,11 +340,12 @@ def test_numbers_read_back_exactly_model_xml(value):
     assert number(-0.0) == "0.0"
 
 
-class LaterLink(namedtuple("LaterLink", (*Link._fields, "backlash"))):
-    slides = Link.slides
+class LaterLink(Link):
+    backlash: float = 0.0
 
 
-LaterDescription = namedtuple("LaterDescription", (*Description._fields, "magnets"))
+class LaterDescription(Description):
+    magnets: tuple = ()
 
 
 def later(magnets=(), backlash=0.0):

@@ -14,9 +14,9 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from robodyn.dynamics.joint_vectors import joint_units
+from robodyn.elements.springs import JointSpring
 from robodyn.errors import InputError
 from robodyn.scene.quantities import entries
-from robodyn.scene.scene import JointSpring
 from robodyn.scene.syntax import plain_text
 from robodyn.scene.unit_arithmetic import read_value
 from robodyn.tables.csv_fields import shown

@@ -12,10 +12,11 @@ from typer import Option
 from robodyn.cli.files import model_argument, output_file, read_scene, rows_argument
 from robodyn.cli.large_angles import tell_large_angles
 from robodyn.dynamics.named_points import named_point
+from robodyn.elements.loads import Force as PointForce
 from robodyn.errors import DescriptionError, InputError
 from robodyn.scene import yaml_tree
 from robodyn.scene.quantities import parse_vector
-from robodyn.scene.scene import Description, Load
+from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues, read_numbers
 from robodyn.tables.csv_fields import shown
 
@@ -195,5 +196,5 @@ def with_forces(mechanism: Mechanism, forces: Sequence[str] | None) -> Mechanism
         values = parse_vector(force, where=where, unit="N")
         if len(values) != 2:
             raise InputError(where, value=shown(force), limit="must be FX,FY (N, ground axes)")
-        loads.append(Load(named_point(mechanism, point, "--force").own, complex(*values)))
+        loads.append(PointForce(named_point(mechanism, point, "--force").own, complex(*values)))
     return build(mechanism.description._replace(loads=tuple(loads)))

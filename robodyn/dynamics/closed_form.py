@@ -56,7 +56,7 @@ def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = No
     if mechanism.n >= LONG and not mechanism.slides:
         return _by_blocks(mechanism.arrays.A, 1j * at.X, 1j * moved.X)
     right = columns(mechanism, mechanism.arrays.A, moved.X[..., None, :], moved.E[..., None, :])
-    adjoint = np.swapaxes(right.conj(), -1, -2)
+    adjoint = right.conj().swapaxes(-1, -2)
     W = columns(mechanism, adjoint, at.X[..., None, :], at.E[..., None, :]).real
     return W if rates is None else np.swapaxes(W, -1, -2)
 

@@ -34,6 +34,7 @@ from robodyn.dynamics.placed import (
     columns,
     matvec,
     placed,
+    placed_at,
     relative_matrix,
 )
 from robodyn.engines.factors import svd
@@ -174,11 +175,35 @@ def forward(
     A `baumgarte` rate b (1/s) makes the closures obey gapdd + 2 b gapd + b^2 gap = 0.
     """
     at, rates = placed(mechanism, q), absolute_rates(mechanism, qd)
+    loads = joint_loads(mechanism, q, qd, t)
+    acceleration, M, force, s = _moved(mechanism, at, rates, tau - loads, baumgarte)
+    unbalanced = matvec(M, acceleration) - force
+    multipliers = matvec(np.swapaxes(s.inverse, -1, -2), unbalanced)
+    qdd = _of_joints(mechanism, acceleration)
+    return Accelerations(qdd, multipliers, "; ".join(_dependence(mechanism, s.rank)))
+
+
+def accelerations(
+    mechanism: Mechanism, q: Array, qd: Array, tau: Array, baumgarte: float, t: float
+) -> Array:
+    """qdd (n,) of one finite state, as `forward` has it, without the multipliers."""
+    J = mechanism.arrays.J
+    at, rates = placed_at(mechanism, matvec(J, q)), matvec(J, qd)
+    loads = joint_loads(mechanism, q, qd, t)
+    return _of_joints(mechanism, _moved(mechanism, at, rates, tau - loads, baumgarte)[0])
+
+
+def _moved(
+    mechanism: Mechanism, at: Placed, rates: Array, torques: Array, baumgarte: float
+) -> tuple[Array, Array, Array, Decomposition]:
+    """xdd (..., n) under torques at joints, M, the force on x, and Psi decomposed.
+
+    All of this in x, displacements told in units of a length.
+    """
     units = mechanism.arrays.units
-    M = _whole_inertia(mechanism, at)  # all of this in x, displacements by a length
+    M = _whole_inertia(mechanism, at)
     bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
-    force = matvec(relative_matrix(mechanism).T, tau - joint_loads(mechanism, q, qd, t))
-    force = force - _loads(mechanism, at, bent)
+    force = matvec(relative_matrix(mechanism).T, torques) - _loads(mechanism, at, bent)
     Psi = absolute_jacobian(mechanism, at)
     bend = bias_at(mechanism, at, rates, bent)
     if baumgarte:
@@ -189,22 +214,28 @@ def forward(
     s = decompose(mechanism, Psi)
     particular = -matvec(s.inverse, bend)
     right = force - matvec(M, particular)
-    n, ranks = mechanism.n, s.rank.ravel()
+    n, ranks = mechanism.n, s.rank.ravel().tolist()
     states = s.V.reshape(-1, n, n), M.reshape(-1, n, n), right.reshape(-1, n)
-    free = np.zeros_like(states[2])
-    for rank in set(ranks.tolist()):  # as a rule there is one
-        which = slice(None) if (ranks == rank).all() else ranks == rank
-        V, inertia, force_left = (x[which] for x in states)
-        free[which] = _along_freedoms(mechanism, V[..., rank:], inertia, force_left)
-    acceleration = particular + free.reshape(right.shape)
-    unbalanced = matvec(M, acceleration) - force
-    multipliers = matvec(np.swapaxes(s.inverse, -1, -2), unbalanced)
-    acceleration = acceleration * units
+    if len(set(ranks)) == 1:  # as a rule
+        V, inertia, force_left = states
+        free = _along_freedoms(mechanism, V[..., ranks[0] :], inertia, force_left)
+    else:
+        free = np.zeros_like(states[2])
+        for rank in set(ranks):
+            which = s.rank.ravel() == rank
+            V, inertia, force_left = (x[which] for x in states)
+            free[which] = _along_freedoms(mechanism, V[..., rank:], inertia, force_left)
+    return particular + free.reshape(right.shape), M, force, s
+
+
+def _of_joints(mechanism: Mechanism, acceleration: Array) -> Array:
+    """qdd (..., n) of xdd (..., n), whose displacements are told in units of a length."""
+    acceleration = acceleration * mechanism.arrays.units
     qdd = acceleration.copy()
     for k, above in enumerate(mechanism.above):
         if above is not None:
             qdd[..., k] -= acceleration[..., above]
-    return Accelerations(qdd, multipliers, "; ".join(_dependence(mechanism, s.rank)))
+    return qdd
 
 
 def responses(mechanism: Mechanism, q: Array, joints: Sequence[int]) -> Array:
@@ -264,14 +295,14 @@ def decompose(mechanism: Mechanism, Psi: Array) -> Decomposition:
     U, s, Vt = svd(Psi, full=True)
     k, cut = s.shape[-1], RANK_CUT * loop_size(mechanism)
     inverse = _pseudo_inverse(U[..., :, :k], s, Vt[..., :k, :], cut)
-    return Decomposition(U, np.swapaxes(Vt, -1, -2), (s > cut).sum(axis=-1), inverse)
+    return Decomposition(U, Vt.swapaxes(-1, -2), (s > cut).sum(axis=-1), inverse)
 
 
 def _pseudo_inverse(U: Array, s: Array, Vt: Array, cut: float) -> Array:
     """V diag(1/s) U^T, without the singular values up to `cut`."""
     counts = s > cut
-    inverse = np.where(counts, 1.0 / np.where(counts, s, 1.0), 0.0)
-    found: Array = (np.swapaxes(Vt, -1, -2) * inverse[..., None, :]) @ np.swapaxes(U, -1, -2)
+    inverse = 1.0 / s if counts.all() else np.divide(1.0, s, out=np.zeros_like(s), where=counts)
+    found: Array = (Vt.swapaxes(-1, -2) * inverse[..., None, :]) @ U.swapaxes(-1, -2)
     return found
 
 
@@ -284,14 +315,19 @@ def _along_freedoms(
     """
     if not N.shape[-1]:
         return np.zeros_like(right)
-    Nt, whole = np.swapaxes(N, -1, -2), N.shape[-1] == N.shape[-2]  # without closures N is 1
+    Nt, whole = N.swapaxes(-1, -2), N.shape[-1] == N.shape[-2]  # without closures N is 1
+    one = N.shape[-1] == 1  # whose inertia is scaled to 1
     reduced = M if whole else Nt @ M @ N
+    if one and not whole:
+        inertia = reduced[..., 0]
+        if (inertia > LIGHTEST * (np.abs(Nt) @ np.abs(M) @ np.abs(N))[..., 0]).all():
+            scale = np.sqrt(inertia)
+            return matvec(N, matvec(Nt, right) / scale / scale)
     diagonal = np.diagonal(reduced, axis1=-2, axis2=-1)
     # the rounding of an inertia is a part of what its own freedom moves, of no other link
     moved = 0.0 if whole else LIGHTEST * (np.abs(N) * (np.abs(M) @ np.abs(N))).sum(axis=-2)
     scale = np.sqrt(np.where(diagonal > moved, diagonal, np.inf))
     scaled = reduced / (scale[:, :, None] * scale[:, None, :])
-    one = N.shape[-1] == 1  # whose inertia is scaled to 1
     least = np.where(np.isinf(scale[:, 0]), 0.0, 1.0) if one else np.zeros(len(scaled))
     if not (one or np.isinf(scale).any()):
         try:  # no pivot is below the least eigenvalue, and few are near it

@@ -37,13 +37,14 @@ from robodyn.dynamics.dynamics import (
 )
 from robodyn.dynamics.placed import Placed, absolute_rates, as_states, frame_rates, matvec, placed
 from robodyn.elements.base import PointForce
+from robodyn.elements.loads import Moment
 from robodyn.engines.row_values import rows_of
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
 from robodyn.mechanics.force_rows import LinkMoment
 from robodyn.mechanics.link_tree import Tree, places_of
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.scene.scene import Moment, Point
+from robodyn.scene.scene import Point
 from robodyn.tables.arrays import Array, Complex
 
 Part = Callable[[Mechanism], Mechanism]

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from robodyn.elements.contacts import End, Guard, Mode
-from robodyn.scene.scene import Signal
+from robodyn.elements.keys import Declared
+from robodyn.elements.values import Signal
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
     from robodyn.mechanics.force_rows import Builder, Slot, Term
+    from robodyn.mechanics.link_tree import Tree
 
 STORED, SPENT = "stored", "spent"
 
@@ -54,13 +56,17 @@ class NoDirection(ZeroDivisionError):
     """The ends of the element of this name coincide at every state."""
 
 
-class Element(Record):
+class Element(Declared):
     """One thing that acts; its numbers may be floats or formulas.
 
+    A kind that files have declares its keys, and in `ways` how it is written.
     `acts` is STORED for what has a potential (part of G and of PE), SPENT for what is part of Q,
     and empty for what is constants of the mechanism (D, M) or acts in no mode of its own.  `at` is
     the joint at which it acts; None where it acts on links.  `rank` orders sums.
     """
+
+    # fields that are points of the scene, with their letters and meaning in equations
+    points: ClassVar[dict[str, str]] = {}
 
     @property
     def acts(self) -> str:
@@ -90,12 +96,24 @@ class Element(Record):
     @property
     def signals(self) -> tuple[Signal, ...]:
         """Its laws, expressions and tables."""
-        return ()
+        return tuple(signal for _, signal in self.varies())
 
     @property
     def changes_energy(self) -> bool:
         """Whether the energy of the mechanism changes by it."""
         return self.acts == SPENT and not self.steady
+
+    def placed(self, tree: Tree) -> Iterator[Element]:
+        """The elements that act in a mechanism of these links, of one that a scene has."""
+        yield self
+
+    def varies(self) -> Iterator[tuple[str, Signal]]:
+        """Its signals, each with the place in its mapping."""
+        yield from ()
+
+    def called(self, names: Sequence[str]) -> str:
+        """What a legend adds to its number, of links with these names."""
+        return ""
 
     def rows(self, b: Builder) -> None:
         """Write what it does."""
@@ -146,8 +164,7 @@ class Element(Record):
         """What its kind is called."""
         return re.sub("(?<!^)(?=[A-Z])", " ", type(self).__name__).lower()
 
-    @property
-    def parted(self) -> PlanarPoint | None:
+    def parted(self, tree: Tree) -> PlanarPoint | None:
         """The way between its ends, m, if its force has no limit where that vanishes."""
         return None
 

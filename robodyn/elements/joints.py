@@ -9,26 +9,54 @@ the force along its axis where the joint slides.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from robodyn.elements.base import FRICTION, SLIPPING, SPENT, Element
 from robodyn.elements.contacts import COMPLIANT, HARD, STICKS, End, Guard, Mode
+from robodyn.elements.keys import Way, at_joints, key
 from robodyn.elements.springs import JointDamper, JointSpring
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
     from robodyn.mechanics.force_rows import Builder, Term
+    from robodyn.mechanics.link_tree import Tree
     from robodyn.tables.arrays import Array
+
+TORQUE, TORQUES, RATES = ("torque", "force"), ("N m", "N"), ("rad/s", "m/s")
 
 
 class SmoothFriction(Element):
-    """Coulomb friction of a joint, N m, and rad/s that smooth it; N and m/s where it slides."""
+    """Coulomb friction of a joint, smoothed through rest."""
 
     joint: int
-    torque: float
-    speed: float
+    torque: float = key(
+        "amount",
+        "far above that speed",
+        unit=TORQUES,
+        symbol=("tf: friction at the joint of {}", "ff: friction at the joint of {}"),
+        linear="f",
+        name=TORQUE,
+    )
+    speed: float = key(
+        "positive",
+        "what smooths it through rest",
+        unit=RATES,
+        hint=(
+            ": the friction is -torque tanh(qd/speed)",
+            ": the friction is -force tanh(qd/speed)",
+        ),
+        symbol="wf: rate that smooths the friction at the joint of {}",
+    )
+
+    ways: ClassVar[tuple[Way, ...]] = at_joints(
+        "friction", "friction", ("-torque tanh(qd/speed)", "-force tanh(qd/speed)")
+    )
+
+    def placed(self, tree: Tree) -> Iterator[Element]:
+        if self.torque:
+            yield self
 
     @property
     def acts(self) -> str:
@@ -54,12 +82,65 @@ class SmoothFriction(Element):
 
 
 class DryFriction(Element):
-    """Coulomb friction with true sticking: it acts in a mode alone, as `Slipping` or by a row."""
+    """Coulomb friction with true sticking: it acts in a mode alone, as `Slipping` or by a row.
+
+    A joint at rest holds up to `static`; one that moves is held back as `Slipping` has it.
+    """
 
     joint: int
-    torque: float  # N m, or N
-    static: float
-    stribeck: float | None = None  # rad/s, or m/s
+    torque: float = key(
+        "amount",
+        "in motion, far above the rate stribeck",
+        unit=TORQUES,
+        symbol=(
+            "tf: friction in motion at the joint of {}",
+            "ff: friction in motion at the joint of {}",
+        ),
+        linear="f",
+        name=TORQUE,
+    )
+    static: float = key(
+        "amount",
+        (
+            "most that it holds at rest, not below torque",
+            "most that it holds at rest, not below force",
+        ),
+        unit=TORQUES,
+        symbol=(
+            "ts: friction at rest at the joint of {}",
+            "fs: friction at rest at the joint of {}",
+        ),
+        linear="fs",
+        only_with="stribeck",
+    )
+    stribeck: float | None = key(
+        "positive",
+        "rate over which it falls from static",
+        unit=RATES,
+        default=None,
+        symbol="ws: rate over which friction falls at the joint of {}",
+    )
+
+    ways: ClassVar[tuple[Way, ...]] = at_joints(
+        "dry_friction",
+        "friction",
+        (
+            "Friction that sticks: torque + (static - torque) exp(-(qd/stribeck)^2) against the "
+            "motion; at rest it holds up to static.",
+            "Friction that sticks: force + (static - force) exp(-(qd/stribeck)^2) against the "
+            "motion; at rest it holds up to static.",
+        ),
+        ("static",),
+    )
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        if self.static < self.torque:
+            limit = f"must be at least the {names['torque']} in motion, {self.torque:g}"
+            yield "static", limit, f"{self.static:g}"
+
+    def placed(self, tree: Tree) -> Iterator[Element]:
+        if self.static:
+            yield self
 
     @property
     def at(self) -> int:
@@ -163,6 +244,74 @@ class Range(Record):
 
     def _reach(self, end: float, q: Array, qd: Array) -> Array:
         return abs(q[:, self.joint]) + abs(end)
+
+
+class Stops(Element):
+    """Where a joint ends: at compliant stops, at hard ones, or at no more than a limit.
+
+    In a mechanism it is a `Range`, and a stop at each end of it.
+    """
+
+    joint: int
+    low: float | None = key(
+        ("angle", "number"),
+        "where the joint ends below",
+        unit=("rad", "m"),
+        default=None,
+        symbol="qmin: where the joint of {} ends below",
+        name="min",
+    )
+    high: float | None = key(
+        ("angle", "number"),
+        "where it ends above; one of the two may be missing",
+        unit=("rad", "m"),
+        default=None,
+        symbol="qmax: where the joint of {} ends above",
+        name="max",
+    )
+    stiffness: float | None = key(
+        "positive",
+        "of the stop, which pushes and never pulls",
+        unit=("N m/rad", "N/m"),
+        default=None,
+        symbol="ke: stiffness of the stops of {}",
+        ways=("stops",),
+    )
+    damping: float = key(
+        "amount",
+        "of the stop, while it pushes",
+        unit=("N m s/rad", "N s/m"),
+        default=0.0,
+        symbol="de: damping of the stops of {}",
+        ways=("stops",),
+    )
+    restitution: float | None = key(
+        "part",
+        "speed after an impact over that before, from 0 to 1",
+        default=None,
+        ways=("hard_stops",),
+    )
+
+    ways: ClassVar[tuple[Way, ...]] = (
+        *at_joints("stops", "limits", "Compliant stops of a joint.", ("stiffness",)),
+        *at_joints(
+            "hard_stops", "limits", "Hard stops of a joint, which throw it back.", ("restitution",)
+        ),
+        *at_joints("limits", "limits", "Limits of a joint, which end a simulation."),
+    )
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        if self.low is None and self.high is None:
+            yield "", "needs a min, a max, or both", None
+        elif self.low is not None and self.high is not None and not self.low < self.high:
+            yield "high", f"must be above min, {self.low:g}", f"{self.high:g}"
+
+    def placed(self, tree: Tree) -> Iterator[Element]:
+        for side, end in Range(self.joint, self.low, self.high).ends:
+            if self.stiffness is not None:
+                yield CompliantStop(self.joint, side, end, self.stiffness, self.damping)
+            elif self.restitution is not None:
+                yield HardStop(self.joint, side, end, self.restitution)
 
 
 class HardStop(Element):

@@ -8,20 +8,27 @@ from robodyn.elements.joints import (
     Rotor,
     Slipping,
     SmoothFriction,
+    Stops,
 )
-from robodyn.elements.loads import Force, VaryingMoment
+from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 
 KINDS: tuple[type[Element], ...] = (
     PointSpring,
     JointSpring,
     Force,
-    VaryingMoment,
+    Moment,
     JointDamper,
     SmoothFriction,
     DryFriction,
     Slipping,
+    Stops,
     HardStop,
     CompliantStop,
     Rotor,
 )
+
+
+def place_of(element: Element) -> int:
+    """The place of an element's kind among the kinds; new ones come last."""
+    return KINDS.index(type(element)) if type(element) in KINDS else len(KINDS)

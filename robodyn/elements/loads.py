@@ -6,28 +6,89 @@ gives F_k -= conj(c_k) f.  Loads that vary are signals in place of numbers.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element, PlanarPoint, PointForce
-from robodyn.scene.scene import Law, Signal, Table
+from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element, PointForce
+from robodyn.elements.keys import Way, key
+from robodyn.elements.values import Point, Signal
 
 if TYPE_CHECKING:
     from robodyn.mechanics.force_rows import Builder, PlanarTerm
+    from robodyn.mechanics.link_tree import Tree
 
 
 class Force(Element):
-    """A force at a point of a link, N; one that turns with the link, or varies, has no potential.
+    """A force at a point of a link; one that turns with the link, or varies, has no potential.
 
-    Where it varies it is `turned` times the signals `parts` of its x and y (a number: that for
-    ever).
+    Where x or y is a signal it is in `varying`, and zero in `force`.
     """
 
-    link: int
-    point: PlanarPoint
-    force: complex
-    turns: bool
-    parts: tuple[Signal | float, Signal | float] | None = None
-    turned: complex = 1.0
+    link: ClassVar[Any] = key("link_name", "the link that it acts on", ways=("force",))
+    at: ClassVar[Any] = key(
+        "vector", "where, [x, y] in the link's frame", unit="m", ways=("force",)
+    )
+    point: Point = key(
+        "moving_point",
+        "a point of a link: its name, or {link, at}",
+        ways=("point_force",),
+    )
+    force: complex = key(
+        "varying_vector",
+        "[Fx, Fy], each a number, an expression or a table",
+        unit="N",
+        symbol="F: force of {}",
+    )
+    turns: bool = key(
+        "frame",
+        "ground: it keeps its direction; link: it turns with the link",
+        default=False,
+        told="ground",
+        name="frame",
+    )
+    varying: tuple[Signal | None, Signal | None] = (None, None)
+
+    points: ClassVar[dict[str, str]] = {"point": "c: point of {}"}
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way("point_force", "load", "A force at a point.", ("point",)),
+        Way("force", "load", "A force at a place of a link."),
+    )
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> Force:
+        if "at" in values:
+            values["point"] = Point(values.pop("link"), values.pop("at"))
+        parts = values.pop("force")
+        constant = [x if isinstance(x, float) else 0.0 for x in parts]
+        x, y = (None if isinstance(part, float) else part for part in parts)
+        return cls(**values, force=complex(*constant), varying=(x, y))
+
+    def to_keys(self) -> dict[str, Any]:
+        numbers = self.force.real, self.force.imag
+        parts = [x if y is None else y for x, y in zip(numbers, self.varying, strict=True)]
+        place = {"link": self.point.link, "at": self.point.at}
+        return place | {"force": parts, "turns": self.turns}
+
+    @property
+    def varied(self) -> bool:
+        """Whether it is not constant."""
+        return self.varying != (None, None)
+
+    def varies(self) -> Iterator[tuple[str, Signal]]:
+        for k, signal in enumerate(self.varying):
+            if signal is not None:
+                yield f"force[{k}]", signal
+
+    def called(self, names: Sequence[str]) -> str:
+        return f", in {'its link' if self.turns else 'the ground'}'s frame"
+
+    def placed(self, tree: Tree) -> Iterator[Force]:
+        """It is one of the ground's frame where its link cannot turn."""
+        k = self.point.link
+        if not self.turns or k is None or tree.frames[k] is not None or self.varied:
+            yield self
+        else:
+            yield self._replace(force=tree.turned(k, self.force), turns=False)
 
     @property
     def acts(self) -> str:
@@ -43,46 +104,77 @@ class Force(Element):
 
     @property
     def steady(self) -> bool:
-        return not self.turns and self.parts is None
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        return tuple(x for x in self.parts or () if isinstance(x, (Law, Table)))
+        return not self.turns and not self.varied
 
     def untimed(self) -> Force:
-        if self.parts is None:
+        if not self.varied:
             return self
-        x, y = (0.0 if isinstance(x, Signal) and "t" in x.names else x for x in self.parts)
-        return self._replace(parts=(x, y))
+        x, y = (None if x is None or "t" in x.names else x for x in self.varying)
+        return self._replace(varying=(x, y))
 
     def rows(self, b: Builder) -> None:
-        E = b.direction(self.link) if self.turns else None  # without it it is among the weights
-        if self.parts is None:
-            b.force(PointForce(self, self.force, E, (self.point, self.link)))
+        tree, link = b.mechanism.tree, self.point.link
+        assert link is not None
+        point, whole, turned = tree.point(self.point), self.force, 1.0 + 0j
+        E = b.direction(link) if self.turns else None  # without it it is among the weights
+        if self.turns:
+            turned, whole = tree.turned(link, turned), tree.turned(link, whole)
+        if not self.varied:
+            b.force(PointForce(self, whole, E, (point, link)))
             if b.work and E is not None:
-                turned = b.planar_sum((b.planar_number(self.force), E))
-                b.works(1.0, b.inner(turned, b.rate(b.point(self.point))))
+                acting = b.planar_sum((b.planar_number(whole), E))
+                b.works(1.0, b.inner(acting, b.rate(b.point(point))))
             return
         force: list[PlanarTerm] = []
-        for unit, signal in zip((self.turned, 1j * self.turned), self.parts, strict=True):
-            if isinstance(signal, (Law, Table)):
-                slot = b.signal(signal, self.point.reach)
-            else:
-                slot = b.number_slot(signal)
+        numbers = self.force.real, self.force.imag
+        units = turned, 1j * turned
+        for unit, number, signal in zip(units, numbers, self.varying, strict=True):
+            slot = b.number_slot(number) if signal is None else b.signal(signal, point.reach)
             if E is not None:
                 slot = b.scaled(slot, E)
             force.append((b.planar_number(unit), slot))
         acting = b.planar_sum(*force)
-        b.force(PointForce(self, 1.0, acting, (self.point, self.link)))
-        if b.work and self.point.terms:
-            b.works(1.0, b.inner(acting, b.rate(b.point(self.point))))
+        b.force(PointForce(self, 1.0, acting, (point, link)))
+        if b.work and point.terms:
+            b.works(1.0, b.inner(acting, b.rate(b.point(point))))
 
 
-class VaryingMoment(Element):
-    """A torque on a link, N m, that varies."""
+class Moment(Element):
+    """A torque on a link; where it varies it is zero, and `varying`."""
 
-    link: int
-    signal: Signal
+    link: int = key("link_name", "the link that it acts on")
+    torque: float = key(
+        "varying",
+        "from the ground, counter-clockwise: a number, an expression or a table",
+        unit="N m",
+        symbol="T: torque of {}",
+        instead="varying",
+    )
+    varying: Signal | None = None
+
+    ways: ClassVar[tuple[Way, ...]] = (Way("torque", "load", "A torque on a link.", ("torque",)),)
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> Moment:
+        torque = values["torque"]
+        if isinstance(torque, float):
+            return cls(**values)
+        return cls(values["link"], 0.0, torque)
+
+    def to_keys(self) -> dict[str, Any]:
+        return {"link": self.link, "torque": self.varying or self.torque}
+
+    def varies(self) -> Iterator[tuple[str, Signal]]:
+        if self.varying is not None:
+            yield "torque", self.varying
+
+    def called(self, names: Sequence[str]) -> str:
+        return f" on {names[self.link]}"
+
+    def placed(self, tree: Tree) -> Iterator[Moment]:
+        """A constant one is among the constant moments of the mechanism."""
+        if self.varying is not None:
+            yield self
 
     @property
     def acts(self) -> str:
@@ -96,12 +188,9 @@ class VaryingMoment(Element):
     def is_load(self) -> bool:
         return True
 
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        return (self.signal,)
-
-    def untimed(self) -> VaryingMoment | None:
-        return None if "t" in self.signal.names else self
+    def untimed(self) -> Moment | None:
+        return None if self.varying is None or "t" in self.varying.names else self
 
     def rows(self, b: Builder) -> None:
-        b.moment(self.link, b.signal(self.signal, 1.0))
+        if self.varying is not None:
+            b.moment(self.link, b.signal(self.varying, 1.0))

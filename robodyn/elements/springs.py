@@ -10,8 +10,8 @@ law F pulls by F(x, v) in the place of k x, with its extension x = sqrt(s) - L o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from robodyn.elements.base import (
     LINEAR,
@@ -26,32 +26,101 @@ from robodyn.elements.base import (
     PointForce,
     conserves,
 )
-from robodyn.scene.scene import Signal
+from robodyn.elements.keys import ONE, Way, key
+from robodyn.elements.values import Law, Point, Signal, Table
 
 if TYPE_CHECKING:
     from robodyn.mechanics.force_rows import Builder, Slot, Term
+    from robodyn.mechanics.link_tree import Tree
+
+TABLE = "a CSV file of its pull: columns x and F, linear between rows"
+DAMPED = "stands beside law; damping is in the law, by its v"
+
+
+def _one_law(values: dict[str, Any]) -> dict[str, Any]:
+    """The values by fields, of keys that exclude one another."""
+    table = values.pop("table", None)
+    return values | {"law": values["law"] or table}
+
+
+def _as_written(values: dict[str, Any], law: Signal | None) -> dict[str, Any]:
+    """The values by keys, of which one is the spring's."""
+    if law is None:
+        return values | {"law": None}
+    given = {"law": None, "table": law} if isinstance(law, Table) else {"law": law}
+    return {x: y for x, y in values.items() if x != "stiffness"} | given
+
+
+def _law_of(spring: Any) -> Iterator[tuple[str, Signal]]:
+    if spring.law is not None:
+        yield ("table" if isinstance(spring.law, Table) else "law"), spring.law
 
 
 class PointSpring(Element):
-    """A spring between points of two links (None: the ground): `between`, first less second."""
+    """A spring and damper between points of two links, or of a link and the ground."""
 
-    first: int | None
-    second: int | None
-    ends: tuple[PlanarPoint, PlanarPoint]
-    between: PlanarPoint
-    stiffness: float  # N/m
-    length: float  # free length, m
-    damping: float  # N s/m
-    law: Signal | None = None  # its pull, N, in place of the stiffness
+    between: ClassVar[Any] = key(
+        "pair",
+        "its ends, [POINT, POINT], not both of one link or the ground",
+    )
+    first: Point
+    second: Point
+    stiffness: float = key(
+        "amount",
+        "0 for a damper alone",
+        unit="N/m",
+        absent=0.0,
+        told=ONE,
+        symbol="k: stiffness of {}",
+        linear="k",
+        instead="law",
+    )
+    length: float = key("amount", "free length", unit="m", symbol="S0: free length of {}")
+    damping: float = key(
+        "amount",
+        "of a damper beside it",
+        unit="N s/m",
+        default=0.0,
+        symbol="ds: damping of {}",
+        linear="ds",
+    )
+    law: Signal | None = key(
+        "law",
+        "its pull in x, its length less the free one (m), and its rate v",
+        unit="N",
+        default=None,
+        told=ONE,
+    )
+
+    table: ClassVar[Any] = key("spring_table", TABLE, unit="N", default=None, told=ONE)
+    points: ClassVar[dict[str, str]] = {"first": "e: end of {}", "second": "h: end of {}"}
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way("point_spring", "spring", "A spring and damper between two points."),
+    )
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> PointSpring:
+        first, second = values.pop("between")
+        return cls(**_one_law(values), first=first, second=second)
+
+    def to_keys(self) -> dict[str, Any]:
+        values = {"between": (self.first, self.second)} | super().to_keys()
+        return _as_written(values, self.law)
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        if isinstance(self.law, Law) and self.damping:
+            yield "damping", DAMPED, self.damping
+
+    def varies(self) -> Iterator[tuple[str, Signal]]:
+        yield from _law_of(self)
 
     @property
     def word(self) -> str:
         return "spring"
 
-    @property
-    def parted(self) -> PlanarPoint | None:
+    def parted(self, tree: Tree) -> PlanarPoint | None:
         directed = (self.stiffness and self.length) or self.damping or self.law
-        return self.between if directed else None
+        return self.reach(tree) if directed else None
 
     @property
     def acts(self) -> str:
@@ -62,21 +131,18 @@ class PointSpring(Element):
         return SPRINGS
 
     @property
-    def signals(self) -> tuple[Signal, ...]:
-        return () if self.law is None else (self.law,)
-
-    @property
     def changes_energy(self) -> bool:
         return bool(self.damping) or not conserves(self.law)
 
     def stored(self) -> PointSpring | None:
-        return self._replace(damping=0.0) if conserves(self.law) else None
+        holds = conserves(self.law) and (self.stiffness or self.law)
+        return self._replace(damping=0.0) if holds else None
 
     def spent(self) -> PointSpring:
         return self._replace(stiffness=0.0, law=None) if conserves(self.law) else self
 
     def energy(self, b: Builder) -> Iterator[Term]:
-        d = b.point(self.between)
+        d = b.point(self.reach(b.mechanism.tree))
         square = b.inner(d, d)
         if self.law is not None and conserves(self.law):
             yield 1.0, b.stored(self.law, self._longer(b, square))
@@ -86,13 +152,17 @@ class PointSpring(Element):
                 square = b.product(longer, longer)
             yield b.number(0.5 * self.stiffness), square
 
+    def reach(self, tree: Tree) -> PlanarPoint:
+        """Its first end less its second."""
+        return tree.difference(self.first, self.second)
+
     def _longer(self, b: Builder, square: Slot) -> Slot:
         """Its length, by the square of that, less the free one."""
         return b.sum((1.0, b.power_of(square, 0.5)), constant=b.number(-self.length))
 
     def rows(self, b: Builder) -> None:
-        place, number = self.between, b.number
-        directed = self.parted is not None
+        tree, number = b.mechanism.tree, b.number
+        place, directed = self.reach(tree), self.parted(tree) is not None
         if directed and not (place.terms or place.constant):
             raise NoDirection(b.mechanism.name_of(self))
         d = b.point(place)
@@ -117,19 +187,89 @@ class PointSpring(Element):
         if pull:
             factor = b.sum(*pull, constant=number(-self.stiffness))
             unit, force = 1.0, b.scaled(factor, d)
-        first, second = zip(self.ends, (self.first, self.second), strict=True)
+        first, second = ((tree.point(end), end.link) for end in (self.first, self.second))
         b.force(PointForce(self, unit, force, first, second, s), place)
         if pull and place.terms:
             b.bends_planar(force, place.reach)  # its parts stay finite where d passes 0
 
 
 class JointSpring(Element):
-    """A spring at a joint: N m/rad and its free angle, or N/m and its free displacement."""
+    """A spring and damper at a joint; in a mechanism its damper is an element of its own."""
 
-    joint: int
-    stiffness: float
-    angle: float
-    law: Signal | None = None  # what it gives, N m or N, in place of the stiffness
+    joint: int = key(
+        "link_name",
+        (
+            "the link whose own joint it is; its angle counts from turn to turn",
+            "the link whose own joint it is",
+        ),
+    )
+    stiffness: float = key(
+        "amount",
+        "0 for a damper alone",
+        unit=("N m/rad", "N/m"),
+        absent=0.0,
+        told=ONE,
+        symbol="k: stiffness of {}",
+        linear="k",
+        instead="law",
+    )
+    angle: float = key(
+        ("angle", "number"),
+        ("free angle of the joint", "free displacement of the joint"),
+        unit=("rad", "m"),
+        symbol=("phi: free angle of {}", "phi: free displacement of {}"),
+        name=("angle", "length"),
+    )
+    damping: float = key(
+        "amount",
+        "of a damper beside it",
+        unit=("N m s/rad", "N s/m"),
+        default=0.0,
+        symbol="ds: damping of {}",
+    )
+    law: Signal | None = key(
+        "law",
+        (
+            "its pull in x, q less its free angle (rad), and its rate v",
+            "its pull in x, q less its free displacement (m), and its rate v",
+        ),
+        unit=("N m", "N"),
+        default=None,
+        told=ONE,
+    )
+    table: ClassVar[Any] = key("spring_table", TABLE, unit=("N m", "N"), default=None, told=ONE)
+
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way("joint_spring", "spring", "A spring and damper at a revolute joint.", ("joint",)),
+        Way(
+            "slide_spring",
+            "spring",
+            "A spring and damper at a prismatic joint.",
+            ("joint", "length"),
+            True,
+        ),
+    )
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> JointSpring:
+        return cls(**_one_law(values))
+
+    def to_keys(self) -> dict[str, Any]:
+        return _as_written(super().to_keys(), self.law)
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        if isinstance(self.law, Law) and self.damping:
+            yield "damping", DAMPED, self.damping
+
+    def varies(self) -> Iterator[tuple[str, Signal]]:
+        yield from _law_of(self)
+
+    def called(self, names: Sequence[str]) -> str:
+        return f", at the joint of {names[self.joint]}"
+
+    def placed(self, tree: Tree) -> Iterator[Element]:
+        if self.stiffness or self.law:
+            yield self._replace(damping=0.0)
 
     @property
     def acts(self) -> str:
@@ -148,10 +288,6 @@ class JointSpring(Element):
     @property
     def free(self) -> float:
         return self.angle
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        return () if self.law is None else (self.law,)
 
     def _turned(self, b: Builder) -> Slot:
         """How far its joint is from where it is free."""

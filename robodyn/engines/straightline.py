@@ -166,6 +166,9 @@ def compile_rates(
     n = mechanism.n
     needed = formula.outputs[:n] + formula.pivots + formula.outputs[n + len(mechanism.rows) :]
     body, outputs = float_source(needed)
+    first = {f"t{node.index}" for node in expression.needed(formula.pivots)}
+    body = sorted(body, key=lambda line: line.split()[0] not in first)
+    early = sum(line.split()[0] in first for line in body)  # what tells the pivots
     rates = [f"qd{k}" for k in range(n)]
     names = [f"q{k}" for k in range(n)] + rates + actuation.own("z")
     power = ""
@@ -178,8 +181,9 @@ def compile_rates(
     statements = [
         f"{', '.join(names)}, = y.tolist()",
         *actuation.lines,
-        *body,
+        *body[:early],
         *guard,
+        *body[early:],
         f"return [{', '.join(rates + outputs[:n] + actuation.own('zd'))}{power}]",
     ]
     # an integrator's trial step may overflow, or leave a torque's domain: it must try a shorter one

@@ -16,6 +16,8 @@ from functools import cached_property
 from itertools import combinations
 from typing import Any, NamedTuple
 
+from robodyn.elements.loads import Force, Moment
+from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.equations.factoring import (
     as_one,
     by_angle,
@@ -58,7 +60,7 @@ from robodyn.equations.written import in_place
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.scene.scene import Closure, JointSpring, Load, Moment, Point, Spring
+from robodyn.scene.scene import Closure, Point
 
 MOST_LINKS = 8
 LONG_ENTRY = 90  # letters of an entry of M, above which entries are called by their names
@@ -424,7 +426,7 @@ class Derivation:
                 square = self.put(simplified(total(squared(ends, -1))))
                 yield name, (bracketed(self.put(stiffness), written(square, FORM), HALF),)
 
-    def _between(self, item: Spring | Closure) -> Parts:
+    def _between(self, item: PointSpring | Closure) -> Parts:
         """The first end less the second, without what cancels."""
         found: dict[tuple[int, ...], Planar] = {}
         for sign, point in ((1, item.first), (-1, item.second)):
@@ -450,9 +452,9 @@ class Derivation:
                 if energy:
                     yield name, (written(energy, (by_role(Role.force), by_angle)),)
 
-    def _constant(self, load: Load) -> bool:
+    def _constant(self, load: Force) -> bool:
         """Whether a force is that of a potential: it neither varies nor turns."""
-        return not load.varies and not (load.turns and self.paths[load.point.link])
+        return not load.varied and not (load.turns and self.paths[load.point.link])
 
     # -- slopes ------------------------------------------------------------------------------------
 
@@ -633,7 +635,7 @@ class Derivation:
             lines += [Line(Name(x.name, ""), (x.value,)) for x in self.blocks["G"].where]
             for i, spring in enumerate(self.scene.springs):
                 if any(x.name == f"H{i + 1}" for x in self.blocks["G"].where):
-                    told = "stretch" if isinstance(spring, Spring) else "angle"
+                    told = "stretch" if isinstance(spring, PointSpring) else "angle"
                     lines.append(said(f"PEs{i + 1} is the integral of H{i + 1} by its {told} x."))
         for name, pieces in self.potential:
             if pieces:
@@ -763,7 +765,7 @@ class Derivation:
             told = "By virtual work Q is F . dr/dq of forces on points, and torques as they are."
             lines.append(said(told))
             for i, load in enumerate(self.scene.loads):
-                if isinstance(load, Load) and not self._constant(load):
+                if isinstance(load, Force) and not self._constant(load):
                     where = self.components(self.point_place(load.point), 1)
                     name = Name(f"r{i + 1}", rf"r_{{F_{{{i + 1}}}}}", f"rF{i + 1}")
                     lines.append(

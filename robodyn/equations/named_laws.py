@@ -19,9 +19,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
 
+from robodyn.elements.joints import DryFriction, Stops
+from robodyn.elements.loads import Force, Moment
+from robodyn.elements.springs import JointSpring
 from robodyn.equations.symbolic import Atom, Planar, Role, Sum, of, summed
 from robodyn.mechanics.planar_model import Mechanism, conserves
-from robodyn.scene.scene import DryFriction, JointSpring, Law, Limits, Load, Moment
+from robodyn.scene.scene import Law
 
 SWITCHES = "sign(0) is 0, and step(x) is 1 for x > 0, else 0."
 
@@ -88,7 +91,7 @@ def named_loads(scene: Any) -> tuple[Any, list[Any], list[Definition]]:
         if isinstance(load, Moment) and isinstance(load.varying, Law):
             torque = named(f"T{i + 1}", (load.link, "T"), "N m", f"torque {told}", load.varying)
             drags.append(load._replace(torque=torque, varying=None))
-        elif isinstance(load, Load) and load.varies:
+        elif isinstance(load, Force) and load.varied:
             parts: list[Any] = [load.force.real, load.force.imag]
             for k, (axis, law) in enumerate(zip("xy", load.varying, strict=True)):
                 if isinstance(law, Law):
@@ -139,7 +142,7 @@ def spring_terms(mechanism: Mechanism, scene: Any) -> Iterator[JointTerm]:
 
 
 def contact_terms(
-    mechanism: Mechanism, dry: Mapping[int, DryFriction], stops: Mapping[int, Limits]
+    mechanism: Mechanism, dry: Mapping[int, DryFriction], stops: Mapping[int, Stops]
 ) -> Iterator[JointTerm]:
     """Dry friction in motion and compliant stops, with symbols for their numbers."""
     for j, friction in dry.items():

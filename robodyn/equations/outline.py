@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
-from robodyn.elements.base import SPENT
 from robodyn.elements.contacts import COMPLIANT, STICKS
 from robodyn.equations.named_laws import SWITCHES, Definition, Formula
 from robodyn.equations.parameters import Parameter, Parameters
 from robodyn.errors import printable
-from robodyn.mechanics.planar_model import Mechanism, conserves
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Point
 
 Entry = TypeVar("Entry", covariant=True)  # true unless it is zero
@@ -122,13 +121,11 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
     if any(mechanism.damping):
         damping = unit("N m s/rad", "N s/m")
         yield Head("left", "D", "damping matrix", damping, "diagonal", (), "qd")
-    loads = mechanism.description.loads
-    springs = mechanism.description.springs
-    laws = [spring.law for spring in springs if spring.law is not None]
+    elements = mechanism.elements
     acting = {
         "gravity": mechanism.gamma != 0.0,
-        "springs": any(spring.stiffness for spring in springs) or any(map(conserves, laws)),
-        "loads": len(loads) > sum(x.is_load for x in mechanism.elements),
+        "springs": any(x.stored() is not None for x in elements),
+        "loads": any(x.steady for x in elements) or any(mechanism.moments),
     }
     potentials = [name for name, present in acting.items() if present]
     if potentials:
@@ -136,7 +133,7 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         if potentials != ["gravity"]:
             meaning = f"gradient of the potential energy ({', '.join(potentials)})"
         yield Head("left", "G", meaning, load, "vector")
-    spends = any(x.acts == SPENT or (x.acts and x.changes_energy) for x in mechanism.elements)
+    spends = any(x.changes_energy and x.spent() is not None for x in elements)
     if spends or mechanism.contacts & {STICKS, COMPLIANT}:
         meaning = f"{unit('torques', 'forces')} of what has no potential"
         inputs = ("q", "qd", "t") if mechanism.timed else ("q", "qd")

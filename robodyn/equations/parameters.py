@@ -1,6 +1,6 @@
 """The parameters of a scene as symbols with the names that a person would give them.
 
-Letters and meaning of plain numbers come from the grammar: m1, l1, I1, r1 (or r1x, r1y), k1, ...
+Letters and meaning of plain numbers are declared by keys: m1, l1, I1, r1 (or r1x, r1y), k1, ...
 
     x3, y3             ground pivot of link 3
     p4x, p4y           where link 4 hangs from its link, if not from the tip
@@ -22,34 +22,15 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
+from robodyn.elements.base import Element
+from robodyn.elements.joints import DryFriction, SmoothFriction, Stops
+from robodyn.elements.keys import Declared, Key
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
-from robodyn.scene.grammar import FORMS, NUMBERS
-from robodyn.scene.scene import (
-    Closure,
-    Coupling,
-    DryFriction,
-    Friction,
-    JointSpring,
-    Limits,
-    Link,
-    Load,
-    Moment,
-    Point,
-    Spring,
-    Table,
-    signals_of,
-    told,
-)
+from robodyn.scene.grammar import NUMBERS
+from robodyn.scene.scene import Closure, Coupling, Link, Point, Table, signals_of, told
 
-ENDS = {"min": "low", "max": "high"}
-ATTRIBUTES = {  # of a scene's entries, where the keys of the file are called otherwise
-    ("slide_friction", "force"): "torque",
-    ("slide_spring", "length"): "angle",
-    ("slide_dry_friction", "force"): "torque",
-    **{(form, end): way for form in ("stops", "slide_stops") for end, way in ENDS.items()},
-}
 ROLES = {  # by unit
     "kg": Role.mass,
     "kg m²": Role.inertia,
@@ -95,7 +76,7 @@ class Parameters:
         self.known: dict[str, Parameter] = {}
         self.zero: dict[str, None] = {}
         self.dry: dict[int, DryFriction] = {}
-        self.stops: dict[int, Limits] = {}
+        self.stops: dict[int, Stops] = {}
         self._points: dict[Point, Planar] = {}
         links = [self._link(k, link) for k, link in enumerate(description.links)]
         closures = [self._closure(c, closure) for c, closure in enumerate(description.closures)]
@@ -106,21 +87,25 @@ class Parameters:
         self.kept = {c: self._kept(c, row) for c, row in angles if c is not None}
         gravity: Any = self._gravity(description.gravity)
         for k, link in enumerate(description.links):
-            if isinstance(link.friction, Friction) and link.friction.torque:
-                smooth = self._at_joint("friction", k, link.friction)
-                links[k] = links[k]._replace(friction=smooth)
+            if isinstance(link.friction, SmoothFriction) and link.friction.torque:
+                links[k] = links[k]._replace(friction=self._at_joint(k, link.friction))
             if isinstance(link.friction, DryFriction) and link.friction.static:
-                self.dry[k] = self._at_joint("dry_friction", k, link.friction)
+                self.dry[k] = self._at_joint(k, link.friction)
             if link.limits is not None and link.limits.stiffness is not None:
-                self.stops[k] = self._at_joint("stops", k, link.limits)
+                self.stops[k] = self._at_joint(k, link.limits)
             if link.motor is not None:
-                links[k] = links[k]._replace(motor=self._at_joint("motor", k, link.motor))
+                links[k] = links[k]._replace(motor=self._at_joint(k, link.motor))
         self.scene: Any = description._replace(
             gravity=gravity,
             links=tuple(links),
             closures=tuple(closures),
-            springs=tuple(self._spring(i, spring) for i, spring in enumerate(description.springs)),
-            loads=tuple(self._load(i, load) for i, load in enumerate(description.loads)),
+            springs=tuple(
+                self._element(i, x, f"spring {i + 1}", len(links) + i)  # ends after lengths
+                for i, x in enumerate(description.springs)
+            ),
+            loads=tuple(
+                self._element(i, x, f"load {i + 1}", i) for i, x in enumerate(description.loads)
+            ),
         )
 
     @cached_property
@@ -131,8 +116,7 @@ class Parameters:
     # -- parts of a scene ----------------------------------------------------------------------
 
     def _link(self, k: int, link: Link) -> Link:
-        form = "prismatic_link" if link.slides else "revolute_link"
-        numbers = self._numbers(form, k, link, link.name)
+        numbers = self._numbers(link, k, link.name, link.slides)
         above = link.hangs_from.link
         name, place, meaning = f"{{}}{k + 1}", (k, "x"), f"ground pivot of {link.name}"
         if above is not None:
@@ -145,10 +129,9 @@ class Parameters:
             numbers["axis"] = self._direction(u, k, link.axis, meaning, above, Role.direction)
         return link._replace(**numbers, friction=None, limits=None)
 
-    def _at_joint(self, form: str, k: int, item: Any) -> Any:
+    def _at_joint(self, k: int, item: Any) -> Any:
         link = self.description.links[k]
-        form = f"slide_{form}" if link.slides else form
-        return item._replace(**self._numbers(form, k, item, link.name))
+        return item._replace(**self._numbers(item, k, link.name, link.slides))
 
     def _closure(self, c: int, closure: Closure) -> Closure:
         along: Any = closure.along
@@ -236,66 +219,44 @@ class Parameters:
         x = self._symbol("gx", (0, "x"), gamma.real, unit, "gravity along X")
         return Planar(x, self._symbol("gy", (0, "y"), gamma.imag, unit, "gravity along Y"))
 
-    def _spring(self, i: int, spring: Spring | JointSpring) -> Spring | JointSpring:
-        told = f"spring {i + 1}"
-        if isinstance(spring, JointSpring):
-            told += f", at the joint of {self.description.links[spring.joint].name}"
-            form = "slide_spring" if self._slides(spring.joint) else "joint_spring"
-            return spring._replace(**self._numbers(form, i, spring, told))
-        numbers = self._numbers("point_spring", i, spring, told)
-        place = len(self.description.links) + i  # after lengths
-        first, second = (
-            self._point(end, f"{x}{i + 1}{{}}", (place, x), f"end of {told} {self._on(end)}")
-            for x, end in (("e", spring.first), ("h", spring.second))
-        )
-        return spring._replace(first=first, second=second, **numbers)
-
-    def _load(self, i: int, load: Load | Moment) -> Load | Moment:
-        told = f"load {i + 1}"
-        if isinstance(load, Moment):
-            if load.varying is not None:
-                return load
-            on = f"{told} on {self.description.links[load.link].name}"
-            torque: Any = self._number("torque", "torque", i, load.torque, on, load.link)
-            return load._replace(torque=torque)
-        frame = "its link's frame" if load.turns else "the ground's frame"
-        numbers = self._numbers("force", i, load, f"{told}, in {frame}")
-        meaning = f"point of {told} {self._on(load.point)}"
-        point = self._point(load.point, f"c{i + 1}{{}}", (i, "c"), meaning)
-        return load._replace(point=point, **numbers)
+    def _element(self, i: int, element: Element, told: str, place: int) -> Element:
+        """An element of a list of the scene; `place` is that of its points among lengths."""
+        slides = element.at is not None and self._slides(element.at)
+        names = [link.name for link in self.description.links]
+        symbols = self._numbers(element, i, told + element.called(names), slides)
+        for field, symbol in element.points.items():
+            letter, _, meaning = symbol.partition(": ")
+            point = getattr(element, field)
+            meaning = f"{meaning.replace('{}', told)} {self._on(point)}"
+            symbols[field] = self._point(point, f"{letter}{i + 1}{{}}", (place, letter), meaning)
+        return element._replace(**symbols)
 
     # -- numbers and points --------------------------------------------------------------------
 
-    def _numbers(self, form: str, k: int, item: object, told: str) -> dict[str, Any]:
-        """The symbols of the numbers of an entry of the file, the k-th of its kind."""
-        names = {
-            ATTRIBUTES.get((form, name), name): name
-            for name, key in FORMS[form].keys.items()
-            if key.symbol
-        }
+    def _numbers(self, item: Declared, k: int, told: str, slides: bool) -> dict[str, Any]:
+        """The symbols of the numbers of an entry of the file, by fields; it is the k-th."""
+        place = getattr(item, "link", k)
         return {
-            attribute: self._number(form, name, k, getattr(item, attribute), told)
-            for attribute, name in names.items()
-            if getattr(item, attribute) is not None
-            and not (attribute == "stiffness" and getattr(item, "law", None))
+            field: self._number(key.of(slides), k, getattr(item, field), told, place)
+            for field, key in item.keys.items()
+            if key.symbol
+            and getattr(item, field) is not None
+            and not (key.instead and getattr(item, key.instead))
         }
 
-    def _number(
-        self, form: str, name: str, k: int, value: Any, told: str, link: int | None = None
-    ) -> Sum | Planar:
-        key = FORMS[form].keys[name]
+    def _number(self, key: Key, k: int, value: Any, told: str, place: int) -> Sum | Planar:
         letters, _, meaning = key.symbol.partition(": ")
-        named, place = f"{letters}{k + 1}", (k if link is None else link, letters)
+        named, where = f"{letters}{k + 1}", (place, letters)
         meaning = meaning.replace("{}", told)
         if key.kind in NUMBERS or key.kind == "varying":
-            optional = key.default == "0" and not value
-            return ZERO if optional else self._symbol(named, place, value, key.unit, meaning)
+            optional = key.optional and not value
+            return ZERO if optional else self._symbol(named, where, value, key.unit, meaning)
         if key.kind == "centre" and value.imag == 0.0:
             meaning += ", from its joint"
-            return Planar(self._symbol(named, place, value.real, key.unit, meaning), ZERO)
+            return Planar(self._symbol(named, where, value.real, key.unit, meaning), ZERO)
         if key.kind == "centre":
             meaning += ", in its frame"
-        return self._pair(f"{named}{{}}", place, value, meaning, key.unit)
+        return self._pair(f"{named}{{}}", where, value, meaning, key.unit)
 
     def _symbol(
         self,
@@ -325,7 +286,7 @@ class Parameters:
         """A point of a link or of the ground; the same point has the same symbols everywhere."""
         if point.link is not None and point.at == self.description.links[point.link].l != 0.0:
             link = self.description.links[point.link]
-            length: Any = self._number("revolute_link", "l", point.link, link.l, link.name)
+            length: Any = self._number(Link.keys["l"], point.link, link.l, link.name, point.link)
             return Point(point.link, length * Planar(ONE, ZERO))
         if point not in self._points:
             self._points[point] = self._pair(name, place, point.at, meaning, "m")

@@ -143,8 +143,9 @@ class Sum:
         for term, number in self.terms.items():
             for atom, power in term:
                 if atom.role == Role.rate:
-                    slope = merged(term, ((atom, -1),)), number * Fraction(power, 2)
-                    found.setdefault(atom, []).append(slope)
+                    slope = number * power
+                    half = slope // 2 if slope % 2 == 0 else Fraction(slope, 2)
+                    found.setdefault(atom, []).append((merged(term, ((atom, -1),)), half))
         return {atom: collected(terms) for atom, terms in found.items()}
 
     def substituted(self, values: Mapping[str, Fraction]) -> Sum:

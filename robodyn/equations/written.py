@@ -19,6 +19,8 @@ from itertools import combinations
 from math import inf
 from typing import Any
 
+from robodyn.elements.loads import Force, Moment
+from robodyn.elements.springs import PointSpring
 from robodyn.engines.arithmetic import Arithmetic
 from robodyn.engines.formulas import Recorded
 from robodyn.equations.entries import Entries, Matrix
@@ -60,7 +62,7 @@ from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.loop_rows import closure_rows
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large, with_kept
 from robodyn.mechanics.planar_model import conserves
-from robodyn.scene.scene import Closure, Load, Moment, Point, Spring
+from robodyn.scene.scene import Closure, Point
 
 # How the terms of a block's entries are collected: by the first of these, then within by the next.
 LINE = (by_role(Role.normal), by_role(Role.rate), by_function)
@@ -323,16 +325,16 @@ class _Springs:
     weights of the dampers' pulls.
     """
 
-    def __init__(self, scene: Any, loaded: Sequence[Load | Moment]) -> None:
+    def __init__(self, scene: Any, loaded: Sequence[Force | Moment]) -> None:
         self.tree = Tree(scene.links)
         self.springs: dict[int, Any] = {  # but for those whose ends never move
             i: spring
             for i, spring in enumerate(scene.springs)
-            if isinstance(spring, Spring)
+            if isinstance(spring, PointSpring)
             and self.tree.difference(spring.first, spring.second).terms
         }
         pulls, drags = [], [*loaded]
-        left = [x for x in scene.springs if not isinstance(x, Spring) and x.law is None]
+        left = [x for x in scene.springs if not isinstance(x, PointSpring) and x.law is None]
         for i, spring in self.springs.items():
             S = Planar(*(of(x) for x in _components(i)))
             if spring.law is not None:
@@ -356,7 +358,7 @@ class _Springs:
         gaps = Entries(replace(self.mechanism, rows=rows), (), _Symbolic).gaps() if pins else []
         self.gaps = dict(zip(self.springs, zip(gaps[::2], gaps[1::2], strict=True), strict=True))
 
-    def _pulls(self, spring: Spring) -> bool:
+    def _pulls(self, spring: PointSpring) -> bool:
         """Whether the pull has a name: it has a free length, or joins links of two branches."""
         between = [k for k, _ in self.tree.difference(spring.first, spring.second).terms]
         paths = [{j for j, _ in self.tree.point(Point(k, 1.0)).terms} for k in between]
@@ -416,7 +418,7 @@ def _pull(letter: str, i: int) -> Atom:
     return Atom(Role.force, (i, ""), f"{letter}{i + 1}")
 
 
-def _loads(spring: Spring, pull: Any) -> list[Load]:
+def _loads(spring: PointSpring, pull: Any) -> list[Force]:
     """What pulls the ends of a spring together."""
     ends = (spring.first, -pull), (spring.second, pull)
-    return [Load(end, force) for end, force in ends if end.link is not None]
+    return [Force(end, force) for end, force in ends if end.link is not None]

@@ -22,6 +22,9 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from robodyn.dynamics.placed import placed
+from robodyn.elements.joints import DryFriction, SmoothFriction, Stops
+from robodyn.elements.loads import Force, Moment
+from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.errors import InputError, printable
 from robodyn.export.model_xml import (
     LIMIT,
@@ -40,7 +43,7 @@ from robodyn.export.model_xml import (
 from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.scene import Closure, Coupling, JointSpring, Load, Moment, Point, Signal, Spring
+from robodyn.scene.scene import Closure, Coupling, Point, Signal
 
 TIMESTEP = 1e-3  # s
 MINIMUM = 1e-15  # kg and kg m^2: mjMINVAL, below which MuJoCo refuses what moves
@@ -48,6 +51,7 @@ DEEPEST = 495  # links in a row; MuJoCo's XML reader takes elements nested 500 d
 REASONS = {
     "friction": "MuJoCo has no friction by tanh(qd/speed), nor Stribeck's: its own is another"
 }
+KINDS = (PointSpring, JointSpring, Force, Moment, SmoothFriction, DryFriction, Stops)
 SAID = ("closures", "springs", "loads", "couplings", "motor", "limits")
 
 
@@ -63,7 +67,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     mass or inertia, which MuJoCo refuses; AssemblyError where no pose is found that closes.
     """
     description = mechanism.description
-    refuse_unsaid(mechanism, "MJCF", REASONS, SAID, _unsaid)
+    refuse_unsaid(mechanism, "MJCF", REASONS, SAID, _unsaid, KINDS)
     for k, link in enumerate(description.links):
         for key, value in (("m", link.m), ("I", link.I)):
             if value < MINIMUM and (key == "m" or mechanism.frames[k] is not None):
@@ -125,7 +129,8 @@ class _Elements:
         for c, coupling in enumerate(description.couplings):
             self._couple(f"coupling{c + 1}", coupling)
         for p, spring in enumerate(description.springs):
-            self._spring(f"spring{p + 1}", spring)
+            if isinstance(spring, (PointSpring, JointSpring)):
+                self._spring(f"spring{p + 1}", spring)
         for k, stop in enumerate(link.limits for link in self.links):
             if stop is not None and is_slack(stop):
                 pushes = {
@@ -142,7 +147,8 @@ class _Elements:
             joint = self.names[k]
             SubElement(self.actuator, "motor", name=joint, joint=joint, gear="1")
         for f, load in enumerate(description.loads):
-            self._load(names.new(f"load{f + 1}"), load)
+            if isinstance(load, (Force, Moment)):
+                self._load(names.new(f"load{f + 1}"), load)
         self._hang(self.world, None, 0)  # last, when all sites are known
 
     def _hang(self, parent: Element, above: int | None, level: int) -> None:
@@ -196,10 +202,10 @@ class _Elements:
             found |= {"stiffness": number(stiffness), "springref": number(angle)}
         return found
 
-    def _spring(self, name: str, spring: Spring | JointSpring) -> None:
+    def _spring(self, name: str, spring: PointSpring | JointSpring) -> None:
         """A spring and damper between two points, or a law at a joint: a tendon."""
         law = polynomial(spring.law) or {}
-        if isinstance(spring, Spring):
+        if isinstance(spring, PointSpring):
             tendon = self._spatial(name, *self._ends(name, spring))
             tendon.set("stiffness", number(spring.stiffness))
             tendon.set("springlength", number(spring.length))
@@ -216,7 +222,7 @@ class _Elements:
         for k, factor in terms:
             SubElement(tendon, "joint", joint=self.names[k], coef=number(factor))
 
-    def _ends(self, name: str, pair: Spring | Closure) -> list[str]:
+    def _ends(self, name: str, pair: PointSpring | Closure) -> list[str]:
         """The sites of the two points that a spring or a closure joins."""
         ends = ("first", pair.first), ("second", pair.second)
         return [self._site(f"{name}_{end}", point) for end, point in ends]
@@ -228,7 +234,7 @@ class _Elements:
             SubElement(tendon, "site", site=site)
         return tendon
 
-    def _load(self, name: str, load: Load | Moment) -> None:
+    def _load(self, name: str, load: Force | Moment) -> None:
         """A constant force or torque: an actuator at a site whose force is its bias, 1.
 
         Its gear is the wrench in the frame of the site, or of a site of the ground.
@@ -239,7 +245,7 @@ class _Elements:
             point, gear = load.point, f"{vector(load.force)} 0 0 0"
         site = self._site(name, point)
         constant = SubElement(self.actuator, "general", name=name, site=site, gear=gear)
-        if isinstance(load, Load) and not load.turns:
+        if isinstance(load, Force) and not load.turns:
             constant.set("refsite", self._site(f"{name}_frame", Point(None, 0j)))
         constant.attrib |= {"gainprm": "0", "biastype": "affine", "biasprm": "1 0 0"}
 

@@ -35,14 +35,14 @@ import numpy as np
 
 from robodyn import __version__
 from robodyn.dynamics.closed_form import mass_matrix
+from robodyn.elements.base import Element
+from robodyn.elements.joints import DryFriction, Stops
 from robodyn.equations.symbolic import Atom, Role, of, summed
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import (
     Description,
-    DryFriction,
     Law,
-    Limits,
     Link,
     Signal,
     signals_of,
@@ -129,12 +129,14 @@ def refuse_unsaid(
     reasons: Mapping[str, str],
     more: Collection[str] = (),
     unsaid: Callable[[str, Signal], str] | None = None,
+    kinds: tuple[type[Element], ...] = (),
 ) -> None:
     """Raise InputError for what acts, or the scene names, and the format is not made to say.
 
     What is said is listed, here and in `more` keys of the scene or of links; any other key is
     refused where it holds something, one that a later scene format adds too.  `reasons` tell why.
     `unsaid` tells why of what varies at a place; nothing where it is said; None: nothing is.
+    Of elements in lists that are said these `kinds` are.
     Dry friction and ends of joints are told in notes, where they are not exact.
     """
     description = mechanism.description
@@ -152,6 +154,10 @@ def refuse_unsaid(
                 shown = value if isinstance(value, (int, float, str)) else None
                 what, limit = f"{place}{key}", reasons.get(key, f"{format} cannot say it")
                 raise InputError(what, where=description.source, value=shown, limit=limit)
+    for place, element in description.elements:
+        if place.partition("[")[0] in more and type(element) not in kinds:
+            limit = f"{format} cannot say it"
+            raise InputError(place, where=description.source, limit=limit)
     for place, signal in signals_of(description):
         limit = f"{format} cannot say it" if unsaid is None else unsaid(place, signal)
         if limit:
@@ -211,18 +217,18 @@ def joint_contacts(mechanism: Mechanism, joint: int, timestep: float) -> dict[st
     return found
 
 
-def is_slack(stop: Limits) -> bool:
+def is_slack(stop: Stops) -> bool:
     """Whether it is compliant without damping, so that a tendon slack between its ends is as it."""
     return stop.stiffness is not None and not stop.damping
 
 
-def joint_range(stop: Limits) -> str:
+def joint_range(stop: Stops) -> str:
     """From where to where a joint goes."""
     low = -FAR if stop.low is None else stop.low
     return f"{number(low)} {number(FAR if stop.high is None else stop.high)}"
 
 
-def _limit(mechanism: Mechanism, joint: int, stop: Limits, timestep: float) -> dict[str, str]:
+def _limit(mechanism: Mechanism, joint: int, stop: Stops, timestep: float) -> dict[str, str]:
     if stop.stiffness is not None:
         unit = np.eye(mechanism.n)[joint]
         w = float(np.linalg.solve(mass_matrix(mechanism, np.zeros(mechanism.n)), unit)[joint])

@@ -13,6 +13,7 @@ from cmath import phase
 from collections.abc import Iterator
 from xml.etree.ElementTree import Element, SubElement
 
+from robodyn.elements.joints import DryFriction
 from robodyn.errors import InputError, printable
 from robodyn.export.model_xml import (
     FAR,
@@ -25,7 +26,7 @@ from robodyn.export.model_xml import (
     vector,
 )
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.scene import DryFriction, Link
+from robodyn.scene.scene import Link
 
 REASONS = {
     "closures": "URDF describes trees, it has no closed loops; MJCF has",

@@ -203,8 +203,9 @@ def nearest_of(
     mechanism: Mechanism, met: list[Singular], q: Array, within: float
 ) -> Singular | None:
     """Return the nearest of `met` to q (n,); None if none is within so many rad."""
-    nearest = min(met, key=lambda x: float(apart(mechanism, q, x.q)), default=None)
-    return nearest if nearest and apart(mechanism, q, nearest.q) <= within else None
+    distances = [float(apart(mechanism, q, each.q)) for each in met]
+    least = min(distances, default=np.inf)
+    return met[distances.index(least)] if least <= within else None
 
 
 def _search(mechanism: Mechanism, q: Array, usual: int) -> Singular | None:

@@ -20,7 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
+from robodyn.dynamics.closed_form import (
+    absolute_jacobian,
+    closure_gap,
+    gap_at,
+    scaled_jacobian,
+)
+from robodyn.dynamics.placed import placed
 from robodyn.engines.factors import least_solution, svd
 from robodyn.errors import SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism
@@ -174,12 +180,15 @@ def _closed(
     kept = slice(None) if rows is None else list(rows)
 
     def evaluate(q: Array) -> tuple[Any, Array]:
-        gap = closure_gap(mechanism, q)[..., kept]
-        closed = np.abs(gap).max(axis=-1) <= CLOSED * size
+        at = placed(mechanism, q)
+        gap = gap_at(mechanism, mechanism.arrays, at)[..., kept]
+        open_by = np.abs(gap).max(axis=-1)
+        closed = open_by <= CLOSED * size
         step = np.zeros_like(q)
         if not exact and closed.all():
             return closed, step
-        Psi = scaled_jacobian(mechanism, q)[..., kept, :][..., free]
+        Psi = absolute_jacobian(mechanism, at) @ mechanism.arrays.J
+        Psi = (Psi * units if mechanism.slides else Psi)[..., kept, :][..., free]
         Psi = np.where(np.isfinite(Psi), Psi, 0.0)  # a state that is not finite stays as it is
         if not exact:
             step[..., free] = least_solution(Psi, gap, CUT)
@@ -191,7 +200,7 @@ def _closed(
         if near.any():
             near &= least < NEAR_SINGULAR * singular_size(mechanism)
         # a larger gap is known well enough without
-        small = np.abs(gap).max(axis=-1) < ROUNDED * size
+        small = open_by < ROUNDED * size
         for state in map(tuple, np.argwhere(near & small)):
             gap[state] = exact_gap(mechanism, q[state])[kept]
         inverse = np.divide(1.0, s, out=np.zeros_like(s), where=held)

@@ -146,7 +146,10 @@ class Projection:
         closed, quality = self.closing(y)
         if quality > SUSPECT:
             return closed
-        near = self.misses.nearest(y[: self.mechanism.n])
+        q = y[: self.mechanism.n]
+        if self.misses.near(q):
+            return closed
+        near = self.misses.nearest(q)
         if near is None or not near.crosses:
             return closed
         led = lead_across(self.mechanism, self.closing, y, near, lambda states: states)

@@ -31,27 +31,20 @@ from pathlib import Path
 from typing import Any
 
 from robodyn.elements.base import Element
-from robodyn.elements.joints import (
-    CompliantStop,
-    DryFriction,
-    HardStop,
-    Range,
-    Rotor,
-    SmoothFriction,
-)
-from robodyn.elements.loads import Force, VaryingMoment
-from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
+from robodyn.elements.joints import Range, Rotor
+from robodyn.elements.kinds import place_of
+from robodyn.elements.loads import Force, Moment
+from robodyn.elements.springs import JointDamper, JointSpring
 from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest, places_of
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
-from robodyn.mechanics.planar_model import Inertias, OnDemand, Terms
+from robodyn.mechanics.planar_model import Inertias, OnDemand
 from robodyn.mechanics.planar_model import Mechanism as Mechanism
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
-from robodyn.scene import scene as described
-from robodyn.scene.scene import Description, Load, Moment, Point, Spring
+from robodyn.scene.scene import Description, Point
 
 
 def load(path: str | Path) -> Mechanism:
@@ -97,11 +90,11 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
     """
     links, tree = description.links, Tree(description.links)
     carried, first, inertia = carried_by(tree, bodies)
-    forces = [_fixed(tree, x) for x in description.loads if isinstance(x, Load)]
+    forces = [y for x in description.loads if isinstance(x, Force) for y in x.placed(tree)]
     steady = [0j] * len(links)  # of constant forces: their sum below each link, and its moment
     moment = [0j] * len(links)
     for force in forces:
-        if force.point.link is not None and not force.turns and not force.varies:
+        if force.point.link is not None and force.steady:
             steady[force.point.link] += force.force.conjugate()
             moment[force.point.link] += force.point.at * force.force.conjugate()
     for k in reversed(tree.order):
@@ -144,8 +137,9 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
         centres=OnDemand(map, tree.point, [Point(k, x.r) for k, x in enumerate(links)]),
         weights=tuple(weights),
         moments=tuple(moments),
-        elements=OnDemand(_elements, tree, description, forces),
+        elements=OnDemand(_elements, tree, description),
         ranges=tuple(_ranges(description)),
+        tree=tree,
         slides=tuple(k for k, link in enumerate(links) if link.slides),
         frames=tuple(tree.frames),
         unit=tree.unit,
@@ -217,45 +211,17 @@ def _dense_couplings(
     return A
 
 
-def _elements(tree: Tree, description: Description, forces: Sequence[Load]) -> Iterator[Element]:
+def _elements(tree: Tree, description: Description) -> Iterator[Element]:
     """What acts, of each kind in the order of the scene."""
-    links = description.links
-    yield from _springs(tree, [x for x in description.springs if isinstance(x, Spring)])
-    for x in description.springs:
-        if isinstance(x, described.JointSpring) and (x.stiffness or x.law):
-            yield JointSpring(x.joint, x.stiffness, x.angle, x.law)
-    yield from _forces(tree, forces)
-    for load in description.loads:
-        if isinstance(load, Moment) and load.varying is not None:
-            yield VaryingMoment(load.link, load.varying)
-    for k, damping in enumerate(joint_damping(description)):
-        yield JointDamper(k, damping)
-    for k, link in enumerate(links):
-        rubs = link.friction
-        if isinstance(rubs, described.Friction) and rubs.torque:
-            yield SmoothFriction(k, *rubs)
-        if isinstance(rubs, described.DryFriction) and rubs.static:
-            yield DryFriction(k, *rubs)
-    yield from _stops(description)
-    yield from _rotors(tree)
+    found = [x for _, element in description.elements for x in element.placed(tree)]
+    found += [JointDamper(k, damping) for k, damping in enumerate(joint_damping(description))]
+    yield from sorted([*found, *_rotors(tree)], key=place_of)
 
 
 def _ranges(description: Description) -> Iterator[Range]:
     for k, link in enumerate(description.links):
         if link.limits is not None:
             yield Range(k, link.limits.low, link.limits.high, link.limits.stiffness is None)
-
-
-def _stops(description: Description) -> Iterator[Element]:
-    """A stop for each end of a range where the scene says what happens."""
-    for place in _ranges(description):
-        stop = description.links[place.joint].limits
-        assert stop is not None
-        for side, end in place.ends:
-            if stop.stiffness is not None:
-                yield CompliantStop(place.joint, side, end, stop.stiffness, stop.damping)
-            elif stop.restitution is not None:
-                yield HardStop(place.joint, side, end, stop.restitution)
 
 
 def _rotors(tree: Tree) -> Iterator[Rotor]:
@@ -273,7 +239,7 @@ def joint_damping(description: Description) -> tuple[float, ...]:
         if link.motor is not None and link.motor.damping:
             damping[k] += link.motor.damping * link.motor.ratio * link.motor.ratio
     for spring in description.springs:
-        if isinstance(spring, described.JointSpring):
+        if isinstance(spring, JointSpring):
             damping[spring.joint] += spring.damping
     return tuple(damping)
 
@@ -282,55 +248,6 @@ def too_large(description: Description) -> InputError:
     """The error of a scene whose numbers leave the range of floats."""
     limit = "masses, lengths or gravity are too large: their products overflow"
     return InputError("links", where=description.source, limit=limit)
-
-
-def _fixed(tree: Tree, load: Load) -> Load:
-    """A load, as one of the ground's frame where its link cannot turn."""
-    k = load.point.link
-    if not load.turns or k is None or tree.frames[k] is not None or load.varies:
-        return load
-    return load._replace(force=tree.turned(k, load.force), turns=False)
-
-
-def _place(tree: Tree, point: Point) -> PlanarPoint:
-    """A point whose terms, as many as links carry it, are made when they are asked for."""
-    return PlanarPoint(tree.constant(point, Point(None, 0j)), OnDemand(_terms, tree, point))
-
-
-def _terms(tree: Tree, point: Point) -> Terms:
-    return tree.point(point).terms
-
-
-def _forces(tree: Tree, loads: Sequence[Load]) -> Iterator[Force]:
-    for load in loads:
-        k = load.point.link
-        assert k is not None
-        turned = tree.turned(k, 1.0 + 0j) if load.turns else 1.0 + 0j
-        if not load.varies:
-            force = tree.turned(k, load.force) if load.turns else load.force
-            yield Force(k, _place(tree, load.point), force, load.turns)
-            continue
-        numbers = load.force.real, load.force.imag
-        x, y = (
-            number if signal is None else signal
-            for number, signal in zip(numbers, load.varying, strict=True)
-        )
-        turns = load.turns and tree.frames[k] is not None
-        yield Force(k, _place(tree, load.point), 0j, turns, (x, y), turned)
-
-
-def _springs(tree: Tree, springs: Sequence[Spring]) -> Iterator[PointSpring]:
-    for spring in springs:
-        yield PointSpring(
-            first=spring.first.link,
-            second=spring.second.link,
-            ends=(tree.point(spring.first), tree.point(spring.second)),
-            between=tree.difference(spring.first, spring.second),
-            stiffness=spring.stiffness,
-            length=spring.length,
-            damping=spring.damping,
-            law=spring.law,
-        )
 
 
 def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:

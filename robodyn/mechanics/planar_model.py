@@ -8,7 +8,7 @@ floats starts without it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -29,6 +29,8 @@ from robodyn.scene.scene import Description, Signal, Table
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    from robodyn.mechanics.link_tree import Tree
 
 
 Kind = TypeVar("Kind", bound=Element)
@@ -78,6 +80,13 @@ class Mechanism:
     slides: tuple[int, ...] = ()  # the joints that are prismatic
     frames: tuple[int | None, ...] = ()  # of each link whose E it has; None: the ground's, 1
     unit: float = 1.0  # length that displacements are compared with angles by, m
+    tree: Tree = field(kw_only=True)  # the links as the scene has them
+
+    def to_dict(self) -> dict[str, object]:
+        """The scene as the mapping that `robodyn.load` takes: SI units, radians, names of links."""
+        from robodyn.scene.plain_scene import plain_scene
+
+        return plain_scene(self.description)
 
     def of(self, kind: type[Kind]) -> tuple[Kind, ...]:
         """The elements of a kind, in their order."""
@@ -108,6 +117,11 @@ class Mechanism:
         return self.of(PointSpring)
 
     @cached_property
+    def spans(self) -> tuple[PlanarPoint, ...]:
+        """The first ends of these less their second ones."""
+        return tuple(x.reach(self.tree) for x in self.springs)
+
+    @cached_property
     def joint_springs(self) -> tuple[JointSpring, ...]:
         """Those at joints."""
         return self.of(JointSpring)
@@ -130,7 +144,7 @@ class Mechanism:
     @cached_property
     def parted(self) -> tuple[tuple[int, PlanarPoint], ...]:
         """Places of elements, and the ways between their ends that must not vanish, m."""
-        each = ((place, x.parted) for place, x in enumerate(self.elements))
+        each = ((place, x.parted(self.tree)) for place, x in enumerate(self.elements))
         return tuple((place, between) for place, between in each if between is not None)
 
     @cached_property
@@ -279,7 +293,7 @@ class Mechanism:
             "inertias",
             "signals",
         )
-        made += ("damping", "springs", "joint_springs", "forces")
+        made += ("damping", "springs", "spans", "joint_springs", "forces")
         made += ("dry", "contacts", "parted", "bells", "spins")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 

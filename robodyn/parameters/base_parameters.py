@@ -23,13 +23,14 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import closure_bias, closure_gap, scaled_jacobian
 from robodyn.dynamics.placed import matvec
+from robodyn.elements.springs import PointSpring
 from robodyn.errors import RobodynError
 from robodyn.loops.change_points import nearness
 from robodyn.loops.closing import close_positions, loop_size
 from robodyn.loops.loop_rates import nearest_velocities
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.regression_matrix import linear_parameters, regressor
-from robodyn.scene.scene import Description, Motor, Point, Spring
+from robodyn.scene.scene import Description, Motor, Point
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
@@ -207,7 +208,7 @@ def _symbols(description: Description) -> list[Symbol]:
     for c, coupling in enumerate(description.couplings, start=1):
         found += [(f"i{c}_{k + 1}", ratio) for k, ratio in coupling.terms]
     every = enumerate(description.springs, start=1)
-    springs = [(i, x) for i, x in every if isinstance(x, Spring) and not x.length]
+    springs = [(i, x) for i, x in every if isinstance(x, PointSpring) and not x.length]
     for i, spring in springs:
         point(f"e{i}", spring.first, held=True)
         point(f"h{i}", spring.second, held=True)

@@ -30,6 +30,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.free_joints import balanced_joints
+from robodyn.elements.base import Element
+from robodyn.elements.keys import Declared
+from robodyn.elements.springs import JointSpring
 from robodyn.engines.expression import Graph, slopes_by, substituted
 from robodyn.engines.planar_numbers import Planar
 from robodyn.errors import InputError
@@ -43,13 +46,14 @@ from robodyn.parameters.base_parameters import (
 )
 from robodyn.parameters.regression_matrix import (
     INERTIAL,
+    LISTS,
     Regressor,
     linear_parameters,
     regressor,
     rows_at_rest,
     with_formulas,
 )
-from robodyn.scene.scene import Description, JointSpring, Spring
+from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
@@ -393,7 +397,7 @@ def numbers(description: Description) -> dict[str, Number]:
     for k, link in enumerate(description.links):
         at: Place = ("links", k)
         i = k + 1
-        force, damping = ("N", "N s/m") if link.slides else ("N m", "N m s/rad")
+        damping = "N s/m" if link.slides else "N m s/rad"
         own = {
             "m": Number((*at, "m"), "kg", LEAST * most["m"]),
             "I": Number((*at, "I"), "kg m²", LEAST * most["I"]),
@@ -403,32 +407,27 @@ def numbers(description: Description) -> dict[str, Number]:
             "r[0]": Number((*at, "r", "real"), "m", -np.inf),
             "r[1]": Number((*at, "r", "imag"), "m", -np.inf),
         }
-        if link.friction is not None:
-            key = "friction.force" if link.slides else "friction.torque"
-            own[key] = Number((*at, "friction", "torque"), force, parameter=f"f{i}")
-        if hasattr(link.friction, "static"):
-            static = (*at, "friction", "static")
-            own["friction.static"] = Number(static, force, parameter=f"fs{i}")
-        if link.motor is not None:
-            rotor = (*at, "motor", "inertia")
-            own["motor.inertia"] = Number(rotor, "kg m²", parameter=f"Jr{i}")
-            own["motor.damping"] = Number((*at, "motor", "damping"), "N m s/rad", alone=False)
+        for name, x in zip(link._fields, link, strict=True):
+            for field, key in x.keys.items() if isinstance(x, Declared) else ():
+                there, its = key.of(link.slides), (*at, name, field)
+                if key.linear:
+                    number = Number(its, there.unit, parameter=f"{key.linear}{i}")
+                    own[f"{name}.{there.name or field}"] = number
+                elif field == "damping" and not isinstance(x, Element):  # of a rotor
+                    own[f"{name}.{field}"] = Number(its, there.unit, alone=False)
         for prefix in (f"links.{link.name}", f"links[{k}]"):
             found |= {f"{prefix}.{key}": number for key, number in own.items()}
-    for i, spring in enumerate(description.springs):
-        turns = not isinstance(spring, Spring)
-        where, metre = ("springs", i), "m"
-        if isinstance(spring, JointSpring) and not description.links[spring.joint].slides:
-            metre = "rad"
-        force = "N m" if metre == "rad" else "N"
-        if spring.law is None:
-            pull = (*where, "stiffness")
-            name = f"springs[{i}].stiffness"
-            found[name] = Number(pull, f"{force}/{metre}", parameter=f"k{i + 1}")
-        if spring.damping or (spring.law is None and turns):
-            unit, name = f"{force} s/{metre}", "" if turns else f"ds{i + 1}"
-            damper = Number((*where, "damping"), unit, alone=not turns, parameter=name)
-            found[f"springs[{i}].damping"] = damper
+    for name in LISTS:
+        for i, element in enumerate(getattr(description, name)):
+            where = name, i
+            slides = element.at is not None and description.links[element.at].slides
+            for field, key in element.linear():
+                there = key.of(slides)
+                number = Number((*where, field), there.unit, parameter=f"{key.linear}{i + 1}")
+                found[f"{name}[{i}].{there.name or field}"] = number
+            if isinstance(element, JointSpring) and (element.damping or element.law is None):
+                unit = JointSpring.keys["damping"].of(slides).unit
+                found[f"{name}[{i}].damping"] = Number((*where, "damping"), unit, alone=False)
     return found
 
 

@@ -18,7 +18,7 @@ no parameter: what they do is known.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -31,6 +31,8 @@ from robodyn.dynamics.dynamics import PIVOT_CUT
 from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.dynamics.placed import check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
+from robodyn.elements.joints import DryFriction
+from robodyn.elements.keys import Declared
 from robodyn.elements.springs import JointDamper
 from robodyn.engines.batches import FormulaBatches
 from robodyn.engines.expression import Graph, Value, slopes_by, substituted
@@ -40,12 +42,12 @@ from robodyn.errors import SingularError
 from robodyn.mechanics.link_tree import Bodies, bodies
 from robodyn.mechanics.mechanism import Mechanism, constants, joint_damping
 from robodyn.mechanics.modes import in_mode
-from robodyn.scene import scene as described
-from robodyn.scene.scene import Description, Spring
+from robodyn.scene.scene import Description
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
 INERTIAL = ("m", "mx", "my", "J")
+LISTS = ("springs", "loads")  # of elements
 
 
 class Parameter(NamedTuple):
@@ -76,19 +78,28 @@ def linear_parameters(
             Parameter(f"J{i}", J, "kg m²"),
             Parameter(f"d{i}", damping[k], f"{force} {rate}"),
         ]
-        if link.friction is not None:
-            found.append(Parameter(f"f{i}", link.friction.torque, force))
-        if isinstance(link.friction, described.DryFriction) and link.friction.stribeck is not None:
-            found.append(Parameter(f"fs{i}", link.friction.static, force))
-        if link.motor is not None:
-            found.append(Parameter(f"Jr{i}", link.motor.inertia, "kg m²"))
-    for i, spring in enumerate(description.springs, start=1):
-        if spring.law is None:
-            turns = isinstance(spring, described.JointSpring) and not links[spring.joint].slides
-            found.append(Parameter(f"k{i}", spring.stiffness, "N m/rad" if turns else "N/m"))
-        if isinstance(spring, Spring) and spring.damping:
-            found.append(Parameter(f"ds{i}", spring.damping, "N s/m"))
+        for x in link:
+            if isinstance(x, Declared):
+                found += _linear_numbers(x, i, link.slides)
+    for name in LISTS:
+        for i, element in enumerate(getattr(description, name), start=1):
+            slides = element.at is not None and links[element.at].slides
+            found += _linear_numbers(element, i, slides)
     return tuple(found)
+
+
+def _linear_numbers(entry: Declared, i: int, slides: bool) -> Iterator[Parameter]:
+    for field, key in entry.linear():
+        yield Parameter(f"{key.linear}{i}", getattr(entry, field), key.of(slides).unit)
+
+
+def _with_linear(entry: Any, i: int, values: Mapping[str, Any]) -> Any:
+    """The entry of the scene with these values; what is damped at its joint is among d_k."""
+    letters = {field: key.linear for field, key in entry.keys.items() if key.linear}
+    found = {field: values.get(f"{letter}{i}", 0.0) for field, letter in letters.items()}
+    if "damping" in entry.keys and "damping" not in letters:
+        found["damping"] = 0.0
+    return entry._replace(**found)
 
 
 def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanism:
@@ -98,27 +109,22 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
     """
     base = mechanism.description
 
-    def damped(entry: Any, **others: Any) -> Any:
-        return entry and entry._replace(damping=0.0, **others)
-
-    links, springs = [], []
+    links = []
     for i, link in enumerate(base.links, start=1):
         friction, motor = link.friction, link.motor
         if friction is not None:
-            friction = friction._replace(torque=values[f"f{i}"])
-        if isinstance(friction, described.DryFriction):
-            static = values.get(f"fs{i}", friction.torque)
-            friction = friction._replace(static=static)
-        motor = damped(motor, inertia=values.get(f"Jr{i}"))
+            friction = _with_linear(friction, i, values)
+        if isinstance(friction, DryFriction):
+            friction = friction._replace(static=values.get(f"fs{i}", friction.torque))
+        motor = motor and _with_linear(motor, i, values)
         links.append(link._replace(damping=values[f"d{i}"], friction=friction, motor=motor))
-    for i, spring in enumerate(base.springs, start=1):
-        stiffness = values.get(f"k{i}", 0.0)
-        springs.append(damped(spring, stiffness=stiffness))
-        if isinstance(spring, Spring):
-            springs[-1] = springs[-1]._replace(damping=values.get(f"ds{i}", 0.0))
+    lists = {
+        name: tuple(_with_linear(x, i, values) for i, x in enumerate(getattr(base, name), start=1))
+        for name in LISTS
+    }
     m, mx, my, J = ([values[f"{x}{k + 1}"] for k in range(len(links))] for x in INERTIAL)
     own = Bodies(m, [Planar(x, y) for x, y in zip(mx, my, strict=True)], J)  # type: ignore[misc]
-    scene = base._replace(links=tuple(links), springs=tuple(springs))
+    scene = base._replace(links=tuple(links), **lists)
     made = constants(with_formulas(scene), own)
     more = (x for x in mechanism.added if not isinstance(x, JointDamper))  # d_k has all dampers
     made = replace(made, elements=(*made.elements, *more))

@@ -25,7 +25,7 @@ from robodyn.errors import RobodynError
 from robodyn.loops.assembly import assembly_plan, attempt
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.scene.scene import Point, Spring
+from robodyn.scene.scene import Point
 from robodyn.tables.arrays import Array, Complex
 
 ARC = 15  # points of half a circle
@@ -263,7 +263,8 @@ def bodies(
             way = way.leaving(link_points(mechanism, way.link, marked), w)
         ways.append(way)
     for spring in mechanism.springs:
-        yield _spring(bool(spring.stiffness or spring.law), *spring.ends, poses, w)
+        ends = tree.point(spring.first), tree.point(spring.second)
+        yield _spring(bool(spring.stiffness or spring.law), *ends, poses, w)
     for coil in mechanism.joint_springs:
         if (k := coil.joint) in mechanism.slides:
             slid = tree.point(Point(k, 0j))
@@ -349,8 +350,7 @@ def _joined(mechanism: Mechanism) -> list[Point]:
 
 
 def _spring_ends(mechanism: Mechanism) -> list[Point]:
-    springs = [s for s in mechanism.description.springs if isinstance(s, Spring)]
-    return [end for spring in springs for end in (spring.first, spring.second)]
+    return [end for spring in mechanism.springs for end in (spring.first, spring.second)]
 
 
 def _link(

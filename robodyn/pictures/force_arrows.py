@@ -15,7 +15,7 @@ from robodyn.dynamics.dynamics import (
 )
 from robodyn.dynamics.placed import placed
 from robodyn.dynamics.reaction_forces import reactions
-from robodyn.elements import loads as elements
+from robodyn.elements.loads import Force as LoadForce
 from robodyn.elements.springs import PointSpring
 from robodyn.engines.row_values import rows_of
 from robodyn.errors import RobodynError
@@ -24,7 +24,7 @@ from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.pictures.drawing import at, direction
-from robodyn.scene.scene import Load, Point, Spring
+from robodyn.scene.scene import Point
 from robodyn.tables.arrays import Array, Complex
 
 LONGEST = 0.3  # the longest arrow, as a part of the mechanism's span
@@ -79,9 +79,9 @@ def forces(
     pins = pin_forces(mechanism, multipliers, q) @ np.array([1, 1j])
     for c, force in enumerate(pins.tolist()):
         add("pin", f"f{c + 1}", tree.point(description.closures[c].first), force)
-    springs = (f"s{k + 1}" for k, x in enumerate(description.springs) if isinstance(x, Spring))
-    loads = (f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, Load))
-    names = {PointSpring: springs, elements.Force: loads}
+    springs = (f"s{k + 1}" for k, x in enumerate(description.springs) if x.at is None)
+    loads = (f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, LoadForce))
+    names = {PointSpring: springs, LoadForce: loads}
     rows = rows_of(parts.acting, mechanism)
     if rows.acting:
         acting = rows.planar("forces", q, qd, 0.0).tolist()

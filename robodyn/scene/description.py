@@ -10,29 +10,21 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar
 
+from robodyn.elements.keys import Key
+from robodyn.elements.values import FRAMES
 from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
-from robodyn.scene.grammar import Key
 from robodyn.scene.point_values import PointReader
 from robodyn.scene.quantities import in_unit, parse_coupling
 from robodyn.scene.scene import (
     BRANCHES,
-    FRAMES,
     JOINTS,
     Closure,
     Coupling,
     Description,
-    DryFriction,
-    Friction,
-    JointSpring,
-    Law,
-    Limits,
+    Line,
     Link,
-    Load,
-    Moment,
-    Motor,
     Point,
-    Spring,
     Tables,
     Written,
 )
@@ -40,7 +32,7 @@ from robodyn.scene.varying import SignalReader
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import TooManyFaults
 
-ROUNDING = 4e-16  # part of J that m r^2 may miss it by in a point mass
+UNIT = 4e-16  # by which rounding may leave a unit vector longer or shorter than 1
 
 
 def read(path: str | Path) -> Description:
@@ -81,10 +73,12 @@ def from_tree(
 
 
 class _Reader(PointReader, SignalReader):
-    """Walks the tree of a scene; a method each for the kinds of the grammar that need one."""
+    """Walks the tree of a scene; a method each for the kinds of values that need one."""
 
     missing: ClassVar[dict[str, Any]] = {
         **PointReader.missing,
+        "frame": False,
+        "line": Line(None, 0j, 1.0 + 0j),
         "varying": 0.0,
         "varying_vector": (0.0, 0.0),
     }
@@ -106,26 +100,14 @@ class _Reader(PointReader, SignalReader):
         named = next((node for key, node in root.pairs if key.text == "points"), None)
         if named is not None:
             self.name_points(named, "points")
-        values = self.form("scene", root, "")
-        links = tuple(self.linked(k, value) for k, value in enumerate(values["links"] or ()))
-        self.cycles(links, entries)
-        gravity, words = values["gravity"], values["assembly"]
+        own = {"source": source, "name": Path(source).stem}
+        described: Description = self.record("scene", root, "", **own)
+        self.cycles(described.links, entries)
+        words: Any = described.branches
         if words is None or isinstance(words, str):
-            words = (words or BRANCHES[0],) * self.closures if words or not values["start"] else ()
-        return Description(
-            source=source,
-            name=Path(source).stem if values["name"] is None else values["name"],
-            gravity=gravity if isinstance(gravity, complex) else -1j * gravity,
-            links=links,
-            closures=values["closures"] or (),
-            branches=words,
-            actuated=values["actuated"],
-            start=values["start"],
-            springs=values["springs"] or (),
-            loads=values["loads"] or (),
-            couplings=values["couplings"] or (),
-            points=tuple(self.places.points.items()),
-        )
+            free = words is None and described.start
+            words = () if free else (words or BRANCHES[0],) * self.closures
+        return described._replace(branches=words, points=tuple(self.places.points.items()))
 
     def assembly(self, node: Node, place: str) -> str | tuple[str, ...]:
         if not isinstance(node, Sequence):
@@ -165,72 +147,21 @@ class _Reader(PointReader, SignalReader):
                 limit = f"is the name of links[{earlier}] too; names must differ"
                 self.fault(f"links[{i}].name", name, limit, name.text)
 
-    def link(self, node: Node, place: str) -> dict[str, Any]:
+    def link(self, node: Node, place: str) -> Link:
         given = dict(_scalars(node))
         name = given.get("name")
         place = place if name is None else f"{place} ({name.text})"
-        values = self.form("link", node, place)
+        self.joint += 1
+        above = self.tip(self.joint - 1) if self.joint else Point(None, 0j)
+        link: Link = self.record("link", node, place, hangs_from=above)
         slides = "joint" in given and given["joint"].text == JOINTS[1]
-        if slides and "axis" not in values:
+        if slides and link.axis is None:
             limit = "is missing: the direction [dx, dy] that a prismatic joint slides along"
             self.fault(f"{place}.axis", node, limit)
-        elif "axis" in values and "joint" in given and not slides:
+        elif link.axis is not None and "joint" in given and not slides:
             limit = "is of prismatic joints alone: write `joint: prismatic` with it"
             self.fault(f"{place}.axis", node, limit)
-        values["I"] = self.central(values, node, place)
-        return values
-
-    def central(self, values: dict[str, Any], node: Node, place: str) -> float:
-        """I = J - m |r|^2 of a link that tells J, the moment of inertia about its own joint."""
-        J: float | None = values.pop("J")
-        if J is None:
-            return values["I"] or 0.0
-        r = complex(values["r"])
-        least = values["m"] * (r.real * r.real + r.imag * r.imag)
-        if abs(J - least) <= ROUNDING * J:
-            return 0.0  # a point mass
-        if least > J:
-            limit = f"must be at least m r^2 = {least:.6g} kg m^2: it is about the link's own joint"
-            self.fault(f"{place}.J", node, limit, f"{J:g}")
-        return float(J - least)
-
-    def linked(self, i: int, values: dict[str, Any]) -> Link:
-        """Link i of what its keys hold."""
-        above = values.pop("from") or (self.tip(i - 1) if i else Point(None, 0j))
-        values.pop("joint")
-        return Link(**values | {"r": complex(values["r"]), "hangs_from": above})
-
-    def motor(self, node: Node, place: str, kind: str) -> Motor:
-        motor = Motor(**self.form(kind, node, place))
-        pair = {"torque_constant": motor.torque_constant, "resistance": motor.resistance}
-        missing = [name for name, value in pair.items() if value is None]
-        if len(missing) == 1:
-            other = next(name for name in pair if name not in missing)
-            self.fault(f"{place}.{missing[0]}", node, f"is missing: {other} needs it beside itself")
-        return motor
-
-    def friction(self, node: Node, place: str, kind: str) -> Friction | DryFriction:
-        faults = len(self.faults)
-        values = list(self.form(kind, node, place).items())
-        if len(values) == 2:
-            return Friction(*(value for _, value in values))
-        (name, moving), (_, static), (_, stribeck) = values
-        if static < moving and len(self.faults) == faults:
-            limit = f"must be at least the {name} in motion, {moving:g}"
-            self.fault(f"{place}.static", node, limit, f"{static:g}")
-        return DryFriction(moving, static, stribeck)
-
-    def limits(self, node: Node, place: str, kind: str) -> Limits:
-        faults = len(self.faults)
-        values: dict[str, Any] = self.form(kind, node, place)
-        low, high = values.pop("min"), values.pop("max")
-        if len(self.faults) > faults:
-            pass  # it is told what is wrong
-        elif low is None and high is None:
-            self.fault(place, node, "needs a min, a max, or both")
-        elif low is not None and high is not None and not low < high:
-            self.fault(f"{place}.max", node, f"must be above min, {low:g}", f"{high:g}")
-        return Limits(low, high, **values)
+        return link
 
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""
@@ -248,60 +179,28 @@ class _Reader(PointReader, SignalReader):
                 self.fault(place, entries[link], f"hangs from itself: {' -> '.join(names)}")
             grounded.update(path)
 
-    # -- closures, springs, loads ------------------------------------------------------------
+    # -- closures and directions -------------------------------------------------------------
 
     def closure(self, node: Node, place: str) -> Closure:
         self.closures += 1
         if not isinstance(node, Mapping):
             return Closure(*self.pair(node, place, "sides"))
-        values = self.form("closure", node, place)
-        line = values["on"] or {"link": None, "through": 0j, "along": 1 + 0j}
-        first, carrier = values["point"], line["link"]
-        if carrier is not None and first.link == carrier:
-            limit = "is a line of the point's own link; they must move apart"
-            self.fault(f"{place}.on", node, limit)
-        return Closure(first, Point(carrier, line["through"]), line["along"], values["aligned"])
+        return self.record("closure", node, place)  # type: ignore[no-any-return]
 
-    def line(self, node: Node, place: str) -> dict[str, Any]:
-        return self.form("line", node, place)
+    def frame(self, node: Node, place: str) -> bool:
+        """Whether a force turns with its link."""
+        return self.word(node, place, FRAMES) == FRAMES[1]
 
     def direction(self, node: Node, place: str) -> complex:
         """The unit vector."""
         faults, vector = len(self.faults), self.vector(node, place)
         if vector == 0 and len(self.faults) == faults:
             self.fault(place, node, "must point somewhere", "[0, 0]")
-        vector /= max(abs(vector.real), abs(vector.imag)) or 1.0  # no square overflows
+        largest = max(abs(vector.real), abs(vector.imag))
+        if largest <= 1.0 and abs(abs(vector) - 1.0) <= UNIT:
+            return vector
+        vector /= largest or 1.0  # no square overflows
         return vector / (abs(vector) or 1.0)
-
-    def spring(self, node: Node, place: str) -> Spring | JointSpring:
-        values = self.form("spring", node, place)
-        law = values.pop("law") or values.pop("table", None)
-        values.pop("table", None)
-        stiffness, damping = values["stiffness"] or 0.0, values["damping"]
-        if isinstance(law, Law) and damping:
-            limit = "stands beside law; damping is in the law, by its v"
-            self.fault(f"{place}.damping", node, limit, damping)
-        if "joint" in values:
-            slides, lengths = values["joint"] in self.slides, "length" in values
-            if slides != lengths:
-                limit = f"is missing: the joint is {JOINTS[slides]}"
-                self.fault(f"{place}.{('angle', 'length')[slides]}", node, limit)
-            free = values["length" if lengths else "angle"]
-            return JointSpring(values["joint"], stiffness, free, damping, law)
-        first, second = values["between"]
-        return Spring(first, second, stiffness, values["length"], damping, law)
-
-    def load(self, node: Node, place: str) -> Load | Moment:
-        values = self.form("load", node, place)
-        if "torque" in values:
-            link, torque = values["link"], values["torque"]
-            plain = isinstance(torque, float)
-            return Moment(link, torque) if plain else Moment(link, 0.0, torque)
-        point = values["point"] if "point" in values else Point(values["link"], values["at"])
-        parts = values["force"]
-        constant = [x if isinstance(x, float) else 0.0 for x in parts]
-        x, y = (None if isinstance(part, float) else part for part in parts)
-        return Load(point, complex(*constant), values["frame"] == FRAMES[1], (x, y))
 
     # -- couplings ---------------------------------------------------------------------------
 

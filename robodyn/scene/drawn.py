@@ -136,7 +136,7 @@ class Drawing:
                     kept.append((key, value))
             node = Mapping(kept, node.line, node.size)
         names = list(FORMS[form].keys)
-        return self.reader.keys(node, place, [], names, form=form)
+        return self.reader.keys(node, place, [], names)
 
     def _bars(self) -> Iterator[Bar]:
         listed = self.given.get("links")
@@ -257,7 +257,7 @@ class Drawing:
     def _line(self, node: Node, place: str, form: str) -> Line | None:
         """A line that a pin stays on; None, and faults, if it is none."""
         reader, faults = self.reader, len(self.reader.faults)
-        found = reader.keys(node, place, list(FORMS[form].keys), [], form=form)
+        found = reader.keys(node, place, list(FORMS[form].keys), [])
         if len(reader.faults) > faults:
             return None
         name, link = reader.name(found["pin"], f"{place}.pin"), None

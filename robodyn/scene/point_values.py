@@ -52,7 +52,7 @@ class PointReader(ValueReader):
             return Point(None, self.vector(node, place, "m"))
         if isinstance(node, Scalar):
             return self.named_point(node, place) or Point(None, 0j)
-        return Point(**self.form("point", node, place))
+        return self.record("point", node, place)  # type: ignore[no-any-return]
 
     def named_point(self, node: Scalar, place: str) -> Point | None:
         name = self.name(node, place)

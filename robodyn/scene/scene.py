@@ -4,98 +4,186 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 `description.py` reads it, `mechanism.py` makes numbers of it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
+
+from robodyn.elements.base import Element
+from robodyn.elements.joints import DryFriction, SmoothFriction, Stops
+from robodyn.elements.keys import Declared, Way, at_joints, key
+from robodyn.elements.values import Law as Law
+from robodyn.elements.values import Point as Point
+from robodyn.elements.values import Signal as Signal
+from robodyn.elements.values import Table as Table
+from robodyn.elements.values import Tables as Tables
+from robodyn.elements.values import told as told
 
 BRANCHES = ("open", "crossed")
-FRAMES = ("ground", "link")  # in which a load's force stays
 JOINTS = ("revolute", "prismatic")
+ROUNDING = 4e-16  # part of J that m r^2 may miss it by in a point mass
 
 
-class Point(NamedTuple):
-    """A point of a link (its index; `at` in the link's frame) or of the ground (link None), m."""
-
-    link: int | None
-    at: complex
-
-
-class Friction(NamedTuple):
-    """Coulomb friction of a joint, -torque tanh(qd/speed): N m, and rad/s that smooth it.
-
-    Of a prismatic joint N and m/s.
-    """
-
-    torque: float
-    speed: float
-
-
-class DryFriction(NamedTuple):
-    """Coulomb friction with true sticking: N m, and rad/s; of a prismatic joint N and m/s.
-
-    A joint at rest holds up to `static`; one that moves at the rate v is held back by
-    torque + (static - torque) exp(-(v/stribeck)^2), without `stribeck` by the torque alone.
-    """
-
-    torque: float
-    static: float
-    stribeck: float | None = None
-
-
-class Limits(NamedTuple):
-    """Where a joint ends, rad or m: at compliant stops, at hard ones, or at no more than a limit.
-
-    A compliant stop, of a stiffness (N m/rad) and a damping (N m s/rad), pushes and never pulls;
-    a hard one throws back at `restitution` times the speed.
-    """
-
-    low: float | None
-    high: float | None
-    stiffness: float | None = None
-    damping: float = 0.0
-    restitution: float | None = None
-
-    @property
-    def ends(self) -> list[tuple[int, float]]:
-        """The sides, -1 and 1, that have an end, and where."""
-        sides = ((-1, self.low), (1, self.high))
-        return [(side, end) for side, end in sides if end is not None]
-
-
-class Motor(NamedTuple):
+class Motor(Declared):
     """A motor and its gear at a joint: the rotor turns `ratio` times as far as the joint.
 
-    It sits on the link that carries the joint, and turns relative to it.  Of the rotor: inertia
-    kg m^2, damping N m s/rad, N m, rad/s, N m/A, ohm; the ratio of a prismatic joint is in rad/m.
+    It sits on the link that carries the joint, and turns relative to it.
     """
 
-    ratio: float
-    inertia: float
-    damping: float = 0.0
-    torque_max: float | None = None
-    speed_max: float | None = None
-    torque_constant: float | None = None
-    resistance: float | None = None
+    ratio: float = key(
+        "nonzero",
+        "the rotor's turn over the joint's, seen from the carrying link",
+        unit=("", "rad/m"),
+        symbol="N: ratio of the gear at the joint of {}",
+    )
+    inertia: float = key(
+        "amount",
+        "of the rotor; it is not in the I of the carrying link",
+        unit="kg m²",
+        symbol="J: inertia of the rotor of {}",
+        linear="Jr",
+    )
+    damping: float = key(
+        "amount",
+        "viscous damping of the rotor",
+        unit="N m s/rad",
+        default=0.0,
+        symbol="b: damping of the rotor of {}",
+    )
+    torque_max: float | None = key(
+        "positive", "largest torque of the motor", unit="N m", default=None
+    )
+    speed_max: float | None = key(
+        "positive", "largest speed of the rotor", unit="rad/s", default=None
+    )
+    torque_constant: float | None = key(
+        "positive", "torque per current; resistance beside it", unit="N m/A", default=None
+    )
+    resistance: float | None = key(
+        "positive", "of the winding; torque_constant beside it", unit="ohm", default=None
+    )
+
+    ways: ClassVar[tuple[Way, ...]] = at_joints(
+        "motor",
+        "motor",
+        (
+            "A motor and its gear at a revolute joint, with a rotor on the link that carries it.",
+            "A motor and its gear at a prismatic joint, with a rotor on the link that carries it.",
+        ),
+    )
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        pair = {"torque_constant": self.torque_constant, "resistance": self.resistance}
+        missing = [name for name, value in pair.items() if value is None]
+        if len(missing) == 1:
+            other = next(name for name in pair if name not in missing)
+            yield missing[0], f"is missing: {other} needs it beside itself", None
 
 
-class Link(NamedTuple):
-    """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs.
+class Link(Declared):
+    """A rigid link, how it hangs, and what stands at its own joint.
 
     A link on a prismatic joint has an `axis`: the unit vector along which it slides, and along
     which its own x axis lies, in the frame of what it hangs from.
     """
 
-    name: str
-    m: float
-    l: float
-    r: complex
-    I: float
-    hangs_from: Point
-    payload: float = 0.0
-    damping: float = 0.0
-    friction: Friction | DryFriction | None = None
-    axis: complex | None = None
-    limits: Limits | None = None
-    motor: Motor | None = None
+    name: str = key("name", "any text; no two links share one")
+    m: float = key("amount", "mass", unit="kg", symbol="m: mass of {}")
+    l: float = key(
+        "amount",
+        "length from the link's own joint to its tip",
+        unit="m",
+        symbol="l: length of {}",
+    )
+    r: complex = key(
+        "centre",
+        "centre of gravity: a point [x, y] of the link, or its distance along it",
+        unit="m",
+        symbol="r: centre of gravity of {}",
+        hint="; write [x, y] for a centre of gravity behind or beside the link",
+    )
+    I: float = key(
+        "amount",
+        "moment of inertia about the centre of gravity",
+        unit="kg m²",
+        absent=None,
+        told="I or J",
+        symbol="I: moment of inertia of {} about its centre of gravity",
+    )
+    J: ClassVar[Any] = key(
+        "amount",
+        "moment of inertia about the link's own joint",
+        unit="kg m²",
+        absent=None,
+        told="I or J",
+    )
+    hangs_from: Point = key(
+        "point", "the point that it hangs from", told="the tip of the link before", name="from"
+    )
+    payload: float = key(
+        "amount",
+        "point mass at the tip",
+        unit="kg",
+        default=0.0,
+        symbol="mp: payload at the tip of {}",
+    )
+    joint: ClassVar[Any] = key(
+        "joint_kind", ("of its own joint", "prismatic"), told=(JOINTS[0], "")
+    )
+    axis: complex | None = key(
+        "direction",
+        "which way it slides, [dx, dy] in the frame of what it hangs from",
+        default=None,
+        ways=("prismatic_link",),
+    )
+    damping: float = key(
+        "amount",
+        "viscous damping at its own joint",
+        unit=("N m s/rad", "N s/m"),
+        default=0.0,
+        symbol="d: damping at the joint of {}",
+    )
+    friction: SmoothFriction | DryFriction | None = key(
+        ("friction", "slide_friction"), "Coulomb friction at its own joint", default=None
+    )
+    limits: Stops | None = key(("limits", "slide_limits"), "where its own joint ends", default=None)
+    motor: Motor | None = key(
+        ("motor", "slide_motor"), "motor and gear at its own joint", default=None
+    )
+
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way(
+            "prismatic_link",
+            "link",
+            "A link on a prismatic joint: its frame has x along the axis that it slides on.",
+            ("axis",),
+            True,
+        ),
+        Way(
+            "revolute_link",
+            "link",
+            "A rigid link; its frame has x from its own joint to its tip.",
+        ),
+    )
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> Link:
+        del values["joint"]
+        J, r, m = values.pop("J"), complex(values["r"]), values["m"]
+        values |= {"r": r, "I": values["I"] or 0.0}
+        if J is not None:
+            least = m * (r.real * r.real + r.imag * r.imag)
+            values["I"] = 0.0 if abs(J - least) <= ROUNDING * J else J - least
+        return cls(**values)
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        if self.I < 0.0:  # of J less that of the mass
+            least = self.m * (self.r.real * self.r.real + self.r.imag * self.r.imag)
+            limit = f"must be at least m r^2 = {least:.6g} kg m^2: it is about the link's own joint"
+            yield "J", limit, f"{self.I + least:g}"
+
+    def to_keys(self) -> dict[str, Any]:
+        return super().to_keys() | {"joint": JOINTS[self.slides]}
 
     @property
     def slides(self) -> bool:
@@ -103,103 +191,62 @@ class Link(NamedTuple):
         return self.axis is not None
 
 
-class Law(NamedTuple):
-    """A smooth expression: as its file has it, as code over `names`, and these."""
+class Line(Declared):
+    """A line of the ground or of a link, through a point along a unit vector."""
 
-    text: str
-    code: str
-    names: frozenset[str]  # t, q0.., qd0..; of a spring x, its extension, and v, its rate
+    link: int | None = key(
+        "link_name", "the link that has the slot", absent=None, told="the ground"
+    )
+    through: complex = key("vector", "a point of the line", unit="m")
+    along: complex = key("direction", "the line's direction, not [0, 0]")
 
-
-class Table(NamedTuple):
-    """A function of one variable that is linear between its rows, x increasing."""
-
-    file: str
-    column: str
-    over: str  # t or q0..; of a spring x
-    x: tuple[float, ...]
-    F: tuple[float, ...]
-    repeats: bool = False  # after its span; else it ends there
-
-    @property
-    def names(self) -> frozenset[str]:
-        """The variable, as a law has its own."""
-        return frozenset((self.over,))
+    ways: ClassVar[tuple[Way, ...]] = (Way("line", "line", "A line of the ground or of a link."),)
 
 
-Signal = Law | Table
-
-# of files that a scene names: x and value of each row, by file, both columns' names, and whether
-# x is an angle that turns
-Tables = dict[tuple[str, str, str, bool], tuple[tuple[float, ...], tuple[float, ...]]]
-
-
-class Spring(NamedTuple):
-    """A spring (N/m, free length m) and damper (N s/m) between two points.
-
-    A `law` in place of the stiffness gives its pull, N, by the extension, m, and its rate.
-    """
-
-    first: Point
-    second: Point
-    stiffness: float
-    length: float
-    damping: float = 0.0
-    law: Signal | None = None
-
-
-class JointSpring(NamedTuple):
-    """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint.
-
-    At a prismatic one N/m, its free displacement m, and N s/m.  For a `law` see `Spring`.
-    """
-
-    joint: int
-    stiffness: float
-    angle: float
-    damping: float = 0.0
-    law: Signal | None = None
-
-
-class Load(NamedTuple):
-    """A force, N, at a point of a link, in the ground's frame or turning with the link.
-
-    Where x or y is a signal it is in `varying`, and zero in `force`.
-    """
-
-    point: Point
-    force: complex
-    turns: bool = False
-    varying: tuple[Signal | None, Signal | None] = (None, None)
-
-    @property
-    def varies(self) -> bool:
-        """Whether it is not constant."""
-        return self.varying != (None, None)
-
-
-class Moment(NamedTuple):
-    """A torque on a link, N m; where it varies zero, and `varying`."""
-
-    link: int
-    torque: float
-    varying: Signal | None = None
-
-
-class Closure(NamedTuple):
+class Closure(Declared):
     """Two points that coincide, or, with `along`, a point held on the line through `second`.
 
     `along` is a unit vector in the frame of the link of `second`, which carries the line.  With
     `aligned` the first point's link keeps this angle to that link, rad.
     """
 
-    first: Point
+    first: Point = key("moving_point", "a point of a link: its name, or {link, at}", name="point")
     second: Point
     along: complex | None = None
-    aligned: float | None = None
+    on: ClassVar[Any] = key("line", "the line")
+    aligned: float | None = key(
+        "angle",
+        "angle that the point's link keeps to the line's link (or to +X): "
+        "a block that does not turn",
+        unit="rad",
+        default=None,
+        symbol="beta: angle kept by closure {}",
+    )
+
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way(
+            "slider",
+            "closure",
+            "A point of a link that stays on a line: a slider, or a pin in a slot.",
+        ),
+    )
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> Closure:
+        line = values.pop("on")
+        return cls(**values, second=Point(line.link, line.through), along=line.along)
+
+    def to_keys(self) -> dict[str, Any]:
+        assert self.along is not None
+        line = Line(self.second.link, self.second.at, self.along)
+        return super().to_keys() | {"on": line}
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        if self.second.link is not None and self.first.link == self.second.link:
+            yield "on", "is a line of the point's own link; they must move apart", None
 
 
-class Coupling(NamedTuple):
+class Coupling(Declared):
     """A gear, rack or belt between joints: q_joint = sum of ratio q_k over `terms`, plus `angle`.
 
     All in rad, or in m where a joint slides.
@@ -238,51 +285,95 @@ class Written:
         return "Written()"
 
 
-class Description(NamedTuple):
+class Description(Declared):
     """What a scene file says; `source` is the file's name for messages.
 
     `branches` has a word for each closure, or none where the `start` picks them.
     """
 
     source: str
-    name: str
-    gravity: complex
-    links: tuple[Link, ...]
-    closures: tuple[Closure, ...]
-    branches: tuple[str, ...]
-    actuated: tuple[int, ...] | None
-    start: tuple[float | None, ...] | None
-    springs: tuple[Spring | JointSpring, ...] = ()
-    loads: tuple[Load | Moment, ...] = ()
-    couplings: tuple[Coupling, ...] = ()
-    points: tuple[tuple[str, Point], ...] = ()  # by their names
+    name: str = key("name", "text for titles", told="the file's name less .yaml")
+    gravity: complex = key(
+        "gravity",
+        "a number g acts along -Y; or a vector [gx, gy]",
+        unit="m/s²",
+        absent=0j,
+    )
+    links: tuple[Link, ...] = key("link", "list of links, at least one", listed=True)
+    closures: tuple[Closure, ...] = key(
+        "closure", "list of pins and sliders that close loops", listed=True, absent=()
+    )
+    branches: tuple[str, ...] = key(
+        "assembly",
+        "open or crossed; or a list of these, one for each closure",
+        told=BRANCHES[0],
+        name="assembly",
+    )
+    actuated: tuple[int, ...] | None = key(
+        "joints",
+        "links whose joints carry torque",
+        told="all outside of loops, the first of each loop",
+    )
+    start: tuple[float | None, ...] | None = key(
+        "start",
+        "where joints begin when larger loops are assembled, {crank: 30deg}",
+        unit="rad or m",
+        default=None,
+    )
+    springs: tuple[Element, ...] = key(
+        "spring",
+        "list of springs and dampers, between points or at joints",
+        listed=True,
+        default=(),
+    )
+    loads: tuple[Element, ...] = key(
+        "load", "list of forces and torques on links", listed=True, default=()
+    )
+    couplings: tuple[Coupling, ...] = key(
+        "couplings", "gears and belts: equations such as q3 = -2 q1 + 0.1", default=()
+    )
+    points: tuple[tuple[str, Point], ...] = key(
+        "points",
+        "names of points of links, {P: {link: coupler, at: [0.5, 0.2]}, Q: rocker}",
+        default=(),
+    )
     written: Written = Written()
+
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way("scene", "scene", "A planar mechanism: rigid links, pins and sliders. SI units."),
+    )
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> Description:
+        gravity = values["gravity"]
+        if not isinstance(gravity, complex):
+            gravity = -1j * gravity
+        return cls(**values | {"gravity": gravity})
 
     def begin(self, joints: Sequence[int]) -> tuple[float, ...]:
         """The values of joints in the `start`, rad or m; empty unless it tells all joints."""
         whole = [x for x in self.start or () if x is not None]
         return tuple(whole[k] for k in joints) if len(whole) == len(self.links) else ()
 
+    @property
+    def elements(self) -> Iterator[tuple[str, Element]]:
+        """All that acts, each with its place in the file."""
+        for name in (field for field, declared in self.keys.items() if declared.listed):
+            for i, entry in enumerate(getattr(self, name)):
+                place = f"{name}[{i}]"
+                if isinstance(entry, Element):
+                    yield place, entry
+                    continue
+                fields = zip(entry._fields, entry, strict=True)
+                yield from ((f"{place}.{at}", x) for at, x in fields if isinstance(x, Element))
+
 
 def signals_of(description: Description) -> Iterator[tuple[str, Signal]]:
     """Everything that varies, each with its place in the file."""
-    for i, spring in enumerate(description.springs):
-        if spring.law is not None:
-            key = "table" if isinstance(spring.law, Table) else "law"
-            yield f"springs[{i}].{key}", spring.law
-    for i, load in enumerate(description.loads):
-        if isinstance(load, Moment):
-            places = {f"loads[{i}].torque": load.varying}
-        else:
-            places = {f"loads[{i}].force[{k}]": part for k, part in enumerate(load.varying)}
-        yield from ((place, part) for place, part in places.items() if part is not None)
+    for place, element in description.elements:
+        yield from ((f"{place}.{at}", signal) for at, signal in element.varies())
 
 
 def signal_place(description: Description, signal: Signal) -> str:
     """Where the file has a signal, by its identity."""
     return next(place for place, other in signals_of(description) if other is signal)
-
-
-def told(signal: Signal) -> str:
-    """An expression as its file has it, or the file of a table."""
-    return signal.text if isinstance(signal, Law) else signal.file

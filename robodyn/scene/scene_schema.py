@@ -8,8 +8,16 @@ from __future__ import annotations
 
 from typing import Any
 
+from robodyn.elements.keys import Key
 from robodyn.scene.expressions import SMOOTH
-from robodyn.scene.grammar import FORMS, MAPPINGS, NUMBERS, OR_VECTOR, WORDS, Form, Key
+from robodyn.scene.grammar import (
+    FORMS,
+    MAPPINGS,
+    NUMBERS,
+    OR_VECTOR,
+    WORDS,
+    Form,
+)
 from robodyn.scene.syntax import CONSTANTS, FUNCTIONS
 from robodyn.scene.unit_arithmetic import CONSTANTS as OF_VALUES
 from robodyn.scene.units import UNITS
@@ -30,14 +38,18 @@ def scene_schema() -> Schema:
     }
     kinds |= {kind: {"enum": list(words)} for kind, words in WORDS.items()}
     kinds |= {kind: _any(plain, "vector") for kind, plain in OR_VECTOR.items()}
-    kinds |= {x: _any(*map(_place, forms)) for x, forms in MAPPINGS.items() if len(forms) > 1}
+    kinds |= {
+        kind: _any(*(_place(form.way.name) for form in forms))
+        for kind, forms in MAPPINGS.items()
+        if kind not in FORMS or len(forms) > 1
+    }
     kinds |= {_place(name): _mapping(form) for name, form in FORMS.items()}
     del kinds["scene"]  # it is the whole
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "robodyn scene",
         "type": "object",
-        "required": FORMS["scene"].named(needed=True),
+        "required": FORMS["scene"].needed,
         "if": {"required": ["pins"]},
         "then": _ref("drawn_scene"),
         "else": _ref("plain_scene"),
@@ -47,7 +59,7 @@ def scene_schema() -> Schema:
 
 def _place(form: str) -> str:
     """Where the schema has a form: not where it has all forms of the kind of this name."""
-    return f"plain_{form}" if form in MAPPINGS else form
+    return f"plain_{form}" if len(MAPPINGS.get(form, ())) > 1 else form
 
 
 def _other_kinds() -> dict[str, Schema]:
@@ -101,10 +113,10 @@ def _longest_first(words: set[str]) -> list[str]:
 
 def _mapping(form: Form) -> Schema:
     schema = {
-        "description": form.help,
+        "description": form.way.help,
         "type": "object",
         "properties": {name: _described(key) for name, key in form.keys.items()},
-        "required": form.named(needed=True),
+        "required": form.needed,
         "additionalProperties": False,
     }
     if form.one:
@@ -115,7 +127,7 @@ def _mapping(form: Form) -> Schema:
 def _described(key: Key) -> Schema:
     told = f"{key.help[0].upper()}{key.help[1:]}{', ' * bool(key.unit)}{key.unit}."
     if not key.needed:
-        told += f" Default: {key.default}."
+        told += f" Default: {key.shown_default}."
     if not key.listed:
         return {"description": told, **_ref(key.kind)}
     least = {"minItems": 1} if key.needed else {}

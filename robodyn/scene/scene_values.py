@@ -14,9 +14,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
+from robodyn.elements.keys import Key
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
-from robodyn.scene.grammar import BY_JOINT, NUMBERS, OR_VECTOR, Key, form_of
+from robodyn.scene.grammar import BY_JOINT, NUMBERS, OR_VECTOR, form_of
 from robodyn.scene.quantities import parse_quantity
 from robodyn.scene.scene import Description, Tables, Written
 from robodyn.scene.unit_arithmetic import read_value
@@ -257,5 +258,5 @@ def _numbers(
             else:
                 yield from _numbers(_Place(node, text, key.unit), value, prefix + text, key.kind)
         for text, key in keys.items():
-            if key.default == "0" and text not in given:
+            if key.optional and text not in given:
                 yield prefix + text, _Place(node, text, key.unit)

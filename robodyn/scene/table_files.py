@@ -45,7 +45,7 @@ def read_table(
         repeats = off <= PERIOD_OFF and apart <= ENDS_AGREE * max(map(abs, values))
         if repeats:
             places = (*places[:-1], places[0] + period)
-    return Table(file, column, over, places, values, repeats)
+    return Table(file, over, column, places, values, repeats)
 
 
 def _commas(data: bytes, column: str) -> BinaryIO:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 
-from robodyn.scene.grammar import Key
+from robodyn.elements.keys import Key
 from robodyn.scene.quantities import dimension_of
 from robodyn.scene.scene import Law, Signal, Table, Tables
 from robodyn.scene.unit_arithmetic import read_value
@@ -22,7 +22,6 @@ class SignalReader(ValueReader):
         super().__init__()
         self.source = ""
         self.count = 0  # of links
-        self.slides: set[int] = set()
         self.tables: Tables = {}
 
     def law(self, node: Node, place: str, unit: str) -> Law | None:
@@ -68,7 +67,7 @@ class SignalReader(ValueReader):
         """A table over t or a joint."""
         from robodyn.scene.expressions import state_names
 
-        faults, values = len(self.faults), self.form("load_table", node, place)
+        faults, (_, values) = len(self.faults), self.form("varying", node, place)
         if len(self.faults) > faults:
             return None
         over = values["over"]
@@ -80,7 +79,7 @@ class SignalReader(ValueReader):
             return None
         turns = own != "t" and int(own[1:]) not in self.slides
         where = f"{place}.table"
-        return self.file_table(node, where, values["table"], own, over, values["column"], turns)
+        return self.file_table(node, where, values["file"], own, over, values["column"], turns)
 
     def file_table(
         self, node: Node, place: str, file: str, over: str, x: str, column: str, turns: bool
@@ -128,6 +127,5 @@ def _meant_as_number(node: Scalar) -> bool:
     try:
         read_value(node.text)
     except ValueError as error:
-        truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false", "null", "~", "")
-        return truth or not str(error).startswith("is not a number")
+        return not str(error).startswith("is not a number")
     return True

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from typing import Any, ClassVar
 
+from robodyn.elements.keys import Key
 from robodyn.errors import MOST_FAULTS, Fault, nearest_first
-from robodyn.scene.grammar import NUMBERS, OR_VECTOR, WITH_UNIT, WORDS, Key, excluded, form_of
+from robodyn.scene.grammar import (
+    KEEPS,
+    NUMBERS,
+    OR_VECTOR,
+    WITH_UNIT,
+    WORDS,
+    Form,
+    excluded,
+    form_of,
+)
 from robodyn.scene.quantities import is_plain, parse_quantity
+from robodyn.scene.scene import JOINTS
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 
 COMPARISONS = 2000  # of names that a file's suggestions may cost
 _VARIABLE = re.compile(r": (t|x|v|qd?\d+) is no unit or function")  # of what varies elsewhere
 LONGEST_GUESS = 60  # characters of a name that is compared
+PLAIN = Key("number", "")
 
 
 class TooManyFaults(Exception):
@@ -20,13 +33,12 @@ class TooManyFaults(Exception):
 
 
 class ValueReader:
-    """Reads forms, words, numbers and vectors; after a fault it goes on with a harmless value.
+    """Reads records, words, numbers and vectors; after a fault it goes on with a harmless value.
 
-    A kind of the grammar that is none of these is read by the method of its name.
+    A kind of value that is none of these is read by the method of its name.
     """
 
-    missing: ClassVar[dict[str, Any]] = {  # what stands for a value that is left out, by its kind
-        "list": None,
+    missing: ClassVar[dict[str, Any]] = {  # what stands for a value that is missing, by its kind
         **dict.fromkeys(NUMBERS, 0.0),
         **{kind: words[0] for kind, words in WORDS.items()},
         **dict.fromkeys(("vector", "direction", *OR_VECTOR), 0j),
@@ -35,6 +47,8 @@ class ValueReader:
     def __init__(self) -> None:
         self.faults: list[Fault] = []
         self.compared = 0
+        self.slides: set[int] = set()  # joints
+        self.joint = -1  # of the link that is read
 
     def keys(
         self,
@@ -43,20 +57,14 @@ class ValueReader:
         needed: list[str],
         optional: list[str],
         kind: str = "key",
-        beside: dict[str, str] | None = None,
-        form: str = "",
+        beside: tuple[str, Collection[str]] | None = None,
     ) -> dict[str, Node]:
         """The known keys of a mapping; faults for unknown, repeated and missing ones.
 
-        `beside` has keys that one of the known ones excludes, and which; `form` is the kind of the
-        grammar that the mapping is of.
+        `beside` has the kind of the mapping and its keys: some exclude others.
         """
         if not isinstance(node, Mapping):
             limit = f"must be a mapping with {', '.join(needed + optional)}"
-            if isinstance(node, Sequence):
-                from robodyn.scene.other_conventions import LISTS  # only a fault pays for it
-
-                limit += LISTS.get(form, "")
             self.fault(place, node, limit, self.shown(node))
             return {}
         known = dict.fromkeys(needed + optional)
@@ -64,13 +72,11 @@ class ValueReader:
         prefix = f"{place}." if place else ""
         for key, value in node.pairs:
             if key.text not in known:
-                from robodyn.scene.other_conventions import way_here
-
-                here = way_here(form, key.text, known)
-                near = f"; {here}" if here else self.nearest(key.text, list(known))
-                limit = f"is an unknown {kind}{near}"
-                if beside and key.text in beside:
-                    limit = f"and {beside[key.text]} exclude each other: give one"
+                others = excluded(*beside) if beside else {}
+                if key.text in others:
+                    limit = f"and {others[key.text]} exclude each other: give one"
+                else:
+                    limit = f"is an unknown {kind}{self.nearest(key.text, list(known))}"
                 self.fault(prefix + key.text, key, limit)
             elif key.text in found:
                 self.fault(prefix + key.text, key, "is given twice")
@@ -81,12 +87,29 @@ class ValueReader:
                 self.fault(prefix + missing, node, "is missing")
         return found
 
-    def form(self, kind: str, node: Node, place: str) -> dict[str, Any]:
-        """What a mapping of this kind holds, key by key."""
+    def record(self, kind: str, node: Node, place: str, **own: Any) -> Any:
+        """The record that a mapping of this kind holds; `own` stands where it has no value."""
+        faults = len(self.faults)
+        form, values = self.form(kind, node, place)
+        if form.has_joint:
+            own["joint"] = self.joint
+        for field, value in own.items():
+            if values.get(field) is None:
+                values[field] = value
+        if form.sided:
+            self.fits_joint(form, values, node, place)
+        made = form.made.from_keys(values)
+        if len(self.faults) == faults:
+            for field, limit, value in made.misfits(form.names):
+                where = f"{place}.{form.names[field]}" if field else place
+                self.fault(where, node, limit, value)
+        return made
+
+    def form(self, kind: str, node: Node, place: str) -> tuple[Form, dict[str, Any]]:
+        """The form of a mapping of this kind, and what it holds, by fields."""
         given = {key.text for key, _ in node.pairs} if isinstance(node, Mapping) else ()
         form = form_of(kind, given)
-        names = form.named(needed=True), form.named(needed=False)
-        found = self.keys(node, place, *names, beside=excluded(kind, given), form=kind)
+        found = self.keys(node, place, form.needed, form.optional, beside=(kind, given))
         prefix = f"{place}." if place else ""
         for one in form.one:
             given_one = [name for name in one if name in found]
@@ -94,34 +117,40 @@ class ValueReader:
                 self.fault(prefix + one[0], node, "is missing")
             for other in given_one[1:]:
                 self.fault(prefix + other, found[other], f"stands beside {given_one[0]}; give one")
-        return {
-            name: self.value(key, found[name], prefix + name)
-            if name in found
-            else None
-            if key.absent
-            else self.missing.get("list" if key.listed else key.kind)
-            for name, key in form.keys.items()
-        }
+        values: dict[str, Any] = dict(form.absent)
+        for name, key in form.keys.items():
+            if name in found:
+                values[key.field] = self.value(key, found[name], prefix + name)
+            elif key.needed:
+                values[key.field] = () if key.listed else self.missing.get(key.kind)
+        return form, values
+
+    def fits_joint(self, form: Form, values: dict[str, Any], node: Node, place: str) -> None:
+        """A fault where a mapping has the keys of joints that turn and names one that slides."""
+        slides = values.get("joint") in self.slides
+        if slides != form.way.slides:
+            limit = f"is missing: the joint is {JOINTS[slides]}"
+            self.fault(f"{place}.{form.sided[0][slides]}", node, limit)
 
     def value(self, key: Key, node: Node, place: str) -> Any:
         """The value of a key."""
         if key.listed:
             one = key._replace(listed=False)
             items = self.items(node, place)
-            return tuple(self.value(one, item, f"{place}[{k}]") for k, item in enumerate(items))
-        if key.kind in NUMBERS:
+            return tuple([self.value(one, x, f"{place}[{k}]") for k, x in enumerate(items)])
+        kind = key.kind
+        if kind in NUMBERS:
             return self.number(node, place, key)
-        if key.kind in OR_VECTOR:
-            plain = key._replace(kind=OR_VECTOR[key.kind])
-            vector = isinstance(node, Sequence)
-            return self.vector(node, place, key.unit) if vector else self.number(node, place, plain)
-        if key.kind in WORDS:
-            return self.word(node, place, WORDS[key.kind])
-        more = (key.unit,) if key.kind in WITH_UNIT else ()
-        name = key.kind.removeprefix("slide_")
-        if name in ("friction", "limits", "motor"):  # of joints that turn, or slide
-            more = (key.kind,)
-        return getattr(self, name)(node, place, *more)
+        if kind in OR_VECTOR:
+            if isinstance(node, Sequence):
+                return self.vector(node, place, key.unit)
+            return self.number(node, place, key._replace(kind=OR_VECTOR[kind]))
+        read = getattr(self, kind, None)
+        if read is None:
+            if kind in WORDS:
+                return self.word(node, place, WORDS[kind])
+            return self.record(kind, node, place)
+        return read(node, place, key.unit) if kind in WITH_UNIT else read(node, place)
 
     def items(self, node: Node, place: str) -> list[Node]:
         if isinstance(node, Sequence):
@@ -141,25 +170,22 @@ class ValueReader:
             self.fault(place, node, f"must be {' or '.join(words)}", word)
         return word
 
-    def number(self, node: Node, place: str, key: Key = Key("number", "")) -> float:
+    def number(self, node: Node, place: str, key: Key = PLAIN) -> float:
         if not isinstance(node, Scalar):
             self.fault(place, node, "must be a number", self.shown(node))
             return 0.0
         try:
             if node.quoted and is_plain(node.text):
-                raise ValueError("is quoted text, not a number")
+                raise ValueError("is not a number")
             value = parse_quantity(node.text, key.unit)
         except ValueError as error:
-            truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false")
-            reason = "is a truth value, not a number" if truth else str(error)
+            reason = str(error)
             if name := _VARIABLE.search(reason):
                 reason = f"must be a number: this key cannot vary, and has no {name[1]}"
             self.fault(place, node, reason.replace("is not", "must be"), self.shown(node))
             return 0.0
         limit = NUMBERS[key.kind]
-        kept = {">= 0": value >= 0.0, "> 0": value > 0.0, "not 0": value != 0.0}
-        kept["in [0, 1]"] = 0.0 <= value <= 1.0
-        if not kept.get(limit, True):
+        if limit and not KEEPS[limit](value):
             told = "must not be 0" if limit == "not 0" else f"must be {limit}"
             self.fault(place, node, f"{told}{key.hint}", self.shown(node))
             return 0.0
@@ -199,6 +225,9 @@ def nearest(word: str, known: list[str], guess: bool = True) -> str:
     """The known name that `word` may mean, or some that are known."""
     from difflib import get_close_matches  # only a faulty scene pays for the import
 
+    plain = word.lower().replace("-", "_")
+    if same := [x for x in known if x.lower() == plain]:
+        return f"; did you mean {same[0]}?"
     if guess and len(word) <= LONGEST_GUESS:
         close = get_close_matches(word, [x for x in known if len(x) <= LONGEST_GUESS], n=1)
         if close:

@@ -20,6 +20,7 @@ to two different extensions of the vector field.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -172,20 +173,20 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
 
     def rates(t: float, y: Array) -> Any:
         try:
-            found = torques(t, y.tolist())
-            tau = np.array(found[:n])
+            values = y.tolist()
+            found = torques(t, values)
         except (ArithmeticError, ValueError):  # outside the torque's domain
             return np.full(len(y), np.nan)
-        if not (np.isfinite(y).all() and np.isfinite(tau).all()):
+        if not (all(map(math.isfinite, values)) and all(map(math.isfinite, found[:n]))):
             return np.full(len(y), np.nan)
-        q, qd = y[:n], y[n : 2 * n]
+        q, qd, tau = y[:n], y[n : 2 * n], np.array(found[:n])
         try:
-            qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte, t).qdd
+            qdd = dense_dynamics.accelerations(mechanism, q, qd, tau, baumgarte, t)
             if work and forced:
                 tau = tau + other_forces(mechanism, q, qd, t)
         except SignalError:  # a shorter step may not
             return np.full(len(y), np.nan)
-        power = [tau @ qd - damping @ qd**2] if work else []
-        return np.concatenate([qd, qdd, found[n:], power])
+        power = [float(tau @ qd - damping @ qd**2)] if work else []
+        return [*values[n : 2 * n], *qdd.tolist(), *found[n:], *power]
 
     return rates

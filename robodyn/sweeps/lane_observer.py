@@ -8,7 +8,8 @@ Numpy finds the roots of many notes at a time.  A rate is v(x) = sum_k v_k x^k o
 may be negative), its angle the integral. A step is looked at in QUARTERS parts: where v or its
 derivative changes sign between two of them, the root is found by Newton's method within its
 bracket, and the value there counts besides those at the parts' ends.  What turns twice within one
-part may be missed.
+part may be missed.  A note has what is known at its part's ends: with it the first guess is so
+near that one step of Newton's does for most.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.expression import Graph, Value
@@ -28,17 +28,21 @@ from robodyn.engines.machine_steps import Items, Scene
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
 
-Indices = NDArray[np.intp]
 KEPT = ("start", "off", "KE", "PE_low", "PE_high", "E_low", "E_high", "angle", "flip", "begun")
 Values = tuple[Word, Word, Word, Word]  # integral, value, slope and bend of a series
-# Steps that are noted, for numpy to find their roots.  The whole numbers at the beginning: how many
-# there are, up to how many another step may begin, and the first lane of the vector under way.
-ROOM, LANE, FIRST = 1, 2, 8
-LARGEST = 2**17  # numbers noted before roots are found: 1 MB, which caches hold
-# From item FIRST on stand the notes: these items, then the coefficients of the rate.  `what` is of
-# a joint bits, first those of quarters where its angle has an extreme, then of its rate; `start` is
-# the angle as the step begins; `joint` is n for the link that may flip.
-HEAD = ("what", "t", "x", "start", "lane", "joint")
+# Steps that are noted, for numpy to find their roots: where an angle has an extreme, where a rate
+# has one, and where the link may flip.  The whole numbers at the beginning: how many there are of
+# each kind, up to how many another step may begin, the first lane of the vector under way, and how
+# many there is room for.
+ANGLE, RATE, LINK = KINDS = range(3)
+MOST, LANE, ROOM, FIRST = 3, 4, 5, 8
+LARGEST = 2**17  # numbers of a kind noted before roots are found: 1 MB, which caches hold
+# From FIRST on stand the notes of each kind, item after item, each of all notes: these, then the
+# coefficients of the rate.  `part` is that of QUARTERS, from 1; the value rises by `rise` from its
+# begin to its end, and its slopes there are `first` and `last`; `start` is the angle as the step
+# begins; `row` is that of the extremes.
+HEAD = ("part", "start", "first", "last", "rise", "t", "x", "lane", "row")
+GIVEN = 5  # of these, which the block has not
 
 
 def kept(mechanism: Mechanism) -> dict[str, float]:
@@ -76,13 +80,17 @@ class LaneObserver(Observer):
     def declare(self, scene: Scene, module: Module) -> None:
         self._weigh(module)
         self._begin(module)
+        if self.extremes or scene.link >= 0:
+            self._note(module)
         if self.extremes:
             self._extremes(module)
         if scene.link >= 0:
             self._flips(module)
 
     def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
-        leave(k.compare("slt", k.load(k.at(own, ROOM), WHOLE), k.load(own, WHOLE)))
+        most = k.load(k.at(own, MOST), WHOLE)
+        for kind in KINDS:
+            leave(k.compare("slt", most, k.load(k.at(own, kind), WHOLE)))
 
     def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
         items = _Kept(self.scene, k, block)
@@ -235,8 +243,9 @@ class LaneObserver(Observer):
         always = k.compare("une", x, k.number(0.0))
         parts = self._parts(k, series, x)
         bounds = self._values(k, series, k.intrinsic("fabs", x), sizes=True)[2:]
-        what = k.number(0.0)
-        for kind, bound in enumerate(bounds):
+        given, zero = k.room(k.numbers, GIVEN), k.number(0.0)
+        k.store(q, k.at(given, HEAD.index("start"), k.numbers))
+        for kind, bound in zip((ANGLE, RATE), bounds, strict=True):
             values = [part[1] if kind else k.add(q, part[0]) for part in parts]
             low, high = (
                 k.at(scene.at(k, block, f"{name}{kind * n}"), j, k.numbers)
@@ -249,14 +258,20 @@ class LaneObserver(Observer):
             least, most = k.add(k.load(low), beyond), k.subtract(k.load(high), beyond)
             for part in range(QUARTERS):
                 before, now = parts[part][kind + 1], parts[part + 1][kind + 1]
-                turns = k.both(always, k.less(k.multiply(before, now), k.number(0.0)))
+                turns = k.both(always, k.less(k.multiply(before, now), zero))
                 may = k.all_lanes(False)
                 for value in values[part : part + 2]:
                     outside = k.either(k.less(value, least), k.less(most, value))
                     may = k.either(may, outside)
-                bit = k.number(2.0 ** (QUARTERS * kind + part))
-                what = k.add(what, k.select(k.both(turns, may), bit, k.number(0.0)))
-        self._note(k, block, notes, what, q, j, series)
+                noted = k.both(turns, may)
+                with k.when(k.any(noted)):
+                    which = k.select(noted, k.number(1.0 + part), zero)
+                    rise = k.subtract(values[part + 1], values[part])
+                    told = {"part": which, "first": before, "last": now, "rise": rise}
+                    for name, value in told.items():
+                        k.store(value, k.at(given, HEAD.index(name), k.numbers))
+                    row = k.add(j, k.whole(kind * n))
+                    k.call("note", block, notes, k.whole(kind), given, row, series)
         k.done()
 
     def _flips(self, module: Module) -> None:
@@ -290,34 +305,45 @@ class LaneObserver(Observer):
                 turns = k.less(k.multiply(parts[part][1], parts[part + 1][1]), zero)
                 near = k.either(*(k.less(least, value) for value in values[part : part + 2]))
                 may = k.either(may, k.both(turns, near))
-            what = k.select(k.both(wanted, may), k.number(1.0), zero)
-            self._note(k, block, notes, what, angle, k.whole(scene.mechanism.n), series)
+            noted = k.both(wanted, may)
+            with k.when(k.any(noted)):
+                given = k.room(k.numbers, GIVEN)
+                which = k.select(noted, k.number(1.0), zero)
+                for name in HEAD[:GIVEN]:
+                    value = {"part": which, "start": angle}.get(name, zero)
+                    k.store(value, k.at(given, HEAD.index(name), k.numbers))
+                k.call("note", block, notes, k.whole(LINK), given, k.whole(0), series)
             put("flip", k.select(k.both(wanted, surely), k.add(get("t"), x), flip))
         k.done()
 
-    def _note(
-        self, k: Kernel, block: Word, notes: Word, what: Word, start: Word, of: Word, series: Word
-    ) -> None:
-        """Note the step of each lane where `what` is not 0; see `HEAD`."""
-        none, orders = k.scalar(0.0), self.scene.order + 1
-        with k.when(k.any(k.compare("une", what, k.number(0.0)))):
-            given = [k.slot(what), *(self.scene.at(k, block, name) for name in ("t", "x"))]
-            given.append(k.slot(start))
-            first = k.load(k.at(notes, LANE), WHOLE)
-            with k.loop(k.whole(k.lanes)) as i:
-                values = [k.load(k.at(vector, i), SCALAR) for vector in given]
-                with k.when(k.compare("une", values[0], none)):
-                    count = k.load(notes, WHOLE)
-                    size = k.whole(len(HEAD) + orders)
-                    place = k.at(notes, k.add(k.multiply(count, size), k.whole(FIRST)))
-                    whole = (k.convert("sitofp", x, SCALAR) for x in (k.add(first, i), of))
-                    for item, value in enumerate((*values, *whole)):
-                        k.store(value, k.at(place, item))
-                    place, column = k.at(place, len(HEAD)), k.at(series, i)
-                    with k.loop(k.whole(orders)) as m:
-                        coefficient = k.load(k.at(column, m, k.numbers), SCALAR)
-                        k.store(coefficient, k.at(place, m))
-                    k.store(k.add(count, k.whole(1)), notes)
+    def _note(self, module: Module) -> None:
+        """note(block, notes, kind, given, row, series): note the step of lanes whose part is not 0.
+
+        See `HEAD`, whose first items are `given`.
+        """
+        scene, orders = self.scene, self.scene.order + 1
+        k = Kernel(module, "note", (ADDRESS, ADDRESS, WHOLE, ADDRESS, WHOLE, ADDRESS), "void")
+        block, notes, kind, given, row, series = k.arguments
+        vectors = [k.at(given, i, k.numbers) for i in range(GIVEN)]
+        vectors += [scene.at(k, block, name) for name in HEAD[GIVEN:-2]]
+        lane, room = (k.load(k.at(notes, i), WHOLE) for i in (LANE, ROOM))
+        all_items = k.multiply(room, k.whole(len(HEAD) + orders))
+        begin = k.at(notes, k.add(k.multiply(kind, all_items), k.whole(FIRST)))
+        with k.loop(k.whole(k.lanes)) as i:
+            part = k.load(k.at(given, i), SCALAR)
+            with k.when(k.compare("une", part, k.scalar(0.0))):
+                count = k.load(k.at(notes, kind), WHOLE)
+                values = [k.load(k.at(vector, i), SCALAR) for vector in vectors]
+                values += [k.convert("sitofp", x, SCALAR) for x in (k.add(lane, i), row)]
+                place, column = k.at(begin, count), k.at(series, i)
+                for item, value in enumerate(values):
+                    k.store(value, k.at(place, k.multiply(room, k.whole(item))))
+                place = k.at(place, k.multiply(room, k.whole(len(HEAD))))
+                with k.loop(k.whole(orders)) as m:
+                    coefficient = k.load(k.at(column, m, k.numbers), SCALAR)
+                    k.store(coefficient, k.at(place, k.multiply(room, m)))
+                k.store(k.add(count, k.whole(1)), k.at(notes, kind))
+        k.done()
 
 
 def _widened(k: Kernel, place: Word, value: Word, mask: Word, how: str) -> None:
@@ -334,50 +360,43 @@ class Notes:
     """
 
     def __init__(self, scene: Scene, lanes: int, L: int) -> None:
-        self.n, self.most = scene.mechanism.n, (scene.mechanism.n + 1) * lanes
-        n, items = self.n, len(HEAD) + scene.order + 1
-        room = max(LARGEST // items, self.most)
-        self.whole = aligned(FIRST + room * items)
-        self.noted = self.whole[FIRST:].reshape(room, items)
+        n = self.n = scene.mechanism.n
+        most, items = QUARTERS * n * lanes, len(HEAD) + scene.order + 1  # notes of a step
+        room = LARGEST // items + most
+        self.whole = aligned(FIRST + len(KINDS) * items * room)
+        self.noted = self.whole[FIRST:].reshape(len(KINDS), items, room)
         self.counts = self.whole[:FIRST].view(np.int64)
-        self.counts[ROOM] = room - self.most
+        self.counts[MOST], self.counts[ROOM] = room - most, room
         self.low, self.high = np.full((2 * n, L), math.inf), np.full((2 * n, L), -math.inf)
         self.flip = np.full(L, math.nan)  # its size
 
     @property
     def full(self) -> bool:
         """Whether no lane can take a step before they are taken."""
-        return bool(self.counts[0] > self.counts[ROOM])
+        return bool(self.counts[: len(KINDS)].max() > self.counts[MOST])
 
     def take(self) -> None:
         """Find what is in them, for all at once, and make room."""
-        noted = self.noted[: self.counts[0]]
-        self.counts[0] = 0
-        what, *_, joint = noted[:, : len(HEAD)].T
-        bits, of_link = what.astype(np.uint8), joint == self.n
-        if of_link.any():
-            head, rates = self._columns(noted, np.flatnonzero(of_link))
-            flips = head["t"] + crossings(head["start"], rates, head["x"], math.pi)
-            np.fmin.at(self.flip, head["lane"].astype(int), np.abs(flips))
-            bits[of_link] = 0
-        for kind in range(2):
-            masks = (1 << np.arange(QUARTERS) << (QUARTERS * kind)).astype(np.uint8)
-            part, note = np.nonzero(bits & masks[:, None])
-            head, rates = self._columns(noted, note)
-            quarter = head["x"] / QUARTERS
-            values = turning_values(rates, quarter * part, quarter * (part + 1), kind == 1)
-            if kind == 0:
-                values += head["start"]
-            row = head["joint"].astype(int) + self.n * kind
-            place = row * self.low.shape[1] + head["lane"].astype(int)
-            np.fmin.at(self.low.reshape(-1), place, values)  # quick with one index
-            np.fmax.at(self.high.reshape(-1), place, values)
+        for kind in KINDS:
+            noted = self.noted[kind, :, : self.counts[kind]]
+            self.counts[kind] = 0
+            if noted.size:
+                self._take(kind, dict(zip(HEAD, noted, strict=False)), noted[len(HEAD) :])
 
-    def _columns(self, noted: Array, note: Indices) -> tuple[dict[str, Array], Array]:
-        """The items of these notes, and their series (K, notes)."""
-        chosen = noted.take(note, axis=0).T
-        head = dict(zip(HEAD, chosen[: len(HEAD)].copy(), strict=True))
-        return head, np.ascontiguousarray(chosen[len(HEAD) :])
+    def _take(self, kind: int, head: dict[str, Array], rates: Array) -> None:
+        """The same of the notes of a kind, of their items and the coefficients (K, notes)."""
+        lane = head["lane"].astype(int)
+        if kind == LINK:
+            flips = head["t"] + crossings(head["start"], rates, head["x"], math.pi)
+            np.fmin.at(self.flip, lane, np.abs(flips))
+            return
+        quarter = head["x"] / QUARTERS
+        begin, end = quarter * (head["part"] - 1.0), quarter * head["part"]
+        series = integral(rates, head["start"]) if kind == ANGLE else rates
+        _, values = turns(series, begin, end, head["first"], head["last"], head["rise"])
+        place = head["row"].astype(int) * self.low.shape[1] + lane
+        np.fmin.at(self.low.reshape(-1), place, values)  # quick with one index
+        np.fmax.at(self.high.reshape(-1), place, values)
 
     def merge(self, columns: Array, place: Mapping[str, int]) -> None:
         """Take what was found into the items (items, L) of the lanes."""
@@ -394,7 +413,7 @@ class Notes:
 QUARTERS = 4
 NEWTON = 40  # steps at most: a bracket shrinks by each, and the last few double the digits
 NEAR = 1e-9  # part of a bracket: a Newton step below it leaves an error of its square
-FLAT = 1e-5  # the same where the value is wanted: an extreme's has the square of the place's error
+FLAT = 2e-4  # the same where the value is wanted, which errs by the cube of the step
 
 
 def extremes(rates: Array, h: Array) -> tuple[Array, Array, Array, Array]:
@@ -402,7 +421,7 @@ def extremes(rates: Array, h: Array) -> tuple[Array, Array, Array, Array]:
 
     `rates` (K, n, B), K > 1, are the coefficients v_k.
     """
-    begin, before = np.zeros(len(h)), (rates[0], rates[1])
+    begin, before = np.zeros(len(h)), (np.zeros_like(rates[0]), rates[0], rates[1])
     changes: list[list[Any]] = [[], []]  # of turns, of rates
     found = [np.zeros_like(rates[0])] * 2 + [rates[0]] * 2
     scaled, orders = rates * powers(h, len(rates))[:, None], np.arange(float(len(rates)))
@@ -412,27 +431,54 @@ def extremes(rates: Array, h: Array) -> tuple[Array, Array, Array, Array]:
         rate, slope = sums(u, scaled), sums(u * orders[:, None, None], scaled) / end
         for k, value in ((0, turn), (2, rate)):
             found[k : k + 2] = np.minimum(found[k], value), np.maximum(found[k + 1], value)
-        for k, (first, last) in enumerate(zip(before, (rate, slope), strict=True)):
+        now = turn, rate, slope
+        for k in range(2):
+            first, last = before[k + 1], now[k + 1]
             i, b = np.nonzero(first * last < 0.0)
-            changes[k].append((i, b, begin[b], end[b]))
-        begin, before = end, (rate, slope)
+            rise = now[k][i, b] - before[k][i, b]
+            changes[k].append((i, b, begin[b], end[b], first[i, b], last[i, b], rise))
+        begin, before = end, now
     for k, parts in enumerate(changes):
-        i, b, begin, end = (np.concatenate(x) for x in zip(*parts, strict=True))
-        value = turning_values(rates[:, i, b], begin, end, of_rate=k == 1)
+        i, b, *known = (np.concatenate(x) for x in zip(*parts, strict=True))
+        series = rates[:, i, b]
+        _, value = turns(series if k else integral(series, 0.0), *known)
         np.minimum.at(found[2 * k], (i, b), value)
         np.maximum.at(found[2 * k + 1], (i, b), value)
     return found[0], found[1], found[2], found[3]
 
 
-def turning_values(rates: Array, begin: Array, end: Array, of_rate: bool) -> Array:
-    """The turn or the rate where it has an extreme between `begin` and `end`, each (B,).
+def turns(
+    series: Array, begin: Array, end: Array, first: Array, last: Array, rise: Array
+) -> tuple[Array, Array]:
+    """Where each polynomial (K, B) has an extreme between `begin` and `end`, and its value there.
 
-    `rates` (K, B); the derivative of what is meant has another sign at `end` than at `begin`.
+    Its slopes there, `first` and `last` (B,), differ in sign; its value rises by `rise` between.
+    The slope that is quadratic and has these has a root near the extreme.
     """
-    if of_rate:
-        return horner(rates, roots(derivative(rates), begin, end, FLAT))
-    x = roots(rates, begin, end, FLAT)
-    return x * horner(integral(rates), x)
+    place, found, left = np.empty_like(begin), np.empty_like(begin), np.arange(len(begin))
+    with np.errstate(all="ignore"):
+        low, high, width, sign = begin, end, end - begin, np.sign(first)
+        bow = 6.0 * rise / width - 3.0 * (first + last)
+        steep = last - first + bow
+        x = steep - sign * np.sqrt(steep * steep + 4.0 * bow * first)
+        x = begin - 2.0 * first / x * width
+        x = np.where((x - begin) * (x - end) <= 0.0, x, 0.5 * (begin + end))
+        for _ in range(NEWTON):
+            value, slope, bend = with_bend(series, x)
+            same = slope * sign > 0.0
+            low, high, step = np.where(same, x, low), np.where(same, high, x), -slope / bend
+            newton = x + step
+            inside = (newton - low) * (newton - high) <= 0.0
+            found[left] = np.where(inside, value + 0.5 * slope * step, value)
+            x = np.where(inside, newton, 0.5 * (low + high))
+            place[left] = x
+            (far,) = np.nonzero(~(inside & (np.abs(step) <= FLAT * np.abs(width))))
+            if not len(far):
+                break
+            if len(far) < len(x):
+                series, left = series.take(far, axis=1), left[far]
+                x, low, high, sign, width = (each[far] for each in (x, low, high, sign, width))
+    return place, found
 
 
 def crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
@@ -441,20 +487,23 @@ def crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
     `angle` (B,) is that at the steps' begin, `rates` (K, B) the coefficients of its rate.
     """
     x = h * (np.arange(QUARTERS + 1.0) / QUARTERS)[:, None]
-    turns = integral(rates)
-    there, rate = angle + x * horner(turns, x), horner(rates, x)
-    reach, there = x[1:].copy(), there[1:]
-    part, b = np.nonzero(rate[:-1] * rate[1:] < 0.0)  # it may go beyond and come back within
-    within = roots(rates[:, b], x[part, b], x[part + 1, b])
-    furthest = angle[b] + within * horner(turns[:, b], within)
+    series = integral(rates, angle)
+    values, slopes = horner(series, x), horner(rates, x)
+    reach, there, steep = (each[1:].copy() for each in (x, values, slopes))
+    part, b = np.nonzero(slopes[:-1] * slopes[1:] < 0.0)  # it may go beyond and come back within
+    ends = [each[at, b] for each in (x, slopes) for at in (part, part + 1)]
+    ends.append(values[part + 1, b] - values[part, b])
+    place, furthest = turns(series[:, b], *ends)
     over = np.abs(furthest) > limit
     part, b = part[over], b[over]
-    reach[part, b], there[part, b] = within[over], furthest[over]
+    reach[part, b], there[part, b], steep[part, b] = place[over], furthest[over], 0.0
     beyond, found = np.abs(there) > limit, np.full(len(h), np.nan)
     (b,) = np.nonzero(beyond.any(axis=0))
     part = beyond[:, b].argmax(axis=0)  # the first
-    goal = np.sign(there[part, b]) * limit - angle[b]
-    found[b] = roots(np.concatenate([-goal[None], turns[:, b]]), x[part, b], reach[part, b])
+    goal, series = np.sign(there[part, b]) * limit, series[:, b]
+    series[0] -= goal
+    ends = [each[part, b] for each in (x, reach, values, there, slopes, steep)]
+    found[b] = roots(series, *ends[:2], *(value - goal for value in ends[2:4]), *ends[4:])
     found[np.abs(angle) > limit] = 0.0
     return found
 
@@ -481,22 +530,27 @@ def derivative(series: Array) -> Array:
     return series[1:] * np.arange(1.0, K).reshape(-1, *[1] * (series.ndim - 1))
 
 
-def integral(series: Array) -> Array:
-    """Coefficients of the integral less its constant, along the first axis."""
-    K = len(series)
-    return series / np.arange(1.0, K + 1.0).reshape(-1, *[1] * (series.ndim - 1))
+def integral(series: Array, start: Array | float) -> Array:
+    """Coefficients (K + 1, B) of the integral that begins at `start`, of those (K, B)."""
+    found = np.empty((len(series) + 1, *series.shape[1:]))
+    found[0] = start
+    orders = np.arange(1.0, len(series) + 1.0).reshape(-1, *[1] * (series.ndim - 1))
+    np.divide(series, orders, out=found[1:])
+    return found
 
 
-def roots(series: Array, begin: Array, end: Array, near: float = NEAR) -> Array:
-    """A root of each polynomial (K, B) between `begin` and `end`, where its sign changes, (B,).
+def roots(
+    series: Array, begin: Array, end: Array, first: Array, last: Array, steep: Array, at_end: Array
+) -> Array:
+    """A root of each polynomial (K, B) between `begin` and `end`, (B,).
 
-    Newton's method ends with a step below `near` of the bracket.
+    There its values are `first` and `last`, which differ in sign, its slopes `steep` and `at_end`.
+    Newton's method ends with a step below NEAR of the bracket.
     """
     found = np.empty_like(begin)
     with np.errstate(all="ignore"):
-        low, high, least = begin, end, near * np.abs(end - begin)
-        first, last = horner(series, begin), horner(series, end)
-        sign, x = np.sign(first), begin - first * (end - begin) / (last - first)
+        low, high, least, sign = begin, end, NEAR * np.abs(end - begin), np.sign(first)
+        x = begin + cubic_root(first, last, steep, at_end, end - begin)
         x = np.where((x - begin) * (x - end) <= 0.0, x, 0.5 * (begin + end))
         left = np.arange(len(begin))  # each by itself: no root depends on the others
         for _ in range(NEWTON):
@@ -514,6 +568,16 @@ def roots(series: Array, begin: Array, end: Array, near: float = NEAR) -> Array:
                 series, left = series.take(far, axis=1), left[far]
                 x, low, high, sign, least = (each[far] for each in (x, low, high, sign, least))
     return found
+
+
+def cubic_root(first: Array, last: Array, steep: Array, at_end: Array, width: Array) -> Array:
+    """About where the cubic with values `first` and `last` and such slopes vanishes in a width."""
+    c, rise = steep * width, last - first
+    a, b = c + at_end * width - 2.0 * rise, 3.0 * rise - 2.0 * c - at_end * width
+    s = -first / rise
+    for _ in range(2):
+        s = s - (((a * s + b) * s + c) * s + first) / ((3.0 * a * s + 2.0 * b) * s + c)
+    return s * width
 
 
 def horner(series: Array, x: Array) -> Array:
@@ -534,3 +598,16 @@ def with_slope(series: Array, x: Array) -> tuple[Array, Array]:
         total *= x
         total += coefficient
     return total, slope
+
+
+def with_bend(series: Array, x: Array) -> tuple[Array, Array, Array]:
+    """The values of polynomials (K, B) at x (B,), and their first two derivatives."""
+    total, slope, bend = series[-1].copy(), np.zeros_like(x), np.zeros_like(x)
+    for coefficient in series[-2::-1]:
+        bend *= x
+        bend += slope
+        slope *= x
+        slope += total
+        total *= x
+        total += coefficient
+    return total, slope, 2.0 * bend

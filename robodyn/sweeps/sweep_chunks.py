@@ -252,8 +252,11 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
     if changed:
         scene = read_numbers(plan.scene, plan.source, plan.numbers, plan.tables)
     members: dict[tuple[float, ...], list[int]] = {}
-    for k, key in enumerate(map(tuple, points[:, changed].tolist())):
-        members.setdefault(key, []).append(k)
+    if not changed:
+        members[()] = list(range(len(points)))
+    else:
+        for k, key in enumerate(map(tuple, points[:, changed].tolist())):
+            members.setdefault(key, []).append(k)
     for key, indices in members.items():
         mechanism = plan.mechanism
         if scene is not None:
@@ -438,9 +441,13 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
             said.append(remark)
     if "flip" in plan.results and not plan.control:
         for group in groups:
+            flipped = ~np.isnan(ends.flip[group.points])
+            if not flipped.any():
+                continue
+            start = (x[flipped] for x in (group.q, group.qd, group.tau))
             with suppress(RobodynError):  # beyond a table nothing rests
-                at_rest = rests(group.mechanism, group.q, group.qd, group.tau)
-                ends.flip[group.points[at_rest]] = math.nan  # only rounding moves it
+                at_rest = rests(group.mechanism, *start)
+                ends.flip[group.points[flipped][at_rest]] = math.nan  # only rounding moves it
     _fill(plan, ends, offset, told, values)
     return said
 

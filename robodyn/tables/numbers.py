@@ -19,7 +19,7 @@ import numpy as np
 
 from robodyn.tables.arrays import Array
 
-FEW = 2000  # numbers that Python reads or writes in less time than an import takes
+FEW = 500  # numbers that Python reads or writes in less time than an import takes
 PIECE = 2048  # numbers that are lists of Python's at once
 ALIKE = (1e-10, 1e-4, 1e16)  # below the first, and from the second to the third, orjson is `repr`
 _NOT_NUMBERS = re.compile(rb"[^0-9+\-.eE,\n]|-0(?![.0-9eE])")

@@ -11,19 +11,23 @@ from typing import Any, ClassVar, Self, dataclass_transform
 class Record(tuple[Any, ...]):
     """A tuple whose entries have the names, types and defaults that a class of it declares.
 
-    Used as `typing.NamedTuple` is, with the same methods; no class stands between it and its own.
+    Used as `typing.NamedTuple` is, with the same methods.  A class of such a class has its fields
+    and more; what is annotated as a ClassVar is no field.
     """
 
     __slots__ = ()
-    _fields: ClassVar[tuple[str, ...]]
-    _field_defaults: ClassVar[dict[str, Any]]
+    _fields: ClassVar[tuple[str, ...]] = ()
+    _field_defaults: ClassVar[dict[str, Any]] = {}
     _rest: ClassVar[tuple[Any, ...]]  # the defaults, of the last ones
     _needed: ClassVar[int]  # how many have none
 
     def __init_subclass__(cls) -> None:
-        cls._fields = tuple(cls.__annotations__)
+        own = [x for x, kind in cls.__annotations__.items() if "ClassVar[" not in str(kind)]
+        cls._fields = tuple(dict.fromkeys((*cls._fields, *own)))
         cls.__match_args__ = cls._fields  # type: ignore[attr-defined, misc]
-        cls._field_defaults = {x: vars(cls)[x] for x in cls._fields if x in vars(cls)}
+        given = {x: vars(cls)[x] for x in own if x in vars(cls)}
+        values = {x: y for x, y in cls._field_defaults.items() if x not in own} | given
+        cls._field_defaults = {x: values[x] for x in cls._fields if x in values}
         cls._rest = tuple(cls._field_defaults.values())
         cls._needed = len(cls._fields) - len(cls._rest)
         if cls._fields[cls._needed :] != tuple(cls._field_defaults):

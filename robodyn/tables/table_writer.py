@@ -127,9 +127,10 @@ class Writer:
         known = values == values
         if not known.all():
             lines = self._repr(np.where(known, values, 0.0))
-            for k in np.flatnonzero(~known.all(axis=1)):
-                fields = zip(lines[k].split(","), known[k], strict=True)
-                lines[k] = ",".join(field if there else "" for field, there in fields)
+            rows = np.flatnonzero(~known.all(axis=1))
+            for k, each in zip(rows.tolist(), known[rows].tolist(), strict=True):
+                fields = zip(lines[k].split(","), each, strict=True)
+                lines[k] = ",".join([field if there else "" for field, there in fields])
             return lines
         return written(values)
 

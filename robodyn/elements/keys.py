@@ -1,0 +1,175 @@
+"""How a record of a scene declares the keys of its mapping in files, each beside its field.
+
+    length: float = key("amount", "free length", unit="m", symbol="S0: free length of {}")
+
+From the declarations follow the reader, the JSON Schema, the names of numbers, the symbols of
+equations and the guide's tables: see `grammar.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, Final, Self, dataclass_transform
+
+from robodyn.tables.records import Record
+
+NEEDED: Final[Any] = object()  # the default of what a file must have
+ONE = "one of the three"
+# what stands for a key of several that exclude one another, one of which a file must have
+ONES = (ONE, "I or J", "r or centre")
+Sided = Any  # a text, or a pair of texts: of joints that turn, and of those that slide
+
+
+class Key(Record):
+    """A key of a mapping, with the kind of its value and what stands where a file leaves it out.
+
+    What differs between joints that turn and joints that slide is a pair; `of` picks.
+    """
+
+    kind: Sided  # of its value
+    help: Sided
+    unit: Sided = ""
+    default: Any = NEEDED  # the value where a file leaves it out, and the field's default
+    absent: Any = NEEDED  # the value where a file leaves it out; the field has no default
+    told: Sided = ""  # the default in words
+    listed: bool = False  # whether the value is a list of this kind
+    hint: Sided = ""  # what a message adds where a limit is not kept
+    symbol: Sided = ""  # its letters in equations, and what a legend says of it
+    linear: str = ""  # its letters among the parameters that torques are linear in
+    instead: str = ""  # the field that stands in its place, if that has a value
+    only_with: str = ""  # the field without which torques are not linear in it
+    name: Sided = ""  # in files, if it is not the field's
+    ways: tuple[str, ...] = ()  # the ways to write the mapping that have it; none: all
+    field: str = ""  # of the record
+
+    @property
+    def needed(self) -> bool:
+        """Whether a file must have it."""
+        return self.value is NEEDED and not self.told
+
+    @property
+    def value(self) -> Any:
+        """The value where a file leaves it out; NEEDED if there is none."""
+        return self.default if self.absent is NEEDED else self.absent
+
+    @property
+    def optional(self) -> bool:
+        """Whether it is a number that is zero where a file leaves it out."""
+        is_number = isinstance(self.value, (float, complex))
+        return is_number and not (self.one or self.value)
+
+    @property
+    def shown_default(self) -> str:
+        """The default in words; for one that is needed, that it is."""
+        if self.told:
+            return str(self.told)
+        return "needed" if self.needed else "0" if self.optional else "none"
+
+    @property
+    def one(self) -> bool:
+        """Whether it is one of several, of which a file must have exactly one."""
+        return self.told in ONES
+
+    def of(self, slides: bool) -> Key:
+        """The key of a joint that turns, or slides."""
+        each = zip(self._fields, self, strict=True)
+        pairs = {x: y for x, y in each if isinstance(y, tuple) and x in _SIDED}
+        return self._replace(**{x: y[slides] for x, y in pairs.items()})
+
+
+_SIDED = frozenset(("kind", "help", "unit", "told", "hint", "symbol", "name"))
+
+
+def key(kind: Sided, help: Sided, **more: Any) -> Any:
+    """The declaration of a key, as the default of its field; for `more` see `Key`."""
+    return Key(kind, help, **more)
+
+
+class Way(Record):
+    """One way to write a record as a mapping.
+
+    `among` is the kind of value that it is a mapping of, `marks` are the keys that tell it from
+    others of this kind, and `slides` is whether it is of joints that slide.
+    """
+
+    name: str
+    among: str
+    help: str
+    marks: tuple[str, ...] = ()
+    slides: bool = False
+
+
+def at_joints(name: str, among: str, help: Sided, marks: tuple[str, ...] = ()) -> tuple[Way, Way]:
+    """The way to write what stands at a joint, of joints that turn and of those that slide."""
+    turns, slides = (help, help) if isinstance(help, str) else help
+    return (
+        Way(name, among, turns, marks),
+        Way(f"slide_{name}", f"slide_{among}", slides, marks, True),
+    )
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(key,))
+class Declared(Record):
+    """A record whose fields may be declared by keys.
+
+    A key that is annotated as a ClassVar belongs to the mapping, and no field is its own.
+    """
+
+    ways: ClassVar[tuple[Way, ...]] = ()  # to write it; none: files do not have it
+    # a record whose keys it has too, less those of some fields
+    like: ClassVar[tuple[type[Declared], frozenset[str]] | None] = None
+    keys: ClassVar[dict[str, Key]] = {}  # by fields, in the order of declaration
+
+    def __init_subclass__(cls) -> None:
+        own = {x: y for x in cls.__annotations__ if isinstance(y := vars(cls).get(x), Key)}
+        more = {}
+        if cls.like:
+            more = {x: y for x, y in cls.like[0].keys.items() if x not in cls.like[1]}
+        first = {x: y for x, y in own.items() if x not in more}
+        keys = {x: y._replace(field=x) for x, y in (first | more | own).items()}
+        cls.keys = cls.keys | keys
+        for name, each in own.items():
+            if each.default is NEEDED or "ClassVar[" in str(cls.__annotations__[name]):
+                delattr(cls, name)
+            else:
+                setattr(cls, name, each.default)
+        super().__init_subclass__()
+
+    @classmethod
+    def keys_of(cls, way: Way) -> dict[str, Key]:
+        """The keys of a way to write it, by their names."""
+        found = {}
+        base = way.name.removeprefix("slide_")
+        for field, declared in cls.keys.items():
+            if not declared.ways or base in declared.ways or way.name in declared.ways:
+                each = declared.of(way.slides)
+                name = each.name or field
+                if name in way.marks:
+                    each = each._replace(default=NEEDED, absent=NEEDED, told="")
+                found[name] = each
+        return found
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> Self:
+        """The record of values by fields."""
+        return cls(**values)
+
+    def to_keys(self) -> dict[str, Any]:
+        """The values by fields; what is left out has its default."""
+        return {x: getattr(self, x) for x in self.keys if x in self._fields}
+
+    def linear(self) -> Iterator[tuple[str, Key]]:
+        """The fields that torques are linear in, with their keys."""
+        for field, declared in self.keys.items():
+            replaced = declared.instead and getattr(self, declared.instead)
+            lacks = declared.only_with and getattr(self, declared.only_with) is None
+            nothing = declared.optional and not getattr(self, field)
+            if declared.linear and not (replaced or lacks or nothing):
+                yield field, declared
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        """The faults of values that are right each by itself: field, limit and value.
+
+        `names` are those of the keys, by fields.
+        """
+        yield from ()
