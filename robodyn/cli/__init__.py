@@ -35,8 +35,8 @@ USAGE_ERROR: Any = BadParameter.__base__  # click's, of which typer has its own
 GROUPS = {
     "States": "torque accel reactions points assemble terms energy",
     "Motions": "simulate trajectory sweep bench",
-    "Analysis": "equilibrium linearize regressor identify fit equations",
-    "Tables and pictures": "summary plot draw animate",
+    "Analysis": "summary equilibrium linearize regressor identify fit equations",
+    "Pictures": "plot draw animate",
     "Scenes": "init check schema export guide",
 }
 HEADINGS = {name: heading for heading, names in GROUPS.items() for name in names.split()}
@@ -120,6 +120,7 @@ def _successor(message: str) -> str:
 _SUMMARY = "hand the rows on, | robodyn summary"
 REMOVED_OPTIONS = {
     "--ascii": "charts are plain where stdout is not UTF-8, others take -o x.svg",
+    "--delimiter": "the header tells where fields end, at commas, semicolons or tabs",
     "--extremes": _SUMMARY,
     "--correlations": f"{_SUMMARY} --correlations NAMES",
     "--harmonics": f"{_SUMMARY} --harmonics",
@@ -363,7 +364,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
 
     A parameter that is a dataclass stands for its fields, one option each.
     """
-    from robodyn.cli import files, large_angles
+    from robodyn.cli import large_angles
     from robodyn.cli.options import Degrees
 
     groups: dict[str, Any] = {}
@@ -377,8 +378,6 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         else:
             options.append(_declared(name, kind, parameter.default))
     tells_angles = function.__name__ in TELL_ANGLES
-    if any(files.reads_rows(option.annotation) for option in options):
-        options.append(_declared("delimiter", files.Delimiter, None))
     if tells_angles:
         options.append(_declared("degrees", Degrees, False))
 
@@ -387,7 +386,6 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         from robodyn.cli.output import degrees, numbers_overflow_in_silence
 
         numbers_overflow_in_silence()
-        files.delimiter.set(given.pop("delimiter", ","))
         degrees.set(tells_angles and given.pop("degrees"))
         named = {name.strip("_"): value for name, value in given.items()}
         large_angles.options.set(None if named.get("quiet") else named)

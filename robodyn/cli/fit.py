@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import numpy as np
 from typer import Option
 
-from robodyn.cli.files import output_file, rows_argument, rows_file
+from robodyn.cli.files import input_file, output_file, rows_argument
 from robodyn.cli.motion_files import tell_at_rest, without_jumps
 from robodyn.cli.options import (
     Model,
@@ -211,7 +211,7 @@ _OUT = "Write the scene with these numbers here; comments and order stay."
 class FitOptions:
     """What is to be met, or to become least, and how it is searched for."""
 
-    match: Annotated[Text, rows_file("--match", _MATCH)] = None
+    match: Annotated[Text, input_file("--match", _MATCH)] = None
     columns: Text = option(_COLUMNS, "NAMES")
     minimize: list[str] | None = option(_MINIMIZE, "COLUMNS")
     subject_to: list[str] | None = option(_SUBJECT, "EXPR")

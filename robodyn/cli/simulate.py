@@ -11,7 +11,7 @@ from typing import Annotated, Any, BinaryIO, Literal, get_args
 
 import numpy as np
 
-from robodyn.cli.files import input_file, load_scene, model_file, output_file, rows_file
+from robodyn.cli.files import input_file, load_scene, model_file, output_file
 from robodyn.cli.motion_files import without_jumps
 from robodyn.cli.options import (
     EACH,
@@ -95,7 +95,7 @@ class TorqueOptions:
     """Where torque comes from."""
 
     tau: Text = option(_TAU, "TORQUES")
-    tau_from: Annotated[Text, rows_file("--tau-from", _TAU_FROM)] = None
+    tau_from: Annotated[Text, input_file("--tau-from", _TAU_FROM)] = None
     volt: Text = option("Voltages of the motors of the actuated joints, V: as --tau.", "VOLTS")
 
 
@@ -104,7 +104,7 @@ class ControlOptions:
     """What makes the torques track a reference."""
 
     control: Law | None = option("Makes the torques track a reference, or keep to a pose.")
-    track: Annotated[Text, rows_file("--track", _TRACK)] = None
+    track: Annotated[Text, input_file("--track", _TRACK)] = None
     unwrap: Unwrap = False
     hold: Text = option(_HOLD, "VECTOR")
     kp: Text = option(f"Gain of the error, N m/rad (computed torque 1/s^2): {EACH}.", "VECTOR")
@@ -418,7 +418,7 @@ def simulate(
       robodyn simulate four-bar --q 60deg --tau "2*sin(3*t)" -o run.csv
       robodyn simulate 2r --q 0,0 --until "q1 < -90deg" --event apex=qd1
       robodyn simulate 2r --q 0,0 --quiet | robodyn torque 2r - | tail -1
-      robodyn simulate 2r --q 0,0 --force forearm=0,-20 --extremes
+      robodyn simulate 2r --q 0,0 --force forearm=0,-20 | robodyn summary
       robodyn simulate 2r --q 0,0 --time 1 --sensitivity links.forearm.m,q1
       robodyn trajectory 2r --from 0,0 --to 90deg,45deg --time 2 > ref.csv
       robodyn simulate 2r --q 0,0 --track ref.csv --control pd+g --kp 200,100 \\

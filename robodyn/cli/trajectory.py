@@ -11,7 +11,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
-from robodyn.cli.files import rows_file
+from robodyn.cli.files import input_file
 from robodyn.cli.motion_files import unwrapped, without_jumps
 from robodyn.cli.options import EACH, Model, Number, Text, Unwrap, option, refuse
 from robodyn.cli.output import RowOptions, note
@@ -97,7 +97,7 @@ class TrajectoryOptions:
 
     from_: Text = option(f"Angles at the start, rad, or 30deg, pi/2: {_WHICH}.", "VECTOR")
     to: Text = option(f"Angles at the end: {_WHICH}.", "VECTOR")
-    via: Annotated[Text, rows_file("--via", _VIA)] = None
+    via: Annotated[Text, input_file("--via", _VIA)] = None
     unwrap: Unwrap = False
     time: Text = option("Duration, s, 2s or 500ms; min: the shortest within the limits.", "S|min")
     profile: ProfileName | None = option("Default: quintic.")
@@ -121,7 +121,7 @@ class TrajectoryOptions:
     of: Text = option(_OF, "POINT")
     to_xy: Text = option("Straight from where the point is at --from to here, m.", "X,Y")
     arc: Text = option(_ARC, "CENTRE:ANGLE")
-    path: Annotated[Text, rows_file("--path", _PATH)] = None
+    path: Annotated[Text, input_file("--path", _PATH)] = None
     posture: Text = option(_POSTURE, "VECTOR")
     max_speed: Text = option("Largest speed of the point, m/s.", "V")
 
@@ -463,7 +463,7 @@ def trajectory(
       robodyn trajectory 2r --from 0,0 --to 90deg,45deg --time min --max-tau 25,8
       robodyn trajectory 2r --via motion.csv --profile cubic --max-qd 90deg/s
       robodyn trajectory four-bar --speed 60rpm --turns 1 --points 361
-      robodyn trajectory four-bar --speed 60rpm --turns 1 --extremes
+      robodyn trajectory four-bar --speed 60rpm --turns 1 --columns t,q1,tau1
       robodyn trajectory 2r --from 0,90deg --of tip2 --to-xy 0.4,0.9 --time 2
       robodyn trajectory 2r --profile sweep --from 30deg,45deg --amplitude 5deg \\
         --frequencies 0.2,5 --time 20 | robodyn torque 2r -

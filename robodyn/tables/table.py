@@ -33,7 +33,6 @@ from robodyn.tables.csv_fields import (
     LONGEST_ROW,
     READ_BYTES,
     columns_told,
-    delimiter_hint,
     ends_open,
     finite,
     is_missing,
@@ -135,7 +134,7 @@ class Reader:
             for line, number in zip(rows.lines, rows.numbers, strict=True):
                 fields = self._split(line, number)
                 if len(fields) != len(self.header):
-                    limit = f"the header has {len(self.header)}{delimiter_hint(self.header)}"
+                    limit = f"the header has {len(self.header)}"
                     raise self._fault(number, "number of fields", len(fields), limit)
                 texts = [unquoted(fields[place]) for place in places]
                 found = [math.nan if self.gaps and is_missing(x) else finite(x) for x in texts]
@@ -144,7 +143,7 @@ class Reader:
                         empty = not text.strip()
                         limit = "the field is empty, not" if empty else "must be"
                         told = None if empty else shown(text)
-                        limit += f" a finite number{delimiter_hint(self.header)}"
+                        limit += " a finite number"
                         raise self._fault(number, name, told, limit)
                 values.append(found)
         except InputError as error:
