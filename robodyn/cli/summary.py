@@ -57,6 +57,7 @@ def summary(
 
     \b
     Examples:
+      robodyn summary motion.csv
       robodyn torque 2r states.csv | robodyn summary
       robodyn simulate 2r --q 0,0 --time 2 | robodyn summary --format table
       robodyn trajectory slider-crank --speed 300rpm --turns 1 --points 361 | \\
