@@ -12,6 +12,7 @@ import json
 import math
 import os
 import random
+import signal
 import stat
 import struct
 import sys
@@ -820,6 +821,25 @@ class TestReadNumbers:
         found = numbers.read(rows, 2, [1])
         assert found is not None
         assert found.tolist() == [[1.5], [2.5], [3.5]]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="there is no such signal here")
+def test_a_signal_waits_for_the_end_of_an_import() -> None:
+    """An exception of its handler would end a process that imports orjson by a fault."""
+    passed = []
+
+    def raises(*_: object) -> None:
+        raise InterruptedError
+
+    before = signal.signal(signal.SIGUSR1, raises)
+    try:
+        with pytest.raises(InterruptedError), numbers._signals_wait():  # noqa: PT012
+            signal.raise_signal(signal.SIGUSR1)
+            passed.append("all of the block")
+        assert passed
+        assert signal.getsignal(signal.SIGUSR1) is raises
+    finally:
+        signal.signal(signal.SIGUSR1, before)
 
 
 # Floats as text: the same characters as `repr`, whatever the floats are.

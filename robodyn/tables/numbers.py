@@ -10,7 +10,10 @@ takes for a whole number without a sign, nothing is read by it.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from itertools import repeat
 from typing import Any
@@ -27,12 +30,38 @@ _NOT_NUMBERS = re.compile(rb"[^0-9+\-.eE,\n]|-0(?![.0-9eE])")
 
 @cache
 def _orjson() -> Any:
-    """The module, or None where it is not installed."""
-    try:
-        import orjson
-    except ImportError:
-        return None
+    """The module, or None where it is not installed.
+
+    Its first steps import other modules and do not look whether that failed: an exception of a
+    signal's handler there would end the process by a segmentation fault.
+    """
+    with _signals_wait():
+        try:
+            import orjson
+        except ImportError:
+            return None
+        orjson.dumps(np.zeros((1, 1)), option=orjson.OPT_SERIALIZE_NUMPY)
     return orjson
+
+
+@contextmanager
+def _signals_wait() -> Iterator[None]:
+    """Handlers of signals in Python wait for the end of the block."""
+    if threading.current_thread() is not threading.main_thread():  # no handler is called in others
+        yield
+        return
+    handlers = {number: signal.getsignal(number) for number in signal.valid_signals()}
+    handlers = {number: handler for number, handler in handlers.items() if callable(handler)}
+    received: list[int] = []
+    for number in handlers:
+        signal.signal(number, lambda number, _: received.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    for number in received:
+        signal.raise_signal(number)
 
 
 def written(values: Array) -> list[str]:
