@@ -130,6 +130,25 @@ def test_torques_of_the_actuated_joints_cause_what_those_of_all_do() -> None:
         one(mech, q, "rx1", qdd=np.multiply(2, qdd), tau=[1.5])
 
 
+def test_vectors_may_be_of_the_actuated_joints_alone() -> None:
+    mech = rd.load(FOUR_BAR)
+    q = rd.assemble(mech, [[1.0], [2.0]])
+    qd = rd.loop_velocities(mech, q, [[3.0], [-1.0]])
+    qdd = rd.loop_accelerations(mech, q, qd, [[0.5], [2.0]])
+    names = ["q2", "qd3", "qdd2", "tau1", "fx1", "tip2_ay"]
+    every = State(mech, q, qd, qdd).columns(names)
+    few = State(mech, [[1.0], [2.0]], [[3.0], [-1.0]], [[0.5], [2.0]])
+    assert (few.columns(names) == every).all()
+    assert (State(mech, q, [[3.0], [-1.0]], qdd).columns(names) == every).all()
+    free = rd.load(ROOT / "robots/cart-pole.yaml")
+    with pytest.raises(InputError, match="q"):
+        State(free, [0.1])
+    with pytest.raises(InputError, match="open"):
+        State(mech, [1.0, 1.0, 1.0], [2.0])
+    with pytest.raises(InputError, match="qd"):
+        State(mech, [1.0], [2.0, 1.0])
+
+
 def test_residuals_are_columns_where_they_are_asked_for() -> None:
     mech = rd.load(ROOT / "robots/cart-pole.yaml")
     state = State(mech, [0.0, 1.0], [0.1, 0.2], [0.3, 0.4])

@@ -25,12 +25,12 @@ from robodyn.cli.states import (
     StateOptions,
     chosen_columns,
     complete,
-    driver_of,
     option_source,
     single_state,
 )
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.dynamics.columns import OF_PARTS, column_names, in_degrees, scene_units, with_unit
+from robodyn.dynamics.joint_vectors import driver_of
 from robodyn.dynamics.named_points import named_point, named_points
 from robodyn.dynamics.state import State, find
 from robodyn.errors import AssemblyError, InputError, SingularError, named_options, overflow

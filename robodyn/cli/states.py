@@ -24,7 +24,7 @@ from robodyn.cli.output import (
     numbers_overflow_in_silence,
 )
 from robodyn.dynamics.columns import FAMILIES, STATE, column_names, declared, names_of, scene_units
-from robodyn.dynamics.joint_vectors import vector_of_joints
+from robodyn.dynamics.joint_vectors import driver_of, full, vector_of_joints
 from robodyn.dynamics.state import State, find
 from robodyn.errors import (
     InputError,
@@ -114,18 +114,6 @@ class Source(NamedTuple):
         return [self.values[joints.index(k)] for k in mechanism.actuated]
 
 
-def driver_of(mechanism: Mechanism, name: str = "q") -> Mechanism:
-    """The mechanism whose actuated joints a vector of that name is of, if it is not of all joints.
-
-    Those of q, qd and qdd determine the others: free passive joints are among them.
-    """
-    if name not in ("q", "qd", "qdd") or len(mechanism.actuated) == mechanism.n:
-        return mechanism
-    from robodyn.loops.assembly_plan import with_independent
-
-    return with_independent(mechanism)
-
-
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
     """The source that the quantity's option is; zero, or the scene's start, where there is none."""
     driver = driver_of(mechanism, quantity.name)
@@ -177,45 +165,14 @@ def complete(
     values: Sequence[Array],
     branches: Sequence[str] | None = None,
 ) -> list[Array]:
-    """q, qd and what else there is for all joints (..., n): assembled, or checked to be closed."""
-    driver = driver_of(mechanism)
-    free = not mechanism.rows and len(driver.actuated) == mechanism.n  # a joint each
-    if not free:
-        from robodyn.loops import assembly, loop_rates
-    motion: dict[str, Array] = {}
-
-    def check() -> None:
-        moving = (motion.get(name) for name in ("qd", "qdd"))
-        fault = loop_rates.check_closed(mechanism, motion["q"], *moving)
-        if fault is not None:
-            if sources[0].quantity.option is not None:
-                fault[1].add_place(f"--{sources[0].quantity.name}")
-            raise fault[1]
-
-    unchecked = bool(mechanism.rows) and any(source.whole for source in sources)
-    with np.errstate(all="ignore"):
-        for source, given in zip(sources, values, strict=True):
-            name, full = source.quantity.name, given
-            if source.whole or (free and name != "tau"):
-                pass
-            elif name == "q":
-                full = assembly.assemble(driver, given, branches)
-            elif name == "qd":
-                full = loop_rates.loop_velocities(driver, motion["q"], given)
-            elif name == "qdd":
-                if unchecked:
-                    check()
-                    unchecked = False
-                full = loop_rates.loop_accelerations(driver, motion["q"], motion["qd"], given)
-            else:
-                full = np.zeros((*given.shape[:-1], mechanism.n))
-                full[..., list(mechanism.actuated)] = given
-            if not np.isfinite(full).all():
-                raise overflow()
-            motion[name] = full
-        if unchecked:
-            check()
-    return list(motion.values())
+    """q, qd and what else there is for all joints (..., n): see `full`."""
+    first = sources[0].quantity
+    given = {
+        source.quantity.name: (each, source.whole)
+        for source, each in zip(sources, values, strict=True)
+    }
+    place = "" if first.option is None else f"--{first.name}"
+    return list(full(mechanism, given, branches, place).values())
 
 
 def single_state(

@@ -20,14 +20,13 @@ from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import (
     Quantity,
     chosen_columns,
-    driver_of,
     option_source,
     remarks,
     table_source,
 )
 from robodyn.cli.times import Points, output_times
 from robodyn.dynamics.columns import column_names, scene_units
-from robodyn.dynamics.joint_vectors import joint_values
+from robodyn.dynamics.joint_vectors import driver_of, joint_values
 from robodyn.dynamics.named_points import named_point, named_points
 from robodyn.dynamics.state import State, find
 from robodyn.dynamics.sticking import AT_REST_REMARK

@@ -1,13 +1,16 @@
-"""Vectors of joints, as options write them: of all joints, or of the actuated ones."""
+"""Vectors of joints: of all joints, or of the actuated ones, and the rest that follows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
 
 from robodyn.dynamics.columns import scene_units, unit_of
-from robodyn.errors import InputError
+from robodyn.errors import InputError, overflow
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.quantities import parse_vector
+from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 
 
@@ -60,3 +63,68 @@ def vector_of_joints(mechanism: Mechanism, text: str, kind: str, flag: str) -> l
         raise InputError(flag, value=f"{shown(text)} ({count})", limit=f"needs {wanted}")
 
     return joint_values(mechanism, text, kind, flag, check)
+
+
+def driver_of(mechanism: Mechanism, name: str = "q") -> Mechanism:
+    """The mechanism whose actuated joints a vector of that name is of, if it is not of all joints.
+
+    Those of q, qd and qdd determine the others: free passive joints are among them.
+    """
+    if name not in ("q", "qd", "qdd") or len(mechanism.actuated) == mechanism.n:
+        return mechanism
+    from robodyn.loops.assembly_plan import with_independent
+
+    return with_independent(mechanism)
+
+
+def full(
+    mechanism: Mechanism,
+    given: Mapping[str, tuple[Array, bool]],
+    branches: Sequence[str] | None = None,
+    place: str = "",
+) -> dict[str, Array]:
+    """Return q, qd and what else is given for all joints (..., n), in this order.
+
+    `given` has the values of each, and whether they are of all joints; else they are of those of
+    `driver_of`, and the rest is assembled, in these branches, and follows.  Torques of other joints
+    are zero.  Raises InputError, with its place, if values of all joints do not close the loops;
+    RobodynError if a result is not finite.
+    """
+    driver = driver_of(mechanism)
+    free = not mechanism.rows and len(driver.actuated) == mechanism.n  # a joint each
+    if not free:
+        from robodyn.loops import assembly, loop_rates
+    motion: dict[str, Array] = {}
+
+    def check() -> None:
+        moving = (motion.get(name) for name in ("qd", "qdd"))
+        fault = loop_rates.check_closed(mechanism, motion["q"], *moving)
+        if fault is not None:
+            if place:
+                fault[1].add_place(place)
+            raise fault[1]
+
+    unchecked = bool(mechanism.rows) and any(whole for _, whole in given.values())
+    with np.errstate(all="ignore"):
+        for name, (values, whole) in given.items():
+            every = values
+            if whole or (free and name != "tau"):
+                pass
+            elif name == "q":
+                every = assembly.assemble(driver, values, branches)
+            elif name == "qd":
+                every = loop_rates.loop_velocities(driver, motion["q"], values)
+            elif name == "qdd":
+                if unchecked:
+                    check()
+                    unchecked = False
+                every = loop_rates.loop_accelerations(driver, motion["q"], motion["qd"], values)
+            else:
+                every = np.zeros((*values.shape[:-1], mechanism.n))
+                every[..., list(mechanism.actuated)] = values
+            if not np.isfinite(every).all():
+                raise overflow()
+            motion[name] = every
+        if unchecked:
+            check()
+    return motion

@@ -28,8 +28,9 @@ from robodyn.dynamics.columns import (
     family_of,
     names_of,
 )
+from robodyn.dynamics.joint_vectors import driver_of, full
 from robodyn.dynamics.named_points import NamedPoint, named_points, point_jacobian, unit_rates
-from robodyn.dynamics.placed import n_wide, times_of, together
+from robodyn.dynamics.placed import n_wide, numbers, times_of, together
 from robodyn.errors import InputError, overflow
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.loop_rates import check_way_on, loop_accelerations
@@ -48,7 +49,8 @@ class State:
     q, qd, and qdd or tau are (..., n) and broadcast to one another; rates and accelerations not
     given are zero; t (...), s, is the time of loads that vary.  With qdd the torques follow, with
     tau (of all joints, or of the actuated ones) the accelerations; of both, tau is the cause, and
-    qdd must be what it causes.  A closed mechanism's q, qd and qdd must keep its closures.  `of`
+    qdd must be what it causes.  q, qd and qdd may be of the actuated joints alone: the others are
+    assembled, and follow.  A closed mechanism's must keep its closures.  `of`
     has the points whose columns there are; the scene's, else all tips, where it is empty.
 
     Torques that are left at free joints are an error, but where their columns are asked for.
@@ -74,7 +76,7 @@ class State:
             given["qdd"] = qdd
         if tau is not None:
             given["tau"] = tau
-        each = together(mechanism, given)
+        each = together(mechanism, _of_all_joints(mechanism, given))
         self.mechanism: Mechanism = mechanism
         self.moving = moving
         self.shape = each["q"].shape[:-1]
@@ -230,6 +232,23 @@ class State:
         places = [point.point for point in self.points]
         moved = point_jacobian(self.mechanism, places, self.q) @ self._unit_rates[:, None]
         return np.asarray(moved)
+
+
+def _of_all_joints(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> Mapping[str, ArrayLike]:
+    """The vectors as they are, or of all joints where q, qd or qdd are of the actuated ones."""
+    values = {name: numbers(name, x) for name, x in given.items()}
+    for name, x in values.items():
+        few = mechanism if name == "tau" else driver_of(mechanism, name)
+        if not x.ndim or x.shape[-1] != len(few.actuated):
+            n_wide(mechanism, name, x)  # which tells what is wrong
+    if all(x.shape[-1] == mechanism.n for name, x in values.items() if name != "tau"):
+        return given
+    try:
+        rows = np.broadcast_shapes(*(x.shape[:-1] for x in values.values()))
+    except ValueError:
+        return given  # which is told of all of them
+    each = {name: np.broadcast_to(x, (*rows, x.shape[-1])) for name, x in values.items()}
+    return full(mechanism, {name: (x, x.shape[-1] == mechanism.n) for name, x in each.items()})
 
 
 def _check_agreement(qd: Array, given: Array, caused: Array) -> None:
