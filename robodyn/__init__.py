@@ -37,17 +37,18 @@ if TYPE_CHECKING:
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces as inverse_dynamics_and_forces
     from robodyn.dynamics.dynamics import kept_moments as kept_moments
     from robodyn.dynamics.dynamics import pin_forces as pin_forces
+    from robodyn.dynamics.named_points import points as points
     from robodyn.dynamics.reaction_forces import reactions as reactions
     from robodyn.dynamics.reaction_forces import shaking_force as shaking_force
     from robodyn.dynamics.reaction_forces import slide_moments as slide_moments
-    from robodyn.dynamics.state_columns import motor_loads as motor_loads
+    from robodyn.dynamics.state import State as State
+    from robodyn.dynamics.state import motor_loads as motor_loads
     from robodyn.errors import AssemblyError as AssemblyError
     from robodyn.errors import DescriptionError as DescriptionError
     from robodyn.errors import InputError as InputError
     from robodyn.errors import ResidualError as ResidualError
     from robodyn.errors import RobodynError as RobodynError
     from robodyn.errors import SingularError as SingularError
-    from robodyn.kinematics.named_points import points as points
     from robodyn.loops.assembly import assemble as assemble
     from robodyn.loops.loop_rates import loop_accelerations as loop_accelerations
     from robodyn.loops.loop_rates import loop_velocities as loop_velocities
@@ -108,10 +109,10 @@ _ROOMS = {
         "RobodynError",
         "SingularError",
     ],
-    "kinematics.named_points": ["points"],
+    "dynamics.named_points": ["points"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism"],
-    "dynamics.state_columns": ["motor_loads"],
+    "dynamics.state": ["State", "motor_loads"],
     "mechanics.voltages": ["voltages"],
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "notebook.figures_of": ["animate", "draw", "plot"],
@@ -158,7 +159,7 @@ def _checked(function: FunctionType) -> FunctionType:
 
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     room = function.__module__.split(".")[1]
-    at_states = "qd" in names and room in ("dynamics", "loops", "kinematics")
+    at_states = "qd" in names and room in ("dynamics", "loops")
     check = argument_check(function)
 
     @wraps(function)

@@ -33,7 +33,7 @@ def argument_check(function: FunctionType) -> Callable[[Sequence[Any], Mapping[s
         name: (*_kind(str(annotation)), "ArrayLike" in str(annotation))
         for name, annotation in function.__annotations__.items()
     }
-    of_states = function.__module__.split(".")[1] in ("dynamics", "loops", "kinematics")
+    of_states = function.__module__.split(".")[1] in ("dynamics", "loops")
 
     def check(given: Sequence[Any], named: Mapping[str, Any]) -> None:
         shapes = {}

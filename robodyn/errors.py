@@ -173,3 +173,8 @@ class SingularPoseError(SingularError):
 
 class SignalError(RobodynError):
     """A table or an expression of a scene has no value at a state."""
+
+
+def overflow() -> RobodynError:
+    """Return the error for a result that is not finite."""
+    return RobodynError("the result is not finite", limit="the state or the scene is too large")

@@ -231,7 +231,7 @@ def table(bench: Bench) -> list[Row]:
     times, (peak, numpy_peak) = bench.processes(command, numpy, repeats)
     alone, _ = bench.processes((sys.executable, "-c", WITHOUT_FAST, *command[1:]), numpy, repeats)
     return [
-        compared("torque of a CSV", times, bench.states, "loadtxt, savetxt", bound=0.35),
+        compared("torque of a CSV", times, bench.states, "loadtxt, savetxt", bound=0.3),
         compared("the same without `fast`", alone, bench.states, "loadtxt, savetxt", bound=0.8),
         Row("torque of a CSV, peak MB", peak, None, 60.0, None, f"numpy: {numpy_peak:.0f} MB"),
     ]

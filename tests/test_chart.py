@@ -12,6 +12,7 @@ from conftest import RP_ARM, within
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robodyn.dynamics.columns import guide_table, scene_units, unit_of, with_unit
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import build
 from robodyn.pictures.chart import (
@@ -29,7 +30,6 @@ from robodyn.pictures.chart import (
     tick_texts,
     ticks,
 )
-from robodyn.pictures.column_units import UNITS, scene_units, unit_of, with_unit
 from robodyn.scene.description import from_text
 
 MOTION = ("t", "q1", "q2", "qd1", "qd2", "qdd1", "qdd2", "tau1", "fx1", "fy1", "energy", "gap")
@@ -147,19 +147,15 @@ def test_tables_that_cannot_be_drawn() -> None:
         chart(["a.csv", "b.csv"], ["t", None], [table(("t", "q1")), table(("q1",))])
 
 
-def test_units_are_those_of_the_guide() -> None:
+def test_columns_and_units_are_those_of_the_guide() -> None:
     from documents import PAGES, rows_below
 
-    told = 0
-    for names, unit, _, written in rows_below(PAGES["columns"], "| columns | unit | in | out |"):
-        for name in names.replace("`", "").replace("...", "").split(","):
-            if name.strip() and unit:
-                assert unit_of(name.strip()) == (unit if written else "")
-                told += 1
-    assert told >= 20
+    rows = rows_below(PAGES["columns"], "| columns | unit | family | what |")
+    assert [tuple(row) for row in rows] == guide_table()
+    for names, unit, *_ in rows:
+        for name in names.replace("`", "").replace(", ...", "").split(", "):
+            assert unit_of(name) == unit
     assert unit_of("note") == ""
-    own = {"s", "rad", "rad/s", "rad/s²", "N m", "N", "J", "m", "m/s", "V", "A", "W", "kg m²"}
-    assert set(UNITS.values()) == own
 
 
 # Thinning

@@ -36,7 +36,7 @@ def function_of(command: str) -> Any:
 def test_the_summaries_are_those_of_the_docstrings() -> None:
     for name in cli.COMMANDS:
         told = inspect.getdoc(function_of(name)) or ""
-        assert cli.summary(name) == told.split("\n\n")[0], name
+        assert cli.first_line(name) == told.split("\n\n")[0], name
 
 
 def test_the_list_of_commands_is_grouped_and_whole(robodyn: Run) -> None:
@@ -44,7 +44,7 @@ def test_the_list_of_commands_is_grouped_and_whole(robodyn: Run) -> None:
     assert "..." not in out.partition("States:")[2]
     shown = out.partition("States:")[2]
     for name in cli.COMMANDS:
-        words = r"\s+".join(map(re.escape, cli.summary(name).split()))
+        words = r"\s+".join(map(re.escape, cli.first_line(name).split()))
         assert re.search(rf"^  {name} +{words}$", shown, re.M)
     headings = re.findall(r"^(\w+):$", out, re.M)
     assert headings == ["Options", *cli.GROUPS]
@@ -65,7 +65,7 @@ def test_every_option_stands_once_under_its_heading(robodyn: Run, name: str) -> 
     ]
     assert sorted(told) == sorted([*known, "--help"])
     if name in ("simulate", "sweep", "trajectory"):
-        assert set(options["Options"]) <= {"--set", "--delimiter", "--help"}
+        assert set(options["Options"]) <= {"--set", "--help"}
         assert list(options)[-1] == "Output"
     if name == "simulate":
         wanted = ["Arguments", "Options", "Start", "Torques", "Control", "Integration", "Output"]
@@ -189,7 +189,10 @@ def test_rows_with_semicolons_and_decimal_commas(piece: int) -> None:
     wanted = "x,y\n" + "".join(f"{k},{k}.25\n" for k in range(300))
     assert translated(lines, ";", piece) == wanted
     assert translated('a;b\n"1\n;2";"3,5"\n', ";", piece) == 'a,b\n"1\n;2",3.5\n'
-    assert translated("a\tb\n1.5\t2,5\n", "\t", piece) == 'a,b\n1.5,"2,5"\n'
+    assert translated("a\tb\n1.5\t2,5\n", "\t", piece) == "a,b\n1.5,2.5\n"
+    assert translated("a\tb\n1,5\tx,y\n", "\t", piece) == 'a,b\n1.5,"x,y"\n'
+    assert translated("a,b;c,d\n1;2,3,4\n", ",", piece) == "a,b;c,d\n1;2,3,4\n"
+    assert translated('"a;b;c",d\n1,2\n', ",", piece) == '"a;b;c",d\n1,2\n'
 
 
 def translated(text: str, mark: str, piece: int) -> str:
@@ -197,8 +200,10 @@ def translated(text: str, mark: str, piece: int) -> str:
         def read1(self, size: int | None = -1) -> bytes:
             return self.read(piece)
 
-    stream = Delimited(Slow(text.encode()), mark)
-    return b"".join(iter(stream.read1, b"")).decode()
+    stream = Delimited(Slow(text.encode()))
+    found = b"".join(iter(stream.read1, b"")).decode()
+    assert stream._mark == mark.encode()
+    return found
 
 
 LINES = [
@@ -220,7 +225,7 @@ LINES = [
 
 
 @pytest.mark.parametrize("line", LINES)
-def test_every_command_that_reads_rows_takes_a_delimiter(
+def test_every_command_that_reads_rows_takes_semicolons(
     robodyn: Run, tmp_path: Path, line: str
 ) -> None:
     with_commas, other = tmp_path / "a.csv", tmp_path / "b.csv"
@@ -229,20 +234,18 @@ def test_every_command_that_reads_rows_takes_a_delimiter(
     with_commas.write_text(robodyn("torque", "robots/2r.yaml", "-", stdin=states).succeeds().out)
     other.write_text(with_commas.read_text().replace(",", ";").replace(".", ","))
     told = []
-    for file, more in ((with_commas, []), (other, ["--delimiter", ";"])):
-        words = line.format(file, tmp_path / "film").split()
-        command = robodyn(*words, *more)
+    for file in (with_commas, other):
+        command = robodyn(*line.format(file, tmp_path / "film").split())
         told.append((command.code, command.out, re.sub(r"[ab]\.csv|[\d.e-]+ s\n", "", command.err)))
     assert told[0] == told[1]
     assert told[0][0] == 0, told[0]
-    robodyn(*line.format(other, tmp_path / "film").split()).fails(2, "give --delimiter ';'")
 
 
 def test_a_tab_as_delimiter(robodyn: Run, tmp_path: Path) -> None:
     rows = tmp_path / "rows.csv"
-    rows.write_text("q1\tq2\n1\t2\n")
-    given = robodyn("torque", "robots/2r.yaml", rows, "--delimiter", "tab")
-    assert given.succeeds().out.startswith("q1,q2,tau1")
+    rows.write_text("q1\tq2\n1,5\t2\n")
+    given = robodyn("torque", "robots/2r.yaml", rows)
+    assert given.succeeds().out.startswith("q1,q2,tau1,tau2\n1.5,2,")
 
 
 def test_an_unknown_key_gets_the_nearest_name(robodyn: Run, tmp_path: Path) -> None:

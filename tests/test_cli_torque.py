@@ -489,8 +489,7 @@ def test_a_change_point_in_a_batch(robodyn: Run) -> None:
     first, _, singular, last = failed.rows
     assert last == first
     assert singular == dict.fromkeys(first, "") | {"q1": "0"}
-    ends = robodyn("torque", "robots/parallelogram.yaml", "-", "--extremes", stdin=stdin)
-    of_q1, of_torque, *_ = ends.fails(1, "stdin: line 4: ").rows
+    of_torque, *_, of_q1 = robodyn("summary", "-", stdin=failed.out).rows
     assert (of_q1["min"], of_torque["column"]) == ("0.0", "tau1")
     assert float(of_torque["min"]) == min(float(row["tau1"]) for row in failed.rows if row["tau1"])
     whole = ("torque", "robots/parallelogram.yaml", "-", "--fluctuation", "0.1")
@@ -500,15 +499,15 @@ def test_a_change_point_in_a_batch(robodyn: Run) -> None:
 def test_too_few_actuators_name_the_free_joint(robodyn: Run, scene: Callable[[str], Path]) -> None:
     links = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 1}, {name: b, m: 2, l: 1, r: 0.4, I: 2}]\n"
     path = scene(links + "actuated: [a]\n")
-    told = str(path), "residual2 = 2.32 N m: must be 0, as joint b is free", "--residual"
+    told = str(path), "residual2 = 2.32 N m: must be 0, as joint b is free", "--columns"
     failed = robodyn("torque", path, "--q", "1,0", "--qd", "0,0", "--qdd", "0,1").fails(1, *told)
     assert failed.out == ""
     rows = "q1,q2,qdd1,qdd2\n1,0,0,0\n1,0,0,1\n"
     failed = robodyn("torque", path, "-", stdin=rows).fails(1, "line 3", *told)
     assert [row["tau1"] for row in failed.rows] == ["0.0"]
     # M22 = 2 + 2*0.4^2, M12 = M22 + 2*0.4
-    found = robodyn("torque", path, "-", "--residual", "--power", stdin=rows).succeeds()
-    assert found.out.splitlines()[0] == "q1,q2,qdd1,qdd2,tau1,residual2,power1"
+    found = robodyn("torque", path, "-", "--columns", "q1,tau,residual,power", stdin=rows)
+    assert found.succeeds().out.splitlines()[0] == "q1,tau1,residual2,power1"
     assert found.column("tau1") == pytest.approx([0.0, 3.12], rel=1e-15)
     assert found.column("residual2") == pytest.approx([0.0, 2.32], rel=1e-15)
 
@@ -520,7 +519,8 @@ def test_a_motion_that_simulate_wrote_of_fewer_actuators_than_freedoms(robodyn: 
     found = robodyn("torque", "robots/cart-pole.yaml", "-", stdin=motion).succeeds()
     assert "residual2" not in found.out
     assert found.column("tau1") == pytest.approx([1.0] * len(found.rows), rel=1e-14)
-    found = robodyn("torque", "robots/cart-pole.yaml", "-", "--residual", stdin=motion).succeeds()
+    chosen = ("--columns", "t,residual2")
+    found = robodyn("torque", "robots/cart-pole.yaml", "-", *chosen, stdin=motion).succeeds()
     assert len(found.rows) == 1001
     assert np.abs(found.column("residual2")).max() < 1e-15
     # the pole's own equation, 0.025 + 0.1/12 kg m^2: 1e-6 rad/s^2 more are refused
@@ -545,12 +545,6 @@ def test_motors_of_fewer_actuators_than_freedoms(
     found = robodyn("torque", path, "-", stdin=motion).succeeds()
     volts = [6 * math.sin(3 * t) for t in found.column("t")]
     assert found.column("volt1") == pytest.approx(volts, abs=1e-12)
-
-
-def test_residuals_need_a_free_joint(robodyn: Run) -> None:
-    told = "--residual", "no joint is free"
-    robodyn("torque", "robots/2r.yaml", "--q", "1,1", "--residual").fails(2, *told)
-    robodyn("torque", "robots/four-bar.yaml", "--q", "1", "--residual").fails(2, *told)
 
 
 def test_too_many_actuators_get_the_least_torque_and_a_warning(

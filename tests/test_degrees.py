@@ -18,8 +18,8 @@ LINES = [
     ("accel robots/rp-arm.yaml -", ROWS),
     ("energy robots/rp-arm.yaml -", ROWS),
     ("reactions robots/rp-arm.yaml -", ROWS),
-    ("points robots/rp-arm.yaml - --links", ROWS),
-    ("points robots/four-bar.yaml --q 60deg --qd 5 --links --transmission", ""),
+    ("points robots/rp-arm.yaml - --columns note,q1,points,links", ROWS),
+    ("points robots/four-bar.yaml --q 60deg --qd 5 --columns links,transmission", ""),
     ("trajectory robots/rp-arm.yaml --from 0,0.1 --to 1,0.2 --time 1 --points 4", ""),
     ("simulate robots/rp-arm.yaml --q 1,0.2 --time 0.2 --points 4 --quiet", ""),
     ("equilibrium robots/2r.yaml --all", ""),
@@ -61,7 +61,7 @@ def test_tables_json_and_extremes(robodyn: Run) -> None:
     line = "trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time 1 --points 3 --degrees"
     assert "q1_deg [°]" in robodyn(*line.split(), "--format", "table").out
     assert robodyn(*line.split(), "--format", "json").json[2]["q2_deg"] == 45.0
-    (row, *_) = robodyn(*line.split(), "--extremes").rows
+    (row, *_) = robodyn("summary", "-", stdin=robodyn(*line.split()).out).rows
     assert (row["column"], row["max"], row["max_q1_deg"]) == ("q1_deg", "90.0", "90.0")
     line = "torque robots/four-bar.yaml - --fluctuation 0.1 --degrees"
     robodyn(*line.split(), stdin="q1\n0\n").fails(2, "--degrees", "exclude")

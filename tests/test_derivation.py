@@ -397,5 +397,5 @@ def test_the_text_of_velocities() -> None:
 
 
 def test_a_zero_along_a_turned_weld_has_no_steps() -> None:
-    with pytest.raises(InputError, match="q4 counts from the x axis of a weld"):
+    with pytest.raises(InputError, match="hangs from a weld"):
         steps_of(load(ROBOTS / "bell-crank.yaml"))

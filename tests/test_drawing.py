@@ -15,10 +15,10 @@ import oracles
 import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
 from robodyn.dynamics import dynamics
+from robodyn.dynamics.named_points import named_points
 from robodyn.elements.loads import Force as LoadForce
 from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.errors import AssemblyError, InputError
-from robodyn.kinematics.named_points import named_points
 from robodyn.loops.assembly import first_pose
 from robodyn.mechanics import mechanism
 from robodyn.mechanics.mechanism import build

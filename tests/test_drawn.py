@@ -20,8 +20,8 @@ from robodyn.dynamics.closed_form import (
     gravity_vector,
     mass_matrix,
 )
+from robodyn.dynamics.named_points import points
 from robodyn.errors import DescriptionError
-from robodyn.kinematics.named_points import points
 from robodyn.loops.assembly import assemble
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism, build

@@ -31,7 +31,7 @@ WORDS = {
     "torque": "{rows}",
     "accel": "{rows}",
     "reactions": "{rows}",
-    "points": "{rows} --links",
+    "points": "{rows} --columns points,links",
     "assemble": "{pose}",
     "terms": "{pose}",
     "energy": "{rows}",

@@ -1,4 +1,4 @@
-"""Extremes in place of rows, against numpy on whole tables."""
+"""`robodyn summary`: extremes in place of rows, against numpy on whole tables."""
 
 from __future__ import annotations
 
@@ -52,10 +52,18 @@ def known(rows: list[dict[str, str]]) -> dict[str, list[float | None]]:
     return told
 
 
+def told_of(robodyn: Run, *command: object, stdin: str = "", **options: str) -> Outcome:
+    """The summary of a command's rows, with its own options."""
+    rows = robodyn(*command, stdin=stdin).succeeds().out
+    more = [word for name, value in options.items() for word in (f"--{name}", value)]
+    return robodyn("summary", *more, stdin=rows)
+
+
 def assert_tells(found: list[dict[str, object]], rows: list[dict[str, str]]) -> None:
     """Ends and where they are to the last digit, mean and rms to rounding."""
     expected = known(rows)
-    assert [line["column"] for line in found] == list(expected)
+    assert {line["column"] for line in found} == set(expected)
+    assert len(found) == len(expected)
     for line in found:
         assert tuple(line) == EXTREMES
         values = [None if x in ("", None) else float(str(x)) for x in list(line.values())[1:]]
@@ -77,7 +85,7 @@ def table(seed: int, count: int) -> str:
         x = (10.0 ** rng.uniform(-9, 2, 8) * rng.choice([-1, 1], 8)).tolist()
         write = [repr, "{:.3e}".format, "{:.6f}".format][k * 3 // count]
         quoted = f'"{x[3]!r}"' if k % 5 == 1 else repr(x[3])
-        gap = "" if k == count - 2 else repr(x[7])  # of numbers, but for one row
+        gap = "open" if k == count - 2 else repr(x[7])  # of numbers, but for one row
         text = [repr(k * 0.1), write(x[0]), '"u, ""v"""', write(x[1]), quoted, "tau", x[5], x[6]]
         lines.append(",".join(map(str, [*text, gap])))
     return "\n".join(lines) + "\n"
@@ -90,7 +98,7 @@ def test_of_random_tables(robodyn: Run, command: str, seed: int, count: int) -> 
     if command == "reactions":
         given = given.replace("tau1", "effort")
     rows = robodyn(command, ARM, "-", stdin=given).rows
-    told = robodyn(command, ARM, "-", "--extremes", stdin=given)
+    told = told_of(robodyn, command, ARM, "-", stdin=given)
     assert_tells([dict(x) for x in told.rows], rows)
     names = [row["column"] for row in told.rows]
     assert "note" not in names
@@ -102,17 +110,17 @@ def test_of_random_tables(robodyn: Run, command: str, seed: int, count: int) -> 
 def test_as_json_and_as_a_table(robodyn: Run, tmp_path: Path) -> None:
     given = table(5, 30)
     rows = robodyn("torque", ARM, "-", stdin=given).rows
-    as_json = robodyn("torque", ARM, "-", "--extremes", "--format", "json", stdin=given).json
+    as_json = told_of(robodyn, "torque", ARM, "-", stdin=given, format="json").json
     assert isinstance(as_json, list)
     assert_tells(as_json, rows)
-    seen = robodyn("torque", ARM, "-", "--extremes", "--format", "table", stdin=given).out
+    seen = told_of(robodyn, "torque", ARM, "-", stdin=given, format="table", model=ARM).out
     lines = [line.split("  ") for line in seen.splitlines() if line.strip()]
     heads = [x.strip() for x in lines[0] if x.strip()]
     assert heads[:4] == ["column", "min", "min_t [s]", "min_q1 [rad]"]
     (tau,) = ([x.strip() for x in line if x.strip()] for line in lines if "tau2 [N m]" in line)
     assert tau[1:] == [f"{x:.6g}" for x in known(rows)["tau2"] if x is not None]
     path = tmp_path / "extremes.csv"
-    robodyn("torque", ARM, "-", "--extremes", "-o", path, stdin=given)
+    told_of(robodyn, "torque", ARM, "-", stdin=given, out=str(path)).succeeds()
     assert_tells([dict(x) for x in csv.DictReader(io.StringIO(path.read_text()))], rows)
 
 
@@ -122,7 +130,7 @@ def test_as_json_and_as_a_table(robodyn: Run, tmp_path: Path) -> None:
         "trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 91",
         "simulate robots/four-bar.yaml --q 60deg --time 0.5 --quiet",
         "accel robots/2r.yaml --q 1,2 --tau 3,4",
-        "torque robots/2r.yaml --q 1,2 --power",
+        "torque robots/2r.yaml --q 1,2 --columns tau,power",
         "points robots/2r.yaml --q 1,2 --qd 3,4",
         "assemble robots/five-bar.yaml --q 2,1 --qd 3,4",
         "assemble robots/five-bar.yaml --q 2,1 --range",
@@ -131,7 +139,7 @@ def test_as_json_and_as_a_table(robodyn: Run, tmp_path: Path) -> None:
 )
 def test_of_what_has_no_input(robodyn: Run, command: str) -> None:
     rows = robodyn(*command.split()).succeeds().rows
-    told = robodyn(*command.split(), "--extremes")
+    told = told_of(robodyn, *command.split())
     assert (told.code, told.err) == (0, "" if len(rows) == 1 or "t" in rows[0] else EQUALLY)
     assert_tells([dict(x) for x in told.rows], rows)
 
@@ -145,7 +153,7 @@ def test_a_closed_turn_counts_its_first_row_once(
     path = scene(f"links: [{', '.join(links)}]\nclosures: [[rod, rocker]]\n")
     given = ("trajectory", path, "--speed", "60rpm", "--turns", 1, "--points", 361)
     rates = np.array(robodyn(*given).succeeds().column("qd3"))
-    rows = robodyn(*given, "--extremes").succeeds().rows
+    rows = told_of(robodyn, *given).succeeds().rows
     told = next(row for row in rows if row["column"] == "qd3")
     assert float(told["mean"]) == pytest.approx(0.0, abs=1e-13)
     assert float(told["rms"]) == pytest.approx(np.sqrt(np.mean(rates[:-1] ** 2)), rel=1e-13)
@@ -155,27 +163,36 @@ def test_a_closed_turn_counts_its_first_row_once(
 @pytest.mark.parametrize("t", [(0, 1, 0, 1), (1, 1, 1, 1)])
 def test_rows_of_several_runs_count_equally(robodyn: Run, t: tuple[int, ...]) -> None:
     given = "t,q1,q2,qd1,qd2\n" + "".join(f"{x},{k * k},0,0,0\n" for k, x in enumerate(t))
-    told = robodyn("energy", ARM, "-", "--extremes", stdin=given)
+    told = told_of(robodyn, "energy", ARM, "-", stdin=given)
     assert told.code == 0
     assert told.err == "Note: t does not rise: rows count equally in mean and rms\n"
-    assert told.rows[0]["mean"] == "3.5"
-    assert float(told.rows[0]["rms"]) == pytest.approx(math.sqrt(98 / 4))
+    (row,) = (row for row in told.rows if row["column"] == "q1")
+    assert row["mean"] == "3.5"
+    assert float(row["rms"]) == pytest.approx(math.sqrt(98 / 4))
 
 
 def test_times_need_not_be_even_and_may_repeat(robodyn: Run) -> None:
     """At an impact two rows have one time: 1 for 3 s, then 5 for 1 s."""
     given = "t,q1,q2,qd1,qd2\n" + "".join(f"{x},0,0,0\n" for x in ("0,1", "3,1", "3,5", "4,5"))
-    row = robodyn("energy", ARM, "-", "--extremes", stdin=given).succeeds().rows[0]
+    told = told_of(robodyn, "energy", ARM, "-", stdin=given).succeeds().rows
+    (row,) = (row for row in told if row["column"] == "q1")
     assert (float(row["mean"]), float(row["rms"])) == (2.0, math.sqrt(7.0))
 
 
-def test_every_command_that_writes_rows_of_numbers_tells_them() -> None:
-    others = {"terms", "linearize", "check", "identify", "fit", "equations", "export"}
-    others |= {"plot", "draw", "animate", "guide"}
-    for name in set(cli.COMMANDS) - others - {"init", "schema"}:
+def test_commands_of_rows_choose_their_columns() -> None:
+    others = {"terms", "linearize", "check", "identify", "equations", "export", "bench"}
+    others |= {"plot", "draw", "animate", "guide", "init", "schema", "summary"}
+    for name in set(cli.COMMANDS) - others:
         group: Any = typer.main.get_command(cli._application([name]))
         told = {text for parameter in group.commands[name].params for text in parameter.opts}
-        assert "--extremes" in told, name
+        assert "--columns" in told, name
+
+
+def test_computed_columns_come_first(robodyn: Run) -> None:
+    given = "note,x,qd1,q1,q2,qd2\na,1,2,3,4,5\n"
+    told = told_of(robodyn, "energy", ARM, "-", stdin=given).succeeds()
+    names = [row["column"] for row in told.rows]
+    assert names == ["KE", "PE", "energy", "x", "qd1", "q1", "q2", "qd2"]
 
 
 def test_a_text_is_no_value_of_a_computed_column() -> None:
@@ -192,28 +209,21 @@ def test_a_text_is_no_value_of_a_computed_column() -> None:
 
 
 def test_where_there_is_no_t_fields_are_empty(robodyn: Run) -> None:
-    one = ("torque", "robots/pendulum.yaml", "--q", "1", "--extremes")
-    (line,) = csv.reader(robodyn(*one).succeeds().out.splitlines()[1:])
+    one = ("torque", "robots/pendulum.yaml", "--q", "1")
+    (line,) = csv.reader(told_of(robodyn, *one).succeeds().out.splitlines()[1:])
     assert line[2:4] == ["", ""]
     assert line[1] == line[4] == line[7] == line[8]
-    (row,) = json.loads(robodyn(*one, "--format", "json").succeeds().out)
+    (row,) = json.loads(told_of(robodyn, *one, format="json").succeeds().out)
     assert row["min_t"] is None
     assert row["max_q1"] is None
 
 
 def test_numbers_of_every_size(robodyn: Run) -> None:
     huge = "q1,q2,x,y\n1,2,1.5e308,5e-324\n1,3,1.6e308,5e-324\n"
-    told = robodyn("torque", ARM, "-", "--extremes", stdin=huge).rows
+    told = told_of(robodyn, "torque", ARM, "-", stdin=huge).rows
     by = {row["column"]: [float(row[x]) for x in ("mean", "rms")] for row in told}
     assert by["x"] == pytest.approx([1.55e308, math.sqrt(2.405) * 1e308], rel=1e-15)
     assert by["y"] == [5e-324, 5e-324]
-
-
-def test_a_run_that_does_not_finish_tells_of_what_it_has(robodyn: Run) -> None:
-    run = ["simulate", "robots/2r.yaml", "--q", "0,0", "--quiet", "--max-evals", "200"]
-    rows = robodyn(*run).fails(1).rows
-    assert len(rows) > 1
-    assert_tells([dict(x) for x in robodyn(*run, "--extremes").fails(1).rows], rows)
 
 
 def test_memory_is_that_of_a_chunk() -> None:
@@ -254,8 +264,8 @@ def test_a_sweep_whose_points_have_not_all_a_value(robodyn: Run) -> None:
     """Of columns with empty fields the rows that have one count."""
     given = ("sweep", ARM, "--vary", "q1=0:2:5", "--time", 0.8, "--result", "flip", "--quiet")
     rows = list(csv.DictReader(io.StringIO(robodyn(*given).succeeds().out)))
-    told = {row["column"]: row for row in robodyn(*given, "--extremes").fails(0, EQUALLY).rows}
-    assert list(told) == ["q1", "flip"]
+    told = {row["column"]: row for row in told_of(robodyn, *given).fails(0, EQUALLY).rows}
+    assert list(told) == ["flip", "q1"]
     there = [(float(row["flip"]), float(row["q1"])) for row in rows if row["flip"]]
     assert 0 < len(there) < len(rows)
     found = [float(told["flip"][x]) for x in ("min", "min_q1", "max", "max_q1", "mean")]
@@ -265,5 +275,5 @@ def test_a_sweep_whose_points_have_not_all_a_value(robodyn: Run) -> None:
 
 def test_a_sweep_whose_points_have_no_value(robodyn: Run) -> None:
     given = ("sweep", ARM, "--vary", "q1=0:2:3", "--time", 0.01, "--result", "flip", "--quiet")
-    row = robodyn(*given, "--extremes").fails(0, EQUALLY).rows[1]
+    row = told_of(robodyn, *given).fails(0, EQUALLY).rows[0]
     assert row == {"column": "flip"} | dict.fromkeys(EXTREMES[1:], "")

@@ -16,21 +16,13 @@ from named_case import case
 
 import robodyn
 from robodyn.dynamics import identities
-from robodyn.dynamics.dynamics import loop_forces
+from robodyn.dynamics.columns import TORQUE, column_names
 from robodyn.dynamics.named_numbers import named_values
-from robodyn.dynamics.state_columns import jacobian_columns, jacobian_values
+from robodyn.dynamics.named_points import link_turns, named_points
+from robodyn.dynamics.state import State
 from robodyn.errors import DescriptionError, InputError, RobodynError
-from robodyn.kinematics.named_points import link_turns, named_points
-from robodyn.kinematics.transmission import (
-    rate_ratios,
-    ratio_named,
-    transmission_angles,
-    transmission_loops,
-)
 from robodyn.loops.assembly_plan import assembly_plan
-from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import build, load
-from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.parameters import motion_fit
 from robodyn.parameters.base_parameters import random_states
 from robodyn.parameters.column_formulas import ColumnFormulas, LaneStates, Rows
@@ -103,7 +95,7 @@ def names_of(mech):
     parts = ("x", "y", "vx", "vy", "ax", "ay")
     names = [f"tip{k + 1}_{part}" for k in range(mech.n) for part in parts]
     names += [f"{kind}{k + 1}" for kind in ("tau", "power") for k in mech.actuated]
-    names += [x for x in loop_columns(mech) if x.startswith("f")]
+    names += column_names(mech, ["pins"])
     names += [f"r{axis}{k + 1}" for k in range(mech.n) for axis in "xy"]
     return [*names, "shake_fx", "shake_fy"]
 
@@ -162,34 +154,16 @@ def test_every_column_of_the_examples(path) -> None:
         return
     given = identities.sample_states(mech, 2).q[:, list(mech.actuated)]
     qd, qdd = rng.normal(size=(2, *given.shape))
-    loops = transmission_loops(mech)
-    columns = [f"tau{k + 1}" for k in mech.actuated] + loop_columns(mech) + motor_columns(mech)
-    columns += [f"r{axis}{k + 1}" for k in range(mech.n) for axis in "xy"]
-    columns += [f"rm{k + 1}" for k in mech.slides] + ["shake_fx", "shake_fy", "shake_m"]
-    columns += [f"transmission{c + 1}" for c in loops]
+    forces = ["reactions", "slide_moments", "shaking", "transmission", "jacobian"]
+    columns = column_names(mech, [*TORQUE, *forces], named_points(mech))
     ratios = [f"{x}/{mech.link_names[0]}" for x in mech.link_names[1:]]
-    columns += [*jacobian_columns(mech, named_points(mech)), *ratios]
+    columns += ratios
 
     def shown(mech):
         q = robodyn.assemble(mech, given)
         rates = robodyn.loop_velocities(mech, q, qd)
         state = q, rates, robodyn.loop_accelerations(mech, q, rates, qdd)
-        tau, multipliers, _ = robodyn.inverse_dynamics_and_forces(mech, *state)
-        joints = [list(np.moveaxis(x, -1, 0)) for x in (tau, rates)]
-        parts = [
-            tau[:, list(mech.actuated)],
-            loop_forces(mech, multipliers, q),
-            *(x[:, None] for x in motor_values(mech, *joints)),
-            robodyn.reactions(mech, *state, multipliers).reshape(len(q), -1),
-            robodyn.slide_moments(mech, *state, multipliers),
-            robodyn.shaking_force(mech, *state),
-        ]
-        if loops:
-            parts.append(transmission_angles(mech, list(transmission_loops(mech).values()), q))
-        parts.append(jacobian_values(mech, named_points(mech), q))
-        if ratios:
-            parts.append(rate_ratios(mech, [ratio_named(mech, x) for x in ratios], q, rates))
-        return np.concatenate(parts, axis=-1)
+        return State(mech, *state).columns(columns)
 
     values = named_values(mech)
     for name in rng.permutation(values.names).tolist():
@@ -432,7 +406,7 @@ def test_a_condition_in_columns_holds_at_every_row() -> None:
     "name", ["slider-crank", "whitworth", "hydraulic-boom", "rp-arm", "hoeken"]
 )
 def test_turns_of_links_are_columns(name: str) -> None:
-    """angle, w and wd are those of `points --links`; their slopes are differences."""
+    """angle, w and wd are those of `points --columns links`; their slopes are differences."""
     mech = load(ROOT / f"robots/{name}.yaml")
     number = "links[1].l"
     columns = [f"{x}{k + 1}" for k in range(mech.n) for x in ("angle", "w", "wd")]

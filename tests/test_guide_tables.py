@@ -38,7 +38,7 @@ def test_the_commands_are_those_of_the_readme() -> None:
     assert sorted(row[0].strip("`") for row in rows) == sorted(map(usage, COMMANDS))
     for command, computes, writes in rows:
         name = command.split()[1].strip("`")
-        assert re.match(rf"{re.escape(computes)}(?!\w)", cli.summary(name)), name
+        assert re.match(rf"{re.escape(computes)}(?!\w)", cli.first_line(name)), name
         formats = next((x.type for x in COMMANDS[name].params if "--format" in x.opts), None)
         choices = set(getattr(formats, "choices", []))
         assert (choices == {"table", "json"}) == (writes == "parts"), name
@@ -52,7 +52,7 @@ def test_options_of_the_guide_exist(name: str) -> None:
     options = {x for each in COMMANDS.values() for parameter in each.params for x in parameter.opts}
     options |= {"--debug", "--help", "--version", "--install-completion", "--show-completion"}
     text = re.sub(r"^```.*?^```$", "", DOCUMENTS[name], flags=re.MULTILINE | re.DOTALL)
-    options |= {"--ascii"} if name == "changes" else set()  # which was removed
+    options |= cli.REMOVED_OPTIONS.keys() if name == "changes" else set()
     assert set(re.findall(r"(?<![\w-])--[a-z][\w-]*", text)) <= options
 
 

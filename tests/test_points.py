@@ -13,19 +13,19 @@ from mpmath import mp, mpc, mpf
 import oracles
 import robodyn as rd
 from random_mechanisms import LOOPS, Scene, mechanism, seeded_scene, seeded_tree, sliding
-from robodyn.errors import InputError
-from robodyn.kinematics.named_points import (
+from robodyn.dynamics.named_points import (
     link_turns,
     named_points,
     point_jacobian,
     unit_rates,
 )
-from robodyn.kinematics.transmission import (
+from robodyn.dynamics.transmission import (
     rate_ratios,
     ratio_named,
     transmission_angles,
     transmission_loops,
 )
+from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.joint_ranges import joint_ranges
 
@@ -397,7 +397,7 @@ def test_joints_outside_of_loops_turn_and_slide_freely(robodyn: Run) -> None:
 
 def test_everything_at_once(robodyn: Run) -> None:
     state = ("--q", "60deg", "--qd", 5, "--qdd", 2)
-    options = ("--links", "--transmission", "--ratio", "rocker/crank", "--jacobian")
+    options = ("--columns", "points,links,transmission,rocker/crank,jacobian")
     row = robodyn("points", BAR, *state, "--of", "rocker", *options).succeeds().row
     mech = rd.load(ROOT / BAR)
     q = rd.assemble(mech, [math.pi / 3])
@@ -411,7 +411,9 @@ def test_everything_at_once(robodyn: Run) -> None:
 
 
 def test_units_on_a_terminal(robodyn: Run) -> None:
-    out = robodyn("points", BAR, "--q", 1, "--of", "P=tip1", "--links", "--format", "table").out
+    out = robodyn(
+        "points", BAR, "--q", 1, "--of", "P=tip1", "--columns", "points,links", "--format", "table"
+    ).out
     for part in (
         "P_x [m]",
         "P_vy [m/s]",
@@ -426,21 +428,21 @@ def test_units_on_a_terminal(robodyn: Run) -> None:
 def test_a_ratio_is_empty_where_the_divisor_stands_still(robodyn: Run) -> None:
     """The rod of a slider-crank with the crank across its line: at a quarter of a turn."""
     turn = ("trajectory", "slider-crank", "--turns", 1, "--speed", "60rpm", "--points", 5)
-    points = ("points", "slider-crank", "-", "--of", "tip2", "--ratio")
+    points = ("points", "slider-crank", "-", "--columns")
     rows = robodyn(*turn).succeeds().out
-    found = robodyn(*points, "crank/rod", stdin=rows).succeeds()
+    found = robodyn(*points, "tip2_ax,crank/rod", stdin=rows).succeeds()
     rod = robodyn(*points, "rod/crank", stdin=rows).succeeds()
     inverse = [float(line.split(",")[-1]) for line in rod.out.splitlines()[1:]]
     cells = [line.split(",")[-1] for line in found.out.splitlines()[1:]]
     assert [cell == "" for cell in cells] == [False, True, False, True, False]
     assert float(cells[0]) == pytest.approx(1 / inverse[0], rel=1e-12)
-    told = robodyn(*points, "crank/rod", "--format", "json", stdin=rows).succeeds().json
+    told = robodyn(*points, "tip2_ax,crank/rod", "--format", "json", stdin=rows).succeeds().json
     assert [row["crank/rod"] is None for row in told] == [False, True, False, True, False]
     assert all(math.isfinite(row["tip2_ax"]) for row in told)
 
 
 def test_ratios_and_angles_that_are_not_there(robodyn: Run) -> None:
-    given = ("points", "robots/2r.yaml", "--q", "1,2", "--ratio", "forearm/upper arm")
+    given = ("points", "robots/2r.yaml", "--q", "1,2", "--columns", "q1,forearm/upper arm")
     assert robodyn(*given).succeeds().out.endswith(",\n")
     row = robodyn(*given, "--qd", "2,1").succeeds().row
     assert row["forearm/upper arm"] == 1.5

@@ -155,7 +155,8 @@ animate 2r DATA -o FOLDER/moving.html
 sweep 2r --vary q1=0:1:5 --q 0,0.2 --time 0.3
 sweep parallelogram --vary q1=0.4:0.6:2 --qd -5 --time 0.2 --result events --event a=qd1
 sweep MISS --kind torque --vary q1=0.001:0.1:7 --qd 1
-simulate 2r --q 0.3,80deg --time 0.3 --points 9 --event a=qd1 --extremes
+simulate 2r --q 0.3,80deg --time 0.3 --points 9 --event a=qd1 --columns t,power,tip2_kappa,icx2
+summary DATA
 simulate 2r --q 0.3,80deg --time 0.3 --method taylor --event a=qd1 --sensitivity q1 --points 5
 simulate 2r --q 0.3,80deg --time 2 --method taylor --points 5 --until qd1>10
 simulate four-bar --q 60deg --qd 5 --time 0.3 --accuracy 1e-8 --points 3

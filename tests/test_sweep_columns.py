@@ -120,8 +120,9 @@ def test_columns_of_loops_are_those_of_the_commands(robodyn: Run, turn: Path) ->
         numbers = [("--set", f"{x}={row[x]}") for x in ("links.coupler.m", "links.rocker.l")]
         found = {}
         for line in (
-            ("reactions",), ("energy",), ("torque", "--power"),
-            ("points", "--of", "P=coupler@0.5,0.2", "--of", "tip2", "--links", "--transmission"),
+            ("reactions",), ("energy",), ("torque", "--columns", "t,tau,power"),
+            ("points", "--of", "P=coupler@0.5,0.2", "--of", "tip2"),
+            ("points", "--columns", "links,transmission"),
         ):  # fmt: skip
             out = robodyn(line[0], BAR, path, *line[1:], *sum(numbers, ())).succeeds().out
             found |= columns(out)
@@ -136,7 +137,7 @@ def test_ratios_and_jacobians_are_columns(robodyn: Run, turn: Path) -> None:
     result = ",".join(f"max({name})" for name in names)
     given = ["--kind", "torque", "--track", turn, *of, "--result", result, "--quiet"]
     swept = robodyn("sweep", BAR, *given, "--vary", "links.rocker.m=1,2").out.splitlines()
-    more = ["--ratio", "rocker/crank", "--jacobian", "--links"]
+    more = ["--columns", "rocker/crank,jacobian,links"]
     rows = columns(robodyn("points", BAR, turn, *of, *more).out)
     for line in swept[1:]:
         assert line.endswith(",finished")
@@ -310,8 +311,8 @@ def test_correlations_are_scipys(robodyn: Run, turn: Path) -> None:
         "--result", "max(tau1),rms(shake_fx),last(tip2_y)",
     )  # fmt: skip
     rows = robodyn(*line).succeeds()
-    told = robodyn(*line, "--correlations").succeeds()
     varied = ["links.coupler.m", "links.rocker.l", "links.crank.m"]
+    told = robodyn("summary", "-", "--correlations", ",".join(varied), stdin=rows.out).succeeds()
     assert told.out.splitlines()[0] == ",".join(["column", *varied])
     for row in told.rows:
         for name in varied:
@@ -326,7 +327,9 @@ def test_a_sample_tells_what_matters_most_beside_its_rows(
     vary = ["--vary", "links.coupler.m=1.2:1.4", "--vary", "links.crank.I=0.008:0.0081"]
     given = ["--kind", "torque", "--track", turn, *vary, "--sample", 20, "--result", "max(tau1)"]
     done = robodyn("sweep", BAR, *given, "-o", tmp_path / "rows.csv")
-    table = robodyn("sweep", BAR, *given, "--correlations", "--quiet").out.splitlines()[1]
+    rows = robodyn("sweep", BAR, *given, "--quiet").out
+    names = "links.coupler.m,links.crank.I"
+    table = robodyn("summary", "-", "--correlations", names, stdin=rows).out.splitlines()[1]
     first, second = (float(x) for x in table.split(",")[1:])
     told = f"max(tau1) goes with links.coupler.m {first:.2f}, links.crank.I {second:.2f} (rank"
     assert told in done.err
@@ -337,12 +340,13 @@ def test_a_sample_tells_what_matters_most_beside_its_rows(
 def test_correlations_skip_what_has_no_result(robodyn: Run) -> None:
     line = ("sweep", BAR, "--kind", "torque", "--vary", "links.crank.l=0.3,0.35,1.2,0.32")
     line += ("--q", 3, "--qd", 5, "--result", "shake_fx,qd1")
-    told = robodyn(*line, "--correlations", "--quiet")
+    ranked = ("summary", "-", "--correlations", "links.crank.l")
+    told = robodyn(*ranked, stdin=robodyn(*line, "--quiet").out)
     assert abs(float(told.succeeds().rows[0]["links.crank.l"])) == 1.0
     assert told.rows[1]["links.crank.l"] == ""  # constant
     every = robodyn("sweep", BAR, "--kind", "torque", "--vary", "links.crank.l=1.2", "--q", 3,
-                    "--correlations", "--quiet")  # fmt: skip
-    assert {row["links.crank.l"] for row in every.succeeds().rows} == {""}
+                    "--quiet")  # fmt: skip
+    assert not robodyn(*ranked, stdin=every.succeeds().out).succeeds().rows
 
 
 # What is refused

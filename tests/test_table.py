@@ -12,6 +12,7 @@ import json
 import math
 import os
 import random
+import signal
 import stat
 import struct
 import sys
@@ -29,9 +30,9 @@ from hypothesis import strategies as st
 from named_case import case
 
 from robodyn.errors import InputError, RobodynError
+from robodyn.tables import numbers
 from robodyn.tables.output_file import open_output
-from robodyn.tables.shortest import MOST, PIECE, decimals, shortest
-from robodyn.tables.table import FEW, LONGEST_ROW, READ_BYTES, Chunk, Reader
+from robodyn.tables.table import LONGEST_ROW, READ_BYTES, Chunk, Reader
 from robodyn.tables.table_writer import WRITERS, JsonWriter, Writer
 
 
@@ -758,111 +759,140 @@ def halfway(x: float) -> str:
     return format((Decimal(x) + Decimal(math.nextafter(x, math.inf))) / 2, "f")
 
 
-OTHER_LINES_ARE_NOT_FOR_IT = [
-    *("1", "1.0.0,2", "1.0,.", "1.0,-.", "1.-0,2.0", "1.0, 2.0", "+1.0,2.0", "--1.0,2.0"),
-    *("12345678901234567890.5,1.0", "-12345678901234567890.5,1.0", f"0.{23 * '0'}1,1.0"),
+ODD = [
+    *("1", "1.0.0,2", "1.0,.", "1.0,-.", "1.-0,2.0", "--1.0,2.0", "1.0,2.0,3.0", "1.0,"),
+    *("1.0,nan", "1.0,inf", "1.0,true", "1.0,null", "1.0,[2.0", "1.0],[2.0", "1.0,1e400"),
 ]
 
 
-class TestDecimals:
-    DIGITS = st.from_regex(r"-?[0-9]{0,12}\.[0-9]{1,9}|-?[0-9]{1,3}\.[0-9]{0,20}", fullmatch=True)
-    NEAR = st.floats(1e-3, 1e6).map(halfway)
+@pytest.fixture
+def by(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Numbers by orjson, or as if it were not installed; of however few."""
+    monkeypatch.setattr(numbers, "FEW", 0)
+    if request.param == "numpy":
+        monkeypatch.setattr(numbers, "_orjson", lambda: None)
+    else:
+        pytest.importorskip("orjson", reason="of the extra `fast`")
+    return str(request.param)
 
-    @given(st.lists(st.tuples(DIGITS, st.floats(0.01, 1e9).map(repr)), min_size=1))
-    def test_each_is_what_float_makes_of_it(self, rows: list[tuple[str, str]]) -> None:
-        found = decimals([",".join(row) for row in rows], 2, [1, 0])
-        expected = [[float(row[1]), float(row[0])] for row in rows]
-        if found is None:  # more digits than whole numbers of 62 bits have
-            assert any(len(text) > 18 for row in rows for text in row)
-        else:
+
+by_both = pytest.mark.parametrize("by", ["orjson", "numpy"], indirect=True)
+
+
+@by_both
+@pytest.mark.usefixtures("by")
+class TestReadNumbers:
+    def test_each_is_what_float_makes_of_it(self) -> None:
+        rng = random.Random(1)
+        texts = [
+            *("-0", "-0.0", "0", "-0e5", "1e5", "1E5", "1e-05", "5e-324", "1.7976931348623157e308"),
+            *("12345678901234567890", "123456789012345678901234567890", "9007199254740993"),
+            *("0.1", "-1.5707963267948966", "2.5e-310", "1e+16", "18446744073709551616.5"),
+            *(repr(rng.uniform(-3, 3)) for _ in range(2000)),
+            *(repr(struct.unpack("<d", rng.randbytes(8))[0]) for _ in range(2000)),
+            *(halfway(rng.uniform(1e-3, 1e6)) for _ in range(500)),
+            *(f"{rng.uniform(-9, 9):.{rng.randrange(20)}f}" for _ in range(2000)),
+        ]
+        texts = [text for text in texts if math.isfinite(float(text))]
+        for chosen in (texts, ["+1", *texts], [".5", "5.", "01", *texts]):
+            found = numbers.read([f"{text},1.5" for text in chosen], 2, [1, 0])
+            assert found is not None
+            expected = np.array([[1.5, float(text)] for text in chosen])
+            assert found.tobytes() == expected.tobytes()
+
+    def test_a_sign_of_zero_stays(self) -> None:
+        for text in ("-0", "1,-0", "-0,1", "-0.0", "2,-0e3"):
+            width = text.count(",") + 1
+            found = numbers.read([text] * 3, width, range(width))
+            expected = [[float(x) for x in text.split(",")]] * 3
+            assert found is not None
             assert found.tobytes() == np.array(expected).tobytes()
 
-    @given(NEAR, st.sampled_from(["", "1", "0000000001"]))
-    def test_next_to_a_tie(self, text: str, more: str) -> None:
-        text = text[: 20 - len(more)] + more
-        found = decimals([text, text + "0"], 1, [0])
-        assert found is None or found.tolist() == [[float(text)]] * 2
-        lines = f"{text}\n" * FEW
-        assert table(f"x\n{lines}".encode(), ["x"])[1].tolist() == [[float(text)]] * FEW
-
-    def test_other_lines_are_not_for_it(self) -> None:
-        for line in OTHER_LINES_ARE_NOT_FOR_IT:
-            for sound in [0, 1]:
+    def test_other_lines_are_none(self) -> None:
+        for line in ODD:
+            for sound in (0, 1):
                 with case(line, sound):
-                    assert decimals(["1.0,-2.0"] * sound + [line], 2, [0, 1]) is None
-                    assert decimals([line] + ["1.0,-2.0"] * sound, 2, [0, 1]) is None
+                    assert numbers.read(["1.0,-2.0"] * sound + [line], 2, [0, 1]) is None
+                    assert numbers.read([line] + ["1.0,-2.0"] * sound, 2, [0, 1]) is None
+        assert numbers.read(["1.0,2.0,3.0", "4.0"], 2, [0, 1]) is None
 
-    def test_a_point_too_many_in_one_field_does_not_make_up_for_another(self) -> None:
-        assert decimals(["1.0.0,2", "1,2.0.0"], 2, [0, 1]) is None
-        assert decimals(["1.0,2.0,3.0", "4.0"], 2, [0, 1]) is None
-
-    def test_numbers_with_exponents_among_others(self) -> None:
-        rows = [[1.5, 2.5], [1e-05, -0.0], [-0.0, 1e300]] * FEW
-        lines = [",".join(map(repr, row)) for row in rows]
-        values = table("\n".join(["x,y", *lines, ""]).encode(), ["x", "y"])[1]
-        assert values.tobytes() == np.array(rows).tobytes()
+    def test_text_beside_the_numbers_passes(self) -> None:
+        rows = ["a,1.5", "b c,2.5", ",3.5"]
+        found = numbers.read(rows, 2, [1])
+        assert found is not None
+        assert found.tolist() == [[1.5], [2.5], [3.5]]
 
 
-# Floats as text by numpy: the same characters as `repr`, whatever the floats are.
+@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="there is no such signal here")
+def test_a_signal_waits_for_the_end_of_an_import() -> None:
+    """An exception of its handler would end a process that imports orjson by a fault."""
+    passed = []
+
+    def raises(*_: object) -> None:
+        raise InterruptedError
+
+    before = signal.signal(signal.SIGUSR1, raises)
+    try:
+        with pytest.raises(InterruptedError), numbers._signals_wait():  # noqa: PT012
+            signal.raise_signal(signal.SIGUSR1)
+            passed.append("all of the block")
+        assert passed
+        assert signal.getsignal(signal.SIGUSR1) is raises
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+
+
+# Floats as text: the same characters as `repr`, whatever the floats are.
 
 
 RNG = np.random.default_rng(0)
 COUNT = 60_000
 
 
-def by_repr(values):
-    return "".join(",".join(map(repr, row)) + "\n" for row in values.tolist())
-
-
-def assert_same(values):
-    found, wanted = shortest(values).split("\n"), by_repr(values).split("\n")
+def assert_same(values: np.ndarray) -> None:
+    found = numbers.written(values)
+    wanted = [",".join(map(repr, row)) for row in values.tolist()]
     assert len(found) == len(wanted)
     assert [pair for pair in zip(found, wanted, strict=True) if len(set(pair)) > 1][:5] == []
 
 
-@pytest.mark.parametrize("columns", [1, 3, 12])
-def test_numbers_of_any_length(columns):
-    assert_same(RNG.uniform(-3.0, 3.0, (COUNT // columns, columns)))
+@by_both
+@pytest.mark.usefixtures("by")
+class TestWrittenNumbers:
+    @pytest.mark.parametrize("columns", [1, 3, 12])
+    def test_numbers_of_any_length(self, columns: int) -> None:
+        assert_same(RNG.uniform(-3.0, 3.0, (COUNT // columns, columns)))
 
+    def test_a_million_of_every_size(self) -> None:
+        size = 10.0 ** RNG.uniform(-12.0, 18.0, (250_000, 1))
+        assert_same(size * [1.0, -1.0])
+        bits = RNG.integers(0, 2**64, (500_000, 1), dtype=np.uint64)
+        assert_same(bits.view(float))
 
-def test_every_size():
-    size = 10.0 ** RNG.uniform(-7.0, 18.0, (COUNT, 1))
-    assert_same(size * [1.0, -1.0])
-    assert_same(RNG.integers(0, 2**64, (COUNT, 1), dtype=np.uint64).view(float))
+    def test_numbers_of_few_digits_and_their_neighbours(self) -> None:
+        for digits in range(1, 17):
+            whole = RNG.integers(-(10**digits), 10**digits, (3000, 1))
+            few = whole / 10.0 ** RNG.integers(0, digits + 3, (3000, 1))
+            assert_same(np.hstack([few, np.nextafter(few, np.inf), np.nextafter(few, -np.inf)]))
 
+    def test_binary_fractions_and_ties(self) -> None:
+        assert_same(RNG.integers(-(2**53), 2**53, (COUNT, 1)) / 2.0 ** np.arange(40, 56, 3))
+        assert_same(RNG.integers(-(10**6), 10**6, (COUNT, 1)) / 2.0 ** np.arange(0, 20, 4))
 
-def test_numbers_of_few_digits_and_their_neighbours():
-    for digits in range(1, 17):
-        whole = RNG.integers(-(10**digits), 10**digits, (3000, 1))
-        few = whole / 10.0 ** RNG.integers(0, digits + 3, (3000, 1))
-        assert_same(np.hstack([few, np.nextafter(few, np.inf), np.nextafter(few, -np.inf)]))
+    def test_powers_of_two_and_ten_and_their_neighbours(self) -> None:
+        powers = np.concatenate(
+            [2.0 ** np.arange(-1074, 1024), [float(f"1e{k}") for k in range(-30, 30)]]
+        )
+        sides = [powers, np.nextafter(powers, 0.0), np.nextafter(powers, np.inf)]
+        assert_same(np.stack([*sides, -powers], axis=-1))
 
+    def test_what_is_no_number_and_zeros(self) -> None:
+        odd = [0.0, -0.0, np.nan, np.inf, -np.inf, 5e-324, 1e16, 1e-4, 1e-10, 9e-5, 1e22]
+        assert_same(np.array([odd]))
+        assert_same(np.array(odd)[:, None])
+        assert_same(np.zeros((7, 2)))
 
-def test_binary_fractions_and_ties():
-    assert_same(RNG.integers(-(2**53), 2**53, (COUNT, 1)) / 2.0 ** np.arange(40, 56, 3))
-    assert_same(RNG.integers(-(10**6), 10**6, (COUNT, 1)) / 2.0 ** np.arange(0, 20, 4))
-
-
-def test_powers_of_two_and_ten_and_their_neighbours():
-    powers = np.concatenate(
-        [2.0 ** np.arange(-1074, 1024), [float(f"1e{k}") for k in range(-30, 30)]]
-    )
-    sides = [powers, np.nextafter(powers, 0.0), np.nextafter(powers, np.inf)]
-    assert_same(np.stack([*sides, -powers], axis=-1))
-
-
-def test_what_is_no_number_and_zeros():
-    assert_same(np.array([[0.0, -0.0, np.nan, np.inf, -np.inf, 5e-324, MOST, -MOST, 1e16, 1e-4]]))
-    assert_same(np.zeros((7, 2)))
-
-
-def test_pieces_meet():
-    for rows in (PIECE - 1, PIECE, PIECE + 1, 2 * PIECE + 1):
-        assert_same(RNG.uniform(-3.0, 3.0, (rows, 1)))
-    assert_same(RNG.uniform(-3.0, 3.0, (2, PIECE + 5)))
-
-
-def test_a_view_is_read_in_its_own_order():
-    table = RNG.uniform(-3.0, 3.0, (40, 30))
-    assert_same(table.T)
-    assert_same(table[::-2, 3::4])
+    def test_a_view_is_read_in_its_own_order(self) -> None:
+        table = RNG.uniform(-3.0, 3.0, (40, 30))
+        assert_same(table.T)
+        assert_same(table[::-2, 3::4])

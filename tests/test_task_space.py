@@ -14,8 +14,8 @@ from mpmath import mp
 
 import robodyn as api
 from random_mechanisms import seeded_tree
+from robodyn.dynamics.named_points import named_points, point_jacobian
 from robodyn.errors import AssemblyError, InputError, SingularError
-from robodyn.kinematics.named_points import named_points, point_jacobian
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 from robodyn.trajectories.task_space import arc, length_until, spline_curve

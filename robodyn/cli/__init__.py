@@ -35,7 +35,7 @@ USAGE_ERROR: Any = BadParameter.__base__  # click's, of which typer has its own
 GROUPS = {
     "States": "torque accel reactions points assemble terms energy",
     "Motions": "simulate trajectory sweep bench",
-    "Analysis": "equilibrium linearize regressor identify fit equations",
+    "Analysis": "summary equilibrium linearize regressor identify fit equations",
     "Pictures": "plot draw animate",
     "Scenes": "init check schema export guide",
 }
@@ -46,7 +46,7 @@ _TELLING += "equilibrium linearize regressor identify fit"
 TELL_ANGLES = frozenset(_TELLING.split())
 
 _OUTPUT = (
-    "--every --points --sensitivity --event --events --differentiate --unwrap --extremes --degrees "
+    "--every --points --sensitivity --event --events --differentiate --unwrap --columns --degrees "
     "--quiet --report --size --dpi --format --out"
 )
 _CONTROL = "--control --track --unwrap --hold --kp --kd --ki --gain --at --tau-max --control-rate "
@@ -65,9 +65,9 @@ _OPTIONS = {
         "Start and torques": "--kind --q --qd --qdd --tau",
         "Control": _CONTROL,
         "Integration": "--time --rtol --atol --max-steps",
-        "Results": "--result --of --points --event --flip --correlations --extremes",
+        "Results": "--result --of --points --event --flip",
         "Work": "--workers --scheduler --patience",
-        "Output": "--degrees --quiet --out",
+        "Output": "--columns --degrees --quiet --out",
     },
     "trajectory": {
         "Joints": "--from --to --via --unwrap --ends --speed --turns",
@@ -78,14 +78,15 @@ _OPTIONS = {
         "Output": _OUTPUT,
     },
 }
+_OPTIONS["fit"] = {"State": "--q --qd --qdd --tau --force", "Output": "--degrees --format --out"}
 _OTHERS = {"State": "--q --qd --qdd --tau --force", "Output": _OUTPUT}
 OWN = "Options"  # of a command, which stand first; typer's word, too
 IMPLIED = {"--harmonics": "10"}  # whole numbers that may be left out behind their option
 _NUMBER = "(?i)[+-]?([0-9][0-9.]*(e[+-]?[0-9]+)?|nan|inf)"  # right or not
 
 
-def summary(command: str) -> str:
-    """The first line of its docstring."""
+def first_line(command: str) -> str:
+    """Return the first line of a command's docstring, from its file."""
     source = (Path(__file__).parent / f"{command}.py").read_text("utf-8")
     return source.partition(f"\ndef {command}(")[2].split('"""')[1].partition("\n")[0]
 
@@ -107,12 +108,29 @@ def _successor(message: str) -> str:
     """Return what to type in place of a removed option or value that the message refuses, or ""."""
     from robodyn.simulation.settings import REMOVED  # only a faulty option pays for the import
 
-    if "No such option: --ascii" in message:
-        return "; it was removed: charts are plain where stdout is not UTF-8, others take -o x.svg"
+    for option, successor in REMOVED_OPTIONS.items():
+        if re.search(f"No such option: {option}(?![\\w-])", message):
+            return f"; it was removed: {successor}"
     for value, successor in REMOVED.items():
         if f"'{value}' is not one of" in message:
             return f" {value} was removed: take {successor}."
     return ""
+
+
+_SUMMARY = "hand the rows on, | robodyn summary"
+REMOVED_OPTIONS = {
+    "--ascii": "charts are plain where stdout is not UTF-8, others take -o x.svg",
+    "--delimiter": "the header tells where fields end, at commas, semicolons or tabs",
+    "--extremes": _SUMMARY,
+    "--correlations": f"{_SUMMARY} --correlations NAMES",
+    "--harmonics": f"{_SUMMARY} --harmonics",
+    "--power": "name power in --columns, as --columns tau,power",
+    "--residual": "name residual in --columns, as --columns tau,residual",
+    "--links": "name links in --columns, as --columns points,links",
+    "--transmission": "name transmission in --columns, as --columns points,transmission",
+    "--jacobian": "name jacobian in --columns, as --columns points,jacobian",
+    "--ratio": "name the ratio in --columns, as --columns points,rocker/crank",
+}
 
 
 def _heading(parameter: Any) -> str:
@@ -290,7 +308,7 @@ def _application(arguments: list[str], whole: bool = True) -> typer.Typer:
             name,
             cls=Command,
             help=_flowing(function.__doc__ or "") if asked and sys.stdout.isatty() else None,
-            short_help=None if is_called else summary(name),
+            short_help=None if is_called else first_line(name),
             epilog=_more(name) if asked else None,
             rich_help_panel=HEADINGS[name],
         )(function)
@@ -353,7 +371,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
 
     A parameter that is a dataclass stands for its fields, one option each.
     """
-    from robodyn.cli import files, large_angles
+    from robodyn.cli import large_angles
     from robodyn.cli.options import Degrees
 
     groups: dict[str, Any] = {}
@@ -367,8 +385,6 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         else:
             options.append(_declared(name, kind, parameter.default))
     tells_angles = function.__name__ in TELL_ANGLES
-    if any(files.reads_rows(option.annotation) for option in options):
-        options.append(_declared("delimiter", files.Delimiter, None))
     if tells_angles:
         options.append(_declared("degrees", Degrees, False))
 
@@ -377,7 +393,6 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         from robodyn.cli.output import degrees, numbers_overflow_in_silence
 
         numbers_overflow_in_silence()
-        files.delimiter.set(given.pop("delimiter", ","))
         degrees.set(tells_angles and given.pop("degrees"))
         named = {name.strip("_"): value for name, value in given.items()}
         large_angles.options.set(None if named.get("quiet") else named)

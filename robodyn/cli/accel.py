@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from robodyn.cli.options import Force, Model, Tau, load_with
-from robodyn.cli.states import TableOptions, evaluate, loop_columns
-from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
-from robodyn.loops.loop_rates import check_way_on
+from robodyn.cli.states import TableOptions, state_rows
+from robodyn.dynamics.columns import LOOPS, column_names
 
 
 def accel(
@@ -27,15 +24,8 @@ def accel(
       robodyn accel 2r --q 30deg,45deg --tau 12,2
       robodyn accel four-bar --q 60deg --qd 5 --tau 1.5
       robodyn accel 2r states.csv --format json
-      robodyn accel 2r states.csv --force tip2=0,-20 --extremes
+      robodyn accel 2r states.csv --force tip2=0,-20 | robodyn summary
     """
     mechanism = load_with(model, force)
-    columns = [f"qdd{k + 1}" for k in range(mechanism.n)] + loop_columns(mechanism)
-
-    def compute(q: np.ndarray, qd: np.ndarray, tau: np.ndarray, **t: np.ndarray) -> np.ndarray:
-        check_way_on(mechanism, q, qd)
-        solution = forward_dynamics_and_forces(mechanism, q, qd, tau, **t)
-        forces = loop_forces(mechanism, solution.multipliers, q)
-        return np.concatenate([solution.qdd, forces], axis=-1)
-
-    evaluate(mechanism, given, given.quantities(tau=tau), columns, compute)
+    columns = column_names(mechanism, ["qdd", *LOOPS])
+    state_rows(mechanism, given, given.quantities(tau=tau), columns)

@@ -16,6 +16,7 @@ from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
+from robodyn.dynamics.columns import scene_units
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.animation_files import (
@@ -25,7 +26,6 @@ from robodyn.pictures.animation_files import (
     check_programs,
     frames,
 )
-from robodyn.pictures.column_units import scene_units
 from robodyn.rest.linear_model import linearize, mode_motion
 from robodyn.tables.table import Reader
 

@@ -23,19 +23,20 @@ from robodyn.cli.states import (
     Quantity,
     Source,
     StateOptions,
+    chosen_columns,
     complete,
-    driver_of,
     option_source,
-    overflow,
     single_state,
 )
 from robodyn.dynamics.closed_form import point_motion
-from robodyn.errors import AssemblyError, InputError, SingularError, named_options
-from robodyn.kinematics.named_points import named_point
+from robodyn.dynamics.columns import OF_PARTS, column_names, in_degrees, scene_units, with_unit
+from robodyn.dynamics.joint_vectors import driver_of
+from robodyn.dynamics.named_points import named_point, named_points
+from robodyn.dynamics.state import State, find
+from robodyn.errors import AssemblyError, InputError, SingularError, named_options, overflow
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
-from robodyn.pictures.column_units import OF_PARTS, in_degrees, scene_units, with_unit
 from robodyn.scene.point_names import PARTS
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.tables.csv_fields import shown
@@ -101,11 +102,8 @@ def assemble(
         return
     branches, units = [_content(mechanism, *item) for item in found], scene_units(mechanism)
     chosen = default_format(rows.format, rows.out)
-    if chosen == "csv" or rows.extremes:
-        flat = [_row(branch) for branch in branches]
-        with rows.writer(list(flat[0]), units=units) as writer:
-            for row in flat:
-                writer.write_row(list(row.values()))
+    if chosen == "csv" or rows.columns is not None:
+        _write_rows(mechanism, found, rows)
     else:
         content = in_told_units({"branches": branches}, units)
         slides = mechanism.slides
@@ -241,15 +239,24 @@ def _content(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> dict[
     return {"branch": name, **vectors, "links": links}
 
 
-def _row(branch: dict[str, Any]) -> dict[str, Any]:
-    """The same, flat, by the names of the CSV's columns."""
-    row = {"branch": branch["branch"]}
-    row |= {f"{name}{k}": x for name in VECTORS for k, x in enumerate(branch[name], start=1)}
-    for k, link in enumerate(branch["links"], start=1):
-        row |= {
-            f"{part}_{x}{k}": value for part in PARTS for x, value in link.get(part, {}).items()
-        }
-    return row
+def _write_rows(mechanism: Mechanism, found: Found, rows: RowOptions) -> None:
+    """One way to assemble a row: its name, and the columns of the state, or those of --columns."""
+    points = named_points(mechanism)
+    columns = ["branch", *column_names(mechanism, ["q", "qd", "qdd", "places"])]
+    if rows.columns is not None:
+        columns, _ = chosen_columns(mechanism, rows.columns, columns, [], points)
+    numeric = [name for name in columns if name != "branch"]
+    gaps = [family.gaps for name in numeric if (family := find(mechanism, name, points))]
+    with rows.writer(columns, units=scene_units(mechanism), only=columns) as writer:
+        for branch, motion in found:
+            with np.errstate(all="ignore"):
+                values = State(mechanism, *motion, of=points).columns(numeric)
+            if not np.isfinite(values[np.logical_not(gaps)]).all() or np.isinf(values).any():
+                raise overflow()
+            row = [None if math.isnan(x) else x for x in values.tolist()]
+            each: dict[str, float | str | None] = dict(zip(numeric, row, strict=True))
+            each["branch"] = branch
+            writer.write_row([each[name] for name in columns])
 
 
 def _tables(branch: dict[str, Any], slides: Sequence[int]) -> list[Grid]:

@@ -11,7 +11,7 @@ import typer
 from robodyn.cli.options import Model, Out, OutputStructured
 from robodyn.cli.output import Grid, note, write_structure
 from robodyn.cli.progress import progress
-from robodyn.cli.states import overflow, remarks
+from robodyn.cli.states import remarks
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.identities import (
     BOUND,
@@ -22,7 +22,7 @@ from robodyn.dynamics.identities import (
     sample_states,
 )
 from robodyn.elements.contacts import Mode
-from robodyn.errors import InputError
+from robodyn.errors import InputError, overflow
 from robodyn.loops import assembly
 from robodyn.loops.branches import scene_start
 from robodyn.mechanics.loop_rows import loop_class

@@ -13,15 +13,15 @@ from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, Source, complete, remarks, single_state, table_source
+from robodyn.dynamics.columns import scene_units
 from robodyn.errors import InputError
 from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units
 from robodyn.pictures.drawing import Trace, drawing, even_rows, traced
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
-    from robodyn.kinematics.named_points import NamedPoint
+    from robodyn.dynamics.named_points import NamedPoint
     from robodyn.pictures.force_arrows import Force
 
 DEFAULT_POSES = 8

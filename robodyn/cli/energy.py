@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from robodyn.cli.options import Force, Model, load_with
-from robodyn.cli.states import TableOptions, evaluate
-from robodyn.dynamics.closed_form import kinetic_energy, potential_energy
+from robodyn.cli.states import TableOptions, state_rows
 
 
 def energy(
@@ -22,12 +19,8 @@ def energy(
     Examples:
       robodyn energy 2r --q 30deg,45deg --qd 1,0.5
       robodyn energy 2r motion.csv | cut -d, -f1,6-
-      robodyn energy 2r motion.csv --extremes
+      robodyn energy 2r motion.csv | robodyn summary
     """
     mechanism = load_with(model, force)
 
-    def compute(q: np.ndarray, qd: np.ndarray, **_: np.ndarray) -> np.ndarray:
-        KE, PE = kinetic_energy(mechanism, q, qd), potential_energy(mechanism, q)
-        return np.stack([KE, PE, KE + PE], axis=-1)
-
-    evaluate(mechanism, given, given.quantities(), ["KE", "PE", "energy"], compute)
+    state_rows(mechanism, given, given.quantities(), ["KE", "PE", "energy"])

@@ -8,9 +8,9 @@ from robodyn.cli.options import Model, Q, Tau, option, switch
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, option_source, remarks, single_state
+from robodyn.dynamics.columns import scene_units
 from robodyn.errors import named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units
 from robodyn.rest.poses_at_rest import equilibria, searched_turns
 from robodyn.rest.poses_at_rest import equilibrium as pose_at_rest
 

@@ -12,45 +12,27 @@ import sys
 from collections.abc import Callable
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
 from robodyn.errors import InputError
-from robodyn.tables.csv_fields import DELIMITERS
 
 if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import Mechanism
     from robodyn.scene.scene import Description
 
 _DECLARED = "robodyn.files"
-_DELIMITER = "Where fields of rows that are read end: ; (with decimal commas) or tab."
-delimiter: ContextVar[str] = ContextVar("delimiter", default=",")  # of rows that are read
 
 
 def rows_argument(metavar: str, help: str) -> Any:
-    """An argument that is a CSV file to read: its command takes --delimiter."""
-    return _of_rows(typer.Argument(metavar=metavar, help=help, callback=_reads(metavar.strip("."))))
-
-
-def rows_file(flag: str, help: str) -> Any:
-    """An option that is a CSV file to read, as `rows_argument`."""
-    return _of_rows(input_file(flag, help))
+    """An argument that is a CSV file to read."""
+    return typer.Argument(metavar=metavar, help=help, callback=_reads(metavar.strip(".")))
 
 
 def input_file(flag: str, help: str) -> Any:
     """An option that is a file to read."""
     return typer.Option(flag, metavar="FILE", help=help, callback=_reads(flag))
-
-
-def _of_rows(declared: Any) -> Any:
-    declared.of_rows = True
-    return declared
-
-
-def reads_rows(annotation: Any) -> bool:
-    """Whether a parameter names a CSV file to read."""
-    return any(getattr(x, "of_rows", False) for x in getattr(annotation, "__metadata__", ()))
 
 
 def model_argument(help: str) -> Any:
@@ -116,18 +98,6 @@ def output_file(*flags: str, help: str) -> Any:
         return value
 
     return typer.Option(*flags, metavar="FILE", help=help, callback=writes)
-
-
-def _delimiter(value: str | None) -> str:
-    if value is not None and value not in DELIMITERS:
-        raise typer.BadParameter(f"{value!r} is not one of {', '.join(DELIMITERS)}")
-    return DELIMITERS[value or ","]
-
-
-Delimiter = Annotated[
-    str | None,
-    typer.Option("--delimiter", metavar="CHAR", help=_DELIMITER, callback=_delimiter),
-]
 
 
 def named(value: str | None) -> str | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import numpy as np
 from typer import Option
 
-from robodyn.cli.files import output_file, rows_argument, rows_file
+from robodyn.cli.files import input_file, output_file, rows_argument
 from robodyn.cli.motion_files import tell_at_rest, without_jumps
 from robodyn.cli.options import (
     Model,
@@ -31,12 +31,12 @@ from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source, remarks
+from robodyn.dynamics.columns import scene_units, unit_of
 from robodyn.engines.expression import tangents
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.actuation import expressions
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.column_formulas import ColumnFormulas
-from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.quantities import parse_quantity
 from robodyn.scene.rewrite import write_scene
 from robodyn.scene.scene_values import SceneValues
@@ -211,7 +211,7 @@ _OUT = "Write the scene with these numbers here; comments and order stay."
 class FitOptions:
     """What is to be met, or to become least, and how it is searched for."""
 
-    match: Annotated[Text, rows_file("--match", _MATCH)] = None
+    match: Annotated[Text, input_file("--match", _MATCH)] = None
     columns: Text = option(_COLUMNS, "NAMES")
     minimize: list[str] | None = option(_MINIMIZE, "COLUMNS")
     subject_to: list[str] | None = option(_SUBJECT, "EXPR")

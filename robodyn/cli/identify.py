@@ -13,12 +13,12 @@ from robodyn.cli.motion_files import MotionFile, read_motion
 from robodyn.cli.options import Model, Number, OutputStructured, Text, Unwrap, option, switch
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.states import remarks
+from robodyn.dynamics.columns import scene_units
 from robodyn.dynamics.free_joints import balanced_joints
 from robodyn.errors import InputError, RobodynError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.identification import Identification, changes, numbers, predicted
 from robodyn.parameters.identification import identify as identified
-from robodyn.pictures.column_units import scene_units
 from robodyn.scene.rewrite import write_scene
 
 _DATA = "CSV file (t, q1.., tau1.., and qd, qdd where they are known), or - for stdin."

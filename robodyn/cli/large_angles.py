@@ -11,9 +11,9 @@ from contextlib import suppress
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
+from robodyn.dynamics.joint_vectors import joint_units
 from robodyn.elements.springs import JointSpring
 from robodyn.errors import InputError
-from robodyn.pictures.column_units import joint_units
 from robodyn.scene.expressions import COMPARISONS, names_of, number_of, walk
 from robodyn.scene.quantities import entries, expressions, read_value, state_variables
 from robodyn.scene.syntax import Node, plain_text

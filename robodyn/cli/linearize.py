@@ -22,9 +22,9 @@ from robodyn.cli.options import (
 )
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import StateOptions, remarks, single_state
+from robodyn.dynamics.columns import scene_units
 from robodyn.errors import named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units
 from robodyn.rest.linear_model import LinearModel
 from robodyn.rest.linear_model import linearize as linear_model
 from robodyn.rest.linear_model import lqr as gain_of

@@ -15,12 +15,13 @@ import numpy as np
 
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_input
-from robodyn.cli.states import Quantity, Source, complete, driver_of, table_source
+from robodyn.cli.states import Quantity, Source, complete, table_source
+from robodyn.dynamics.columns import scene_units
 from robodyn.dynamics.free_joints import balanced_mechanism
+from robodyn.dynamics.joint_vectors import driver_of
 from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.zero_phase import how, rates
-from robodyn.pictures.column_units import scene_units
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import finite, shown, split_fields, unquoted
 from robodyn.tables.table import Chunk, Reader

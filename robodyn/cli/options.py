@@ -11,9 +11,9 @@ from typer import Option
 
 from robodyn.cli.files import model_argument, output_file, read_scene, rows_argument
 from robodyn.cli.large_angles import tell_large_angles
+from robodyn.dynamics.named_points import named_point
 from robodyn.elements.loads import Force as PointForce
 from robodyn.errors import DescriptionError, InputError
-from robodyn.kinematics.named_points import named_point
 from robodyn.scene import yaml_tree
 from robodyn.scene.quantities import parse_vector
 from robodyn.scene.scene import Description
@@ -156,11 +156,11 @@ _UNWRAP = (
     "180 degrees do."
 )
 Unwrap = Annotated[bool, Option("--unwrap", help=_UNWRAP)]
-_EXTREMES = (
-    "In place of the rows, of each column but t: min, max and the t and q1 there, mean, rms; "
-    "both over t where t is there and never falls, else rows count equally."
+_COLUMNS = (
+    "Exactly these columns, in this order: of the input, or of all that can be computed, such as "
+    "t,tau1,power,tip2_x; see `robodyn guide columns`."
 )
-Extremes = Annotated[bool, Option("--extremes", help=_EXTREMES)]
+Columns = Annotated[Text, Option("--columns", metavar="NAMES", help=_COLUMNS)]
 _PARTS = "Default: table on a terminal, json in a pipe."
 OutputStructured = Annotated[StructuredFormat | None, Option("--format", help=_PARTS)]
 Out = Annotated[Text, output_file("--out", "-o", help="Write here, all or nothing.")]

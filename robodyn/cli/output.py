@@ -11,9 +11,10 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
-from robodyn.cli.options import Extremes, Format, Out, OutputFormat
+from robodyn.cli.options import Columns, Format, Out, OutputFormat
+from robodyn.dynamics.columns import TURNING, in_degrees, structure_in_degrees, with_unit
 from robodyn.errors import InputError, printable, printable_lines
-from robodyn.pictures.column_units import TURNING, in_degrees, structure_in_degrees, with_unit
+from robodyn.scene.yaml_values import nearest
 from robodyn.tables.csv_fields import finite, shown, unquoted
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import WRITERS, ScaledWriter, Writer
@@ -43,15 +44,16 @@ def row_writer(
     header: Sequence[str] = (),
     units: Mapping[str, str] = TURNING,
     summary: Summary | None = None,
+    only: Sequence[str] | None = None,
 ) -> Iterator[Writer]:
     """A writer of rows: computed `columns` after (or in) the columns of the input's `header`.
 
-    A table for people tells `units` of the scene (`column_units.scene_units`).  A `summary` takes
-    the place of the rows.
+    A table for people tells `units` of the scene (`columns.scene_units`).  A `summary` takes
+    the place of the rows; `only` names the columns that are written, in their order.
     """
     format = default_format(format, out)
     with open_output(out, styled=format == "table") as stream:
-        writer = told(maker(stream, format, out, units), columns, header, units, summary)
+        writer = told(maker(stream, format, out, units), columns, header, units, summary, only)
         try:
             yield writer
         except Exception:
@@ -65,8 +67,10 @@ def maker(
 ) -> MakeWriter:
     """What makes a writer to the stream of columns, and of the header of an input."""
 
-    def make(columns: Sequence[str], header: Sequence[str] = ()) -> Writer:
-        writer = {**WRITERS, "table": TableView}[format](stream, columns, header)
+    def make(
+        columns: Sequence[str], header: Sequence[str] = (), only: Sequence[str] | None = None
+    ) -> Writer:
+        writer = {**WRITERS, "table": TableView}[format](stream, columns, header, only)
         if isinstance(writer, TableView):
             writer.on_terminal, writer.units = on_terminal(out), units
         return writer
@@ -78,7 +82,7 @@ def maker(
 class RowOptions:
     """How rows are written."""
 
-    extremes: Extremes = False
+    columns: Columns = None
     format: OutputFormat = None
     out: Out = None
 
@@ -88,19 +92,34 @@ class RowOptions:
         header: Sequence[str] = (),
         units: Mapping[str, str] = TURNING,
         summary: Summary | None = None,
+        only: Sequence[str] | None = None,
     ) -> AbstractContextManager[Writer]:
-        """A writer of rows, or of what is asked for in their place: see `row_writer`."""
-        summary = extremes_writer if self.extremes else summary
-        return row_writer(self.format, self.out, columns, header, units, summary)
+        """A writer of rows, or of a `summary` in their place: see `row_writer`.
+
+        Where `only` is None, --columns chooses among these columns and those of the header.
+        """
+        if only is None and self.columns is not None:
+            only = chosen_names(self.columns, [*header, *columns])
+        return row_writer(self.format, self.out, columns, header, units, summary, only)
 
 
-def extremes_writer(make: MakeWriter, columns: Sequence[str], header: Sequence[str] = ()) -> Writer:
-    """A writer of the columns' extremes; costs nothing where it is not asked for."""
-    from robodyn.tables.summaries import Extremes
+def chosen_names(text: str, among: Sequence[str]) -> list[str]:
+    """The names of --columns, each among those that there are; InputError for another."""
+    names = names_in(text)
+    for name in names:
+        if name not in among:
+            limit = f"is no column here{nearest(name, [*among])}"
+            raise InputError("--columns", value=shown(name), limit=limit)
+    return names
 
-    writer = Extremes(make, columns, header)
-    writer.note = note
-    return writer
+
+def names_in(text: str, flag: str = "--columns") -> list[str]:
+    """The names that an option has, each once; InputError if one is empty."""
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        limit = "needs names with commas between them, such as q1,tau1"
+        raise InputError(flag, value=shown(text) or "''", limit=limit)
+    return list(dict.fromkeys(names))
 
 
 def told(
@@ -109,20 +128,24 @@ def told(
     header: Sequence[str] = (),
     units: Mapping[str, str] = TURNING,
     summary: Summary | None = None,
+    only: Sequence[str] | None = None,
 ) -> Writer:
     """A writer, or of a `summary`; with --degrees of angles in degrees, by the scene's units.
+
+    `only` names the columns that are written.
 
     Raises InputError if the header has an angle both in radians and in degrees.
     """
     make = make if summary is None else functools.partial(summary, make)
+    chosen: dict[str, Any] = {} if only is None else {"only": only}
     if not degrees.get():
-        return make(columns, header)
+        return make(columns, header, **chosen)
     there = set(header)
     for name in header:
         if (other := in_degrees(name, units)[0]) != name and other in there:
             limit = f"the table has {shown(other)} beside it: leave one of them out"
             raise InputError("--degrees", value=shown(name), limit=limit)
-    return ScaledWriter(make, lambda name: in_degrees(name, units), columns, header)
+    return ScaledWriter(make, lambda name: in_degrees(name, units), columns, header, only)
 
 
 def default_format(format: Format | None, out: str | None) -> Format:

@@ -11,10 +11,10 @@ from robodyn.cli.files import load_scene, model_file, rows_argument
 from robodyn.cli.options import Degrees, Text, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_input
+from robodyn.dynamics.columns import ANY_SCENE, scene_units
 from robodyn.errors import InputError
 from robodyn.pictures import chart_figure
 from robodyn.pictures.chart import chart_lines, read_chart
-from robodyn.pictures.column_units import ANY_SCENE, scene_units
 from robodyn.pictures.value_map import read_map
 from robodyn.tables.csv_fields import shown
 

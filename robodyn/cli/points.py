@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from robodyn.cli.options import Model, Qdd, option, switch
-from robodyn.cli.states import TableOptions, evaluate
-from robodyn.dynamics.state_columns import (
-    Solved,
-    columns_of,
-    jacobian_columns,
-    link_columns,
-    transmission_columns,
-)
-from robodyn.errors import InputError
-from robodyn.kinematics.named_points import NamedPoint, named_points, point_columns
-from robodyn.kinematics.transmission import ratio_named
+from robodyn.cli.options import Model, Qdd, option
+from robodyn.cli.states import TableOptions, state_rows
+from robodyn.dynamics.columns import column_names
+from robodyn.dynamics.named_points import NamedPoint, named_points
 from robodyn.mechanics.mechanism import Mechanism
 
 POINTS = "[NAME=]POINT"
 OF = "A link (its tip), tip2, centre1, joint3, LINK@x,y, or a point of the scene; repeatable."
-_RATIO = "The rate of one link over that of another, rocker/crank; repeatable."
 
 
 def points(
@@ -28,10 +17,6 @@ def points(
     given: TableOptions = TableOptions(),
     of: list[str] | None = option(OF, POINTS),
     qdd: Qdd = None,
-    links: bool = switch("Each link's angle, its rate and acceleration."),
-    transmission: bool = switch("The transmission angle of each loop, rad."),
-    ratio: list[str] | None = option(_RATIO, "A/B"),
-    jacobian: bool = switch("How far each point goes with each actuated joint."),
 ) -> None:
     """Where points are, how fast they move, and how they speed up.
 
@@ -39,48 +24,24 @@ def points(
     axes; rows of STATES pass through with these added.  Without --of they are of the scene's
     `points`, or of all tips.
 
-    --links adds angle1,w1,wd1 of each link (rad, rad/s, rad/s^2), from the ground's X axis;
-    --transmission adds transmission1 of each loop (rad), 90 degrees where a force is handed on
-    best; --ratio adds one column a ratio, empty where the second link stands still; its inverse is
-    the mechanical advantage.  --jacobian adds P_Jx1,P_Jy1 (m/rad) for each actuated joint, so that
-    P_vx is their sum times the joints' rates.
+    --columns chooses among these and all others: angle1,w1,wd1 (`links`) of each link from the
+    ground's X axis (rad, rad/s, rad/s^2); transmission1 of each loop (rad), 90 degrees where a
+    force is handed on best; rocker/crank, the ratio of two links' rates, empty where the second
+    stands still, whose inverse is the mechanical advantage; P_Jx1,P_Jy1 (`jacobian`, m/rad) for
+    each actuated joint, so that P_vx is their sum times the joints' rates; P_kappa, icx1,icy1, ...
 
     \b
     Examples:
       robodyn points four-bar --q 60deg --qd 5 --of P=coupler@0.3,0.1
-      robodyn points four-bar --q 60deg --of rocker --transmission \\
-        --ratio rocker/crank
+      robodyn points four-bar --q 60deg \\
+        --columns rocker_x,rocker_y,transmission1,rocker/crank
       robodyn simulate 2r --q 0,0 --time 2 | robodyn points 2r - --of tip2
-      robodyn points 2r states.csv --of tip2 --extremes
+      robodyn points 2r states.csv --columns t,tip2_x,tip2_y | robodyn summary
     """
     mechanism = model.load()
     named = named_points(mechanism, of or (), "--of")
-    columns = point_columns(named)
-    quantities = given.quantities(qdd=qdd)
-    if jacobian:
-        columns += jacobian_columns(mechanism, named)
-    if links:
-        columns += link_columns(mechanism)
-    columns += _loops(mechanism) if transmission else []
-    columns += [ratio_named(mechanism, text).name for text in ratio or ()]
-
-    def compute(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, **_: object) -> np.ndarray:
-        none = np.zeros(0)  # of what acts the columns ask nothing
-        solved = Solved(none, q, qd, qdd, none, none)
-        found = columns_of(mechanism, named, solved, columns)
-        return np.stack([found[name] for name in columns], axis=-1)
-
-    gaps = len(ratio or ())
-    evaluate(mechanism, given, quantities, columns, compute, adds=True, gaps=gaps)
-
-
-def _loops(mechanism: Mechanism) -> list[str]:
-    """The columns of --transmission; InputError where there are none."""
-    loops = transmission_columns(mechanism)
-    if not loops:
-        limit = "no loop of this scene is closed by three pairs in a row"
-        raise InputError("--transmission", where=mechanism.source, limit=limit)
-    return loops
+    columns = column_names(mechanism, ["points"], named)
+    state_rows(mechanism, given, given.quantities(qdd=qdd), columns, of=named, adds=True)
 
 
 def points_given(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from robodyn.cli.motion_files import read_motion
 from robodyn.cli.options import Model, Qdd, switch
-from robodyn.cli.output import Grid, write_structure
-from robodyn.cli.states import Quantity, TableOptions, evaluate, remarks
+from robodyn.cli.output import Grid, chosen_names, write_structure
+from robodyn.cli.states import Quantity, TableOptions, Task, evaluate, remarks
 from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
@@ -68,7 +70,13 @@ def regressor(
         Y = found.Y[..., chosen].reshape(len(found.Y), -1)
         return np.concatenate([Y, found.known], axis=-1) if loaded else Y
 
-    evaluate(mechanism, given, quantities, columns, compute)
+    def task(header: Sequence[str]) -> Task:
+        if given.columns is None:
+            return Task(quantities, columns, compute)
+        only = chosen_names(given.columns, [*header, *columns])
+        return Task(quantities, columns, compute, only=only)
+
+    evaluate(mechanism, given, task)
 
 
 def _tell_base(mechanism: Mechanism, rows: TableOptions) -> None:

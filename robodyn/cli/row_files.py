@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from itertools import chain
 from typing import TYPE_CHECKING, BinaryIO, cast
 
-from robodyn.cli.files import delimiter
 from robodyn.cli.output import note
 from robodyn.errors import InputError
 from robodyn.tables.csv_fields import Delimited
@@ -45,8 +44,7 @@ def read_columns(
 def open_input(states: str) -> Iterator[tuple[BinaryIO, str]]:
     """The binary stream and the name of a CSV file, `-` for stdin; its rows with commas."""
     with open_file(states) as (stream, name):
-        mark = delimiter.get()
-        yield (stream if mark == "," else cast(BinaryIO, Delimited(stream, mark))), name
+        yield cast(BinaryIO, Delimited(stream)), name
 
 
 @contextmanager

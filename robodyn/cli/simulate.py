@@ -11,13 +11,12 @@ from typing import Annotated, Any, BinaryIO, Literal, get_args
 
 import numpy as np
 
-from robodyn.cli.files import input_file, load_scene, model_file, output_file, rows_file
+from robodyn.cli.files import input_file, load_scene, model_file, output_file
 from robodyn.cli.motion_files import without_jumps
 from robodyn.cli.options import (
     EACH,
-    Extremes,
+    Columns,
     Force,
-    Format,
     Model,
     Number,
     Out,
@@ -30,13 +29,14 @@ from robodyn.cli.options import (
     switch,
     with_forces,
 )
-from robodyn.cli.output import default_format, extremes_writer, maker, note, opened, told
+from robodyn.cli.output import maker, note, opened, told
 from robodyn.cli.progress import watching
 from robodyn.cli.row_files import read_columns, read_file
 from robodyn.cli.states import (
     Quantity,
     Source,
     StateOptions,
+    chosen_columns,
     complete,
     option_source,
     remarks,
@@ -46,6 +46,10 @@ from robodyn.cli.times import Points, output_times
 from robodyn.control.laws import controller
 from robodyn.control.state_feedback import StateFeedback, read_feedback
 from robodyn.control.tracking import ReferenceTable
+from robodyn.dynamics.columns import column_names, scene_units, unit_of
+from robodyn.dynamics.joint_vectors import joint_values
+from robodyn.dynamics.named_points import named_points
+from robodyn.dynamics.state import State
 from robodyn.errors import AssemblyError, InputError, RobodynError, at_place, named_options
 from robodyn.events.functions import named_events
 from robodyn.events.watch import Event, EventWatch
@@ -54,12 +58,10 @@ from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.voltages import voltages
-from robodyn.pictures.column_units import joint_values, scene_units, unit_of
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.simulation.motion_columns import (
     applied_torques,
     motion_columns,
-    motion_values,
     over_run,
 )
 from robodyn.simulation.report import Outcome, Report
@@ -93,7 +95,7 @@ class TorqueOptions:
     """Where torque comes from."""
 
     tau: Text = option(_TAU, "TORQUES")
-    tau_from: Annotated[Text, rows_file("--tau-from", _TAU_FROM)] = None
+    tau_from: Annotated[Text, input_file("--tau-from", _TAU_FROM)] = None
     volt: Text = option("Voltages of the motors of the actuated joints, V: as --tau.", "VOLTS")
 
 
@@ -102,7 +104,7 @@ class ControlOptions:
     """What makes the torques track a reference."""
 
     control: Law | None = option("Makes the torques track a reference, or keep to a pose.")
-    track: Annotated[Text, rows_file("--track", _TRACK)] = None
+    track: Annotated[Text, input_file("--track", _TRACK)] = None
     unwrap: Unwrap = False
     hold: Text = option(_HOLD, "VECTOR")
     kp: Text = option(f"Gain of the error, N m/rad (computed torque 1/s^2): {EACH}.", "VECTOR")
@@ -375,12 +377,8 @@ class ResultOptions:
 
     quiet: Quiet = False
     report: Annotated[Text, output_file("--report", help="Write the summary as JSON.")] = None
-    extremes: Extremes = False
+    columns: Columns = None
     out: Out = None
-
-    @property
-    def format(self) -> Format:
-        return default_format(None, self.out) if self.extremes else "csv"
 
 
 def simulate(
@@ -420,7 +418,7 @@ def simulate(
       robodyn simulate four-bar --q 60deg --tau "2*sin(3*t)" -o run.csv
       robodyn simulate 2r --q 0,0 --until "q1 < -90deg" --event apex=qd1
       robodyn simulate 2r --q 0,0 --quiet | robodyn torque 2r - | tail -1
-      robodyn simulate 2r --q 0,0 --force forearm=0,-20 --extremes
+      robodyn simulate 2r --q 0,0 --force forearm=0,-20 | robodyn summary
       robodyn simulate 2r --q 0,0 --time 1 --sensitivity links.forearm.m,q1
       robodyn trajectory 2r --from 0,0 --to 90deg,45deg --time 2 > ref.csv
       robodyn simulate 2r --q 0,0 --track ref.csv --control pd+g --kp 200,100 \\
@@ -442,10 +440,10 @@ def simulate(
     slopes = None
     if how.sensitivity is not None:
         slopes = _Slopes(how.sensitivity, mechanism, begin, partial(with_forces, forces=force))
-    among_rows = on_terminal(results.out) and not results.extremes  # a bar would be in their lines
+    among_rows = on_terminal(results.out)  # a bar would be in their lines
     with (
         watching(duration, results.quiet or among_rows) as watch,
-        opened(results.out or "-", "what was computed is in", results.format) as stream,
+        opened(results.out or "-", "what was computed is in") as stream,
         opened(events.events, "the events up to there are in") as table,
     ):
         rows = _Rows(mechanism, torques, slopes, results, stream)
@@ -577,7 +575,7 @@ class _Slopes:
 
 @dataclass(eq=False, repr=False)
 class _Rows:
-    """Writes the rows of a run, or what is asked for in their place."""
+    """Writes the rows of a run."""
 
     mechanism: Mechanism
     torques: Actuation
@@ -585,17 +583,26 @@ class _Rows:
     results: ResultOptions
     stream: BinaryIO
 
-    @cached_property
-    def writer(self) -> Writer:
-        """Made with the first row: a run that cannot start writes no header."""
-        results, units = self.results, scene_units(self.mechanism)
-        make = maker(self.stream, results.format, results.out, units)
-        names = motion_columns(self.mechanism, self.torques.control is not None)
+    def __post_init__(self) -> None:
+        """Choose the columns; InputError, before the run, for a name that is none."""
+        control, mechanism = self.torques.control, self.mechanism
+        # columns that no state tells: errors of a controller, derivatives
+        self.given = [] if control is None else column_names(mechanism, ["errors"])
         if self.slopes is not None:
             from robodyn.simulation.differences import columns
 
-            names += columns(self.mechanism.n, self.slopes.names)
-        return told(make, names, units=units, summary=extremes_writer if results.extremes else None)
+            self.given += columns(mechanism.n, self.slopes.names)
+        self.points = named_points(mechanism)
+        self.names = [*motion_columns(mechanism, tracked=False), *self.given]
+        if self.results.columns is not None:
+            chosen = self.results.columns
+            self.names, _ = chosen_columns(mechanism, chosen, self.names, [], self.points)
+
+    @cached_property
+    def writer(self) -> Writer:
+        """Made with the first row: a run that cannot start writes no header."""
+        units = scene_units(self.mechanism)
+        return told(maker(self.stream, "csv", self.results.out, units), self.names, units=units)
 
     def write(self, t: np.ndarray, y: np.ndarray, moving: Mechanism) -> None:
         """The rows at times t (T,) and states y; `moving` is what moves there."""
@@ -608,16 +615,14 @@ class _Rows:
         """Write rows with derivatives (T, k), of which those that are nan are empty."""
         n, control = self.mechanism.n, self.torques.control
         tau = applied_torques(self.mechanism, self.torques, t, y)
-        rows = [motion_values(self.mechanism, moving, t, y[:, :n], y[:, n : 2 * n], tau)]
-        rows += [] if control is None else [control.errors(t, y)]
-        values, known = np.concatenate([*rows, slopes], axis=-1), np.isfinite(slopes).all(axis=1)
-        first = len(known) if known.all() else int(np.argmin(known))
-        self.writer.write_columns(values[:first])
-        for row, empty in zip(values[first:].tolist(), ~np.isfinite(slopes[first:]), strict=True):
-            row[-len(empty) :] = [
-                None if x else y for x, y in zip(empty, row[-len(empty) :], strict=True)
-            ]
-            self.writer.write_row(row)
+        q, qd, of = y[:, :n], y[:, n : 2 * n], self.points
+        state = State(self.mechanism, q, qd, tau=tau, t=t, of=of, moving=moving)
+        errors = [] if control is None else [control.errors(t, y)]
+        others = [name for name in self.names if name not in self.given]
+        each = dict(zip(others, state.columns(others).T, strict=True))
+        known = np.where(np.isfinite(slopes), slopes, np.nan)
+        each |= dict(zip(self.given, np.concatenate([*errors, known], axis=-1).T, strict=True))
+        self.writer.write_columns(np.stack([each[name] for name in self.names], axis=-1))
 
 
 def _told(

@@ -11,18 +11,36 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from robodyn.cli.options import Differentiate, Q, Qd, States, Unwrap
-from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_silence
-from robodyn.errors import InputError, RobodynError, SignalError, SingularPoseError, at_place
-from robodyn.mechanics.loop_rows import loop_columns as loop_columns
+from robodyn.cli.output import (
+    RowOptions,
+    Summary,
+    names_in,
+    note,
+    numbers_overflow_in_silence,
+)
+from robodyn.dynamics.columns import FAMILIES, STATE, column_names, declared, names_of, scene_units
+from robodyn.dynamics.joint_vectors import driver_of, full, vector_of_joints
+from robodyn.dynamics.state import State, find
+from robodyn.errors import (
+    InputError,
+    ResidualError,
+    RobodynError,
+    SignalError,
+    SingularPoseError,
+    at_place,
+    overflow,
+)
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units, vector_of_joints
+from robodyn.scene.yaml_values import nearest
+from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
+    from robodyn.dynamics.named_points import NamedPoint
     from robodyn.tables.arrays import Array
     from robodyn.tables.table import Chunk
     from robodyn.tables.table_writer import Writer
@@ -63,12 +81,16 @@ class TableOptions(StateOptions, RowOptions):
     unwrap: Unwrap = False
 
     def write_one(
-        self, mechanism: Mechanism, columns: Sequence[str], row: Sequence[float | None]
+        self,
+        mechanism: Mechanism,
+        columns: Sequence[str],
+        row: Sequence[float | None],
+        only: Sequence[str] | None = None,
     ) -> None:
         """Write the one row of a state by options, if all of it is finite or None."""
         if not all(x is None or math.isfinite(x) for x in row):
             raise overflow()
-        with self.writer(columns, units=scene_units(mechanism)) as writer:
+        with self.writer(columns, units=scene_units(mechanism), only=only) as writer:
             writer.write_row(row)
 
 
@@ -90,18 +112,6 @@ class Source(NamedTuple):
         few = driver_of(mechanism, self.quantity.name).actuated
         joints = range(mechanism.n) if self.whole else few
         return [self.values[joints.index(k)] for k in mechanism.actuated]
-
-
-def driver_of(mechanism: Mechanism, name: str = "q") -> Mechanism:
-    """The mechanism whose actuated joints a vector of that name is of, if it is not of all joints.
-
-    Those of q, qd and qdd determine the others: free passive joints are among them.
-    """
-    if name not in ("q", "qd", "qdd") or len(mechanism.actuated) == mechanism.n:
-        return mechanism
-    from robodyn.loops.assembly_plan import with_independent
-
-    return with_independent(mechanism)
 
 
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
@@ -155,45 +165,14 @@ def complete(
     values: Sequence[Array],
     branches: Sequence[str] | None = None,
 ) -> list[Array]:
-    """q, qd and what else there is for all joints (..., n): assembled, or checked to be closed."""
-    driver = driver_of(mechanism)
-    free = not mechanism.rows and len(driver.actuated) == mechanism.n  # a joint each
-    if not free:
-        from robodyn.loops import assembly, loop_rates
-    motion: dict[str, Array] = {}
-
-    def check() -> None:
-        moving = (motion.get(name) for name in ("qd", "qdd"))
-        fault = loop_rates.check_closed(mechanism, motion["q"], *moving)
-        if fault is not None:
-            if sources[0].quantity.option is not None:
-                fault[1].add_place(f"--{sources[0].quantity.name}")
-            raise fault[1]
-
-    unchecked = bool(mechanism.rows) and any(source.whole for source in sources)
-    with np.errstate(all="ignore"):
-        for source, given in zip(sources, values, strict=True):
-            name, full = source.quantity.name, given
-            if source.whole or (free and name != "tau"):
-                pass
-            elif name == "q":
-                full = assembly.assemble(driver, given, branches)
-            elif name == "qd":
-                full = loop_rates.loop_velocities(driver, motion["q"], given)
-            elif name == "qdd":
-                if unchecked:
-                    check()
-                    unchecked = False
-                full = loop_rates.loop_accelerations(driver, motion["q"], motion["qd"], given)
-            else:
-                full = np.zeros((*given.shape[:-1], mechanism.n))
-                full[..., list(mechanism.actuated)] = given
-            if not np.isfinite(full).all():
-                raise overflow()
-            motion[name] = full
-        if unchecked:
-            check()
-    return list(motion.values())
+    """q, qd and what else there is for all joints (..., n): see `full`."""
+    first = sources[0].quantity
+    given = {
+        source.quantity.name: (each, source.whole)
+        for source, each in zip(sources, values, strict=True)
+    }
+    place = "" if first.option is None else f"--{first.name}"
+    return list(full(mechanism, given, branches, place).values())
 
 
 def single_state(
@@ -220,44 +199,161 @@ def note_circuit(mechanism: Mechanism, sources: Sequence[Source], q: Array) -> N
         )
 
 
-def evaluate(
+class Task(NamedTuple):
+    """What is computed of rows, from which quantities, and which columns are written.
+
+    `compute` takes the quantities (T, n) by name, and where the scene's loads depend on the time t
+    (T,): the column t of a table, else zero.  Of the quantities in `either` it takes those that are
+    given, the first where none is.  Columns with `gaps` may be NaN, which is an empty field.
+    """
+
+    quantities: Sequence[Quantity]
+    columns: Sequence[str]
+    compute: Callable[..., Array]
+    either: Sequence[Quantity] = ()
+    gaps: Sequence[bool] = ()
+    only: Sequence[str] | None = None  # written, in this order; else all, behind those of the table
+
+    def taken(self, mechanism: Mechanism, header: Sequence[str]) -> list[Quantity]:
+        """The quantities that options or the header give."""
+        there, joints = set(header), range(mechanism.n)
+        given = [x for x in self.either if x.option is not None or there & set(x.columns(joints))]
+        return [*self.quantities, *(given or self.either[:1])]
+
+
+def state_rows(
     mechanism: Mechanism,
     options: TableOptions,
     quantities: Sequence[Quantity],
     columns: Sequence[str],
-    compute: Callable[..., Array],
+    *,
     either: Sequence[Quantity] = (),
+    of: Sequence[NamedPoint] = (),
     adds: bool = False,
     summary: Summary | None = None,
-    gaps: int = 0,
+    advice: str = "",
 ) -> None:
-    """Compute `columns` (T, k) at the state of the options, or at each row of its table.
+    """Write `columns`, or those of --columns, of a state or of each row of a table: see `evaluate`.
 
-    `compute` takes the quantities (T, n) by name, and where the scene's loads depend on the time t
-    (T,): the column t of a table, else zero.  Of the quantities in `either` it takes those that are
-    given, the first where none is.  Where it `adds` columns, none of the table is replaced, and a
-    table without rows is refused, as it is where there is a `summary` in place of the rows.  The
-    last `gaps` columns may be NaN, which is written as an empty cell.
+    `of` are the points that the columns are of.  `advice` ends the error for a motion that the
+    mechanism does not make.
     """
 
-    def wanted(header: Sequence[str]) -> list[Quantity]:
-        there, joints = set(header), range(mechanism.n)
-        given = [x for x in either if x.option is not None or there & set(x.columns(joints))]
-        return [*quantities, *(given or either[:1])]
+    def task(header: Sequence[str]) -> Task:
+        points, computed, only, acting = list(of), list(columns), None, list(either)
+        if options.columns is not None:
+            only, computed = chosen_columns(mechanism, options.columns, columns, header, points)
+        families = [find(mechanism, name, points) for name in computed]
+        needs = {need for family in families if family for need in family.needs.split()}
+        if not needs.isdisjoint(("qdd", "tau")) and not {"qdd", "tau"} & {
+            x.name for x in [*quantities, *either]
+        }:
+            acting = [Quantity("qdd", None), Quantity("tau", None)]
+        forces = FAMILIES["reactions"] in families
+        compute = _of_states(mechanism, computed, points, advice, forces)
+        gaps = [family is not None and family.gaps for family in families]
+        return Task(quantities, computed, compute, acting, gaps, only)
 
+    evaluate(mechanism, options, task, adds, summary)
+
+
+def _of_states(
+    mechanism: Mechanism,
+    columns: Sequence[str],
+    points: Sequence[NamedPoint],
+    advice: str,
+    forces: bool,
+) -> Callable[..., Array]:
+    """A function of motions that gives the columns; of `forces` it tells which are not unique."""
+    named = False
+
+    def compute(**motion: Any) -> Array:
+        nonlocal named
+        state = State(mechanism, **motion, of=points)
+        with warnings.catch_warnings(record=True) as told:
+            try:
+                values: Array = state.columns(columns)
+            except ResidualError as error:
+                error.limit += advice
+                raise
+        for warning in told:
+            warnings.warn(warning.message, stacklevel=2)
+        if told and forces and mechanism.rows and not named:
+            from robodyn.dynamics.dynamics import RobodynWarning
+            from robodyn.dynamics.reaction_forces import names_not_unique
+
+            if names := names_not_unique(mechanism, state.q):
+                named = True
+                warnings.warn(f"not unique: {names}", RobodynWarning, stacklevel=2)
+        return values
+
+    return compute
+
+
+def chosen_columns(
+    mechanism: Mechanism,
+    text: str,
+    computed: Sequence[str],
+    header: Sequence[str],
+    points: list[NamedPoint],
+) -> tuple[list[str], list[str]]:
+    """The columns that --columns names, and those among them that are to be computed.
+
+    A name is that of a column which the command computes, of the input, of any other that the
+    scene has, or of a family, which stands for its columns.  Points that are named so are added to
+    `points`.  Raises InputError with the nearest names for another.
+    """
+    only: list[str] = []
+    own: list[str] = []
+    for name in names_in(text):
+        family = FAMILIES.get(name)
+        if name in computed or (name not in header and find(mechanism, name, points)):
+            names = [name]
+        elif name in header:
+            only.append(name)
+            continue
+        elif family is not None and family.values is not None:
+            names = column_names(mechanism, [name], points)
+            if not names:
+                where = mechanism.source
+                raise InputError("--columns", where=where, value=name, limit=family.lacking)
+        else:
+            likely = declared(name)
+            if likely and likely[0].values and not names_of(likely[0], mechanism, points):
+                limit = likely[0].lacking
+                raise InputError("--columns", where=mechanism.source, value=name, limit=limit)
+            known = [*header, *computed, *column_names(mechanism, STATE, points), *STATE]
+            limit = f"is no column{nearest(name, list(dict.fromkeys(known)))}"
+            raise InputError("--columns", value=shown(name), limit=limit)
+        only += names
+        own += names
+    return list(dict.fromkeys(only)), list(dict.fromkeys(own))
+
+
+def evaluate(
+    mechanism: Mechanism,
+    options: TableOptions,
+    task: Callable[[Sequence[str]], Task],
+    adds: bool = False,
+    summary: Summary | None = None,
+) -> None:
+    """Do the task at the state of the options, or at each row of its table, whose header it takes.
+
+    Where it `adds` columns, none of the table is replaced, and a table without rows is refused, as
+    it is where there is a `summary` in place of the rows.
+    """
     if options.unwrap and not options.differentiate:
         raise InputError("--unwrap", limit="goes with --differentiate")
     if options.states is None:
         if options.differentiate:
             raise InputError("--differentiate", limit="needs STATES with t: rows to go through")
+        work = task([])
         with remarks():
-            used = wanted([])
+            used = work.taken(mechanism, [])
             sources = [option_source(mechanism, quantity) for quantity in used]
-            computed = _Computed(mechanism, sources, compute, gaps)
-            row = computed.at([[]])[0].tolist()
-            note_circuit(mechanism, sources, computed.q[0])
+            row = _Computed(mechanism, sources, work).at([[]])[0].tolist()
             row = [None if math.isnan(x) else x for x in row]
-        options.write_one(mechanism, columns, row)
+        options.write_one(mechanism, work.columns, row, work.only)
         return
 
     from robodyn.cli.motion_files import found_rates, taken_at_rest
@@ -267,19 +363,22 @@ def evaluate(
     units = scene_units(mechanism)
     with open_input(options.states) as (stream, name):
         reader = Reader(stream, name, units)
-        there = next((x for x in columns if adds and x in reader.header), None)
+        work = task(reader.header)
+        there = next((x for x in work.columns if adds and x in reader.header), None)
         if there is not None:
             limit = "is in the table already; give the point another name, --of NAME=POINT"
             raise InputError(f"column {there}", where=name, limit=limit)
-        sources = [table_source(mechanism, x, reader.names, name) for x in wanted(reader.names)]
+        used = work.taken(mechanism, reader.names)
+        sources = [table_source(mechanism, x, reader.names, name) for x in used]
         timed = mechanism.timed and "t" in reader.names
         if options.differentiate:
             sources, chunks = found_rates(mechanism, reader, sources, timed, options.unwrap)
         else:
             taken = [x for source in sources for x in source.columns] + ["t"] * timed
             chunks = taken_at_rest(reader, sources, reader.chunks(taken))
-        computed = _Computed(mechanism, sources, compute, gaps)
-        with remarks(), options.writer(columns, reader.header, units, summary) as writer:
+        computed = _Computed(mechanism, sources, work)
+        told = options.writer(work.columns, reader.header, units, summary, work.only)
+        with remarks(), told as writer:
             if not computed.write(chunks, writer, name) and (adds or writer.needs_rows):
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
             if computed.lost and summary is not None:
@@ -295,10 +394,10 @@ class _Computed:
         self,
         mechanism: Mechanism,
         sources: Sequence[Source],
-        compute: Callable[..., Array],
-        gaps: int,
+        task: Task,
     ) -> None:
-        self.mechanism, self.sources, self.compute, self.gaps = mechanism, sources, compute, gaps
+        self.mechanism, self.sources, self.compute = mechanism, sources, task.compute
+        self.whole = np.logical_not(task.gaps) if task.gaps else slice(None)  # without gaps
         self.lost: list[RobodynError] = []  # of the first row without results
         self.q: Array = np.zeros((0, mechanism.n))  # the poses of the rows computed last
 
@@ -318,8 +417,7 @@ class _Computed:
             given["t"] = values[:, begin] if timed else np.zeros(len(values))
         with np.errstate(all="ignore"):
             found = self.compute(**given)
-        whole = found.shape[-1] - self.gaps
-        if not np.isfinite(found[:, :whole]).all() or np.isinf(found[:, whole:]).any():
+        if not np.isfinite(found[:, self.whole]).all() or np.isinf(found).any():
             if self.mechanism.signals:
                 from robodyn.engines.row_values import rows_of
                 from robodyn.mechanics.parts import acting
@@ -364,11 +462,6 @@ class _Computed:
             return self.at(np.repeat(rows, 2, axis=0))[:1]  # BLAS adds up one in another order
         finally:
             streams.reset(token)
-
-
-def overflow() -> RobodynError:
-    """The error for a result that is not finite."""
-    return RobodynError("the result is not finite", limit="the state or the scene is too large")
 
 
 @contextmanager

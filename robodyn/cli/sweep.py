@@ -16,8 +16,8 @@ from typing import Annotated, Any
 from robodyn.cli.files import named as not_empty
 from robodyn.cli.files import output_file
 from robodyn.cli.large_angles import tell_large_angles
-from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, option, refuse, switch
-from robodyn.cli.output import RowOptions, note, told
+from robodyn.cli.options import Model, Number, Quiet, Text, option, refuse
+from robodyn.cli.output import chosen_names, note, told
 from robodyn.cli.progress import progress
 from robodyn.cli.simulate import (
     EVENT,
@@ -30,9 +30,9 @@ from robodyn.cli.simulate import (
 )
 from robodyn.cli.states import remarks
 from robodyn.control.laws import controller
+from robodyn.dynamics.columns import scene_units
 from robodyn.errors import InputError, named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units
 from robodyn.simulation.motion_columns import check_span
 from robodyn.simulation.settings import DEFAULT_POINTS
 from robodyn.sweeps import sweep_request
@@ -43,7 +43,7 @@ from robodyn.sweeps.sweep_plan import EVENTS, RESULTS, Axis, Plan, check
 from robodyn.sweeps.sweep_request import Acting, Kind, SweepRequest, lacks_machine_code
 from robodyn.sweeps.sweep_workers import PATIENCE, results, without_remarks
 from robodyn.tables.output_file import on_terminal, open_output
-from robodyn.tables.summaries import KeptRows, correlations
+from robodyn.tables.summaries import correlations
 from robodyn.tables.table_writer import Writer
 
 _Q = "Angles of the joints that determine all others, rad. Default: a whole `start`, or zero."
@@ -131,7 +131,7 @@ def _acting(
 Compute = Callable[[int, Callable[[Rows], object]], object]  # from a chunk on, into what writes
 _SCHEDULER = "A Dask scheduler whose workers compute the chunks (the extra `cluster`)."
 _LOST = f"How long to wait for a silent scheduler, or one without workers. Default: {PATIENCE:g}."
-_CORRELATIONS = "In place of the rows, Spearman's rank correlation of each result with what varies."
+_COLUMNS = "Exactly these of the columns, in this order, such as q1,tau1."
 MOST = 100_000  # points of a sample of which it is told
 SHOWN = 3  # numbers that are named
 MANY = 1000  # motions, from which on machine code is worth an installation
@@ -173,8 +173,7 @@ def sweep(
     given: SweepOptions,
     control: ControlOptions = ControlOptions(),
     work: WorkOptions = WorkOptions(),
-    extremes: Extremes = False,
-    correlations: bool = switch(_CORRELATIONS),
+    columns: Text = option(_COLUMNS, "NAMES"),
     quiet: Quiet = False,
     out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None,
 ) -> None:
@@ -184,8 +183,7 @@ def sweep(
     or a number of the scene: links.forearm.m, gravity, springs[0].stiffness, ... (an unknown name
     lists them).  The last --vary of a grid changes fastest.  A row has what varies, the results,
     and the outcome; a point without a result has empty fields.  With --out the same command goes
-    on with a sweep that was cut off; with --extremes and --correlations, which keep no rows, it
-    begins anew.
+    on with a sweep that was cut off.
 
     --kind torque --track FILE computes torques along a reference, --control makes motions track
     one, as in `simulate` (its model is MODEL, whatever varies); results are then taken of columns
@@ -198,13 +196,12 @@ def sweep(
       robodyn sweep four-bar --vary q1=0:350deg:36 --kind torque --qd 5
       robodyn sweep four-bar --kind torque --track turn.csv --sample 1000 \\
         --vary "links.coupler.m=normal(1.3,0.02)" \\
-        --result "max(tau1),rms(shake_fx)" --correlations
+        --result "max(tau1),rms(shake_fx)" | \\
+        robodyn summary --correlations links.coupler.m
       robodyn sweep 2r --vary qd1=0:10:1001 --scheduler tcp://10.0.0.1:8786
     """
     plan = plan_of(model, given, control)
     work.check()
-    if extremes and correlations:
-        raise InputError("--extremes and --correlations", limit="exclude each other")
     with remarks():
         check(plan)
     tell_large_angles(plan.mechanism, model.values)
@@ -212,14 +209,14 @@ def sweep(
         note("Note: the extra `fast` (pip install '.[fast]') makes this hundreds of times faster")
     units, values = dict(scene_units(plan.mechanism)), model.values()
     units |= {x.name: values.unit(x.name) for x in plan.variation.axes if x.name in values}
-    lines = _Lines(plan.columns(), units)
+    only = None if columns is None else chosen_names(columns, plan.columns())
+    lines = _Lines(plan.columns(), units, only)
     outcomes: Counter[str] = Counter()
     size = plan.variation.size
     what = bool(plan.told) and plan.variation.sample is not None and not quiet and size <= MOST
     seen: list[Any] = []  # the rows, where it is to be told what matters most
     begun = time.perf_counter()
-    summarized = extremes or correlations
-    among_rows = on_terminal(out) and not summarized  # a bar would be in their lines
+    among_rows = on_terminal(out)  # a bar would be in their lines
 
     def compute(begin: int, write: Callable[[Rows], object]) -> None:
         first = begin * plan.chunk
@@ -235,13 +232,8 @@ def sweep(
                 seen.extend([rows.values] if what else [])
                 show((first + outcomes.total()) / size)
 
-    if summarized:
-        summary = partial(_correlations, varied=len(plan.variation.axes))
-        kept = RowOptions(extremes, out=out)
-        with kept.writer(plan.columns()[:-1], units=units, summary=summary) as writer:
-            compute(0, lambda rows: writer.write_columns(rows.values))
     # devices and pipes are written as they come
-    elif out in (None, "-") or (Path(out).exists() and not Path(out).is_file()):
+    if out in (None, "-") or (Path(out).exists() and not Path(out).is_file()):
         with open_output(out) as stream:
             stream.write(lines.header)
             compute(0, lambda rows: (stream.write(lines.of(rows)), stream.flush()))
@@ -250,7 +242,7 @@ def sweep(
             _go_on(file, plan, compute, lines, outcomes, quiet)
     if not quiet:
         _summary(plan, outcomes, time.perf_counter() - begun)
-    if seen and not summarized and outcomes.total() == size:
+    if seen and outcomes.total() == size:
         _tell_what_matters(plan, seen)
 
 
@@ -289,20 +281,14 @@ def _go_on(
     file.finish()
 
 
-def _correlations(*given: Any, varied: int) -> Writer:
-    def told(header: Sequence[str], rows: Any, _: Any) -> tuple[Sequence[str], Any]:
-        found = correlations(header, varied, [rows])
-        return ["column", *header[:varied]], [[name, *row] for name, row in found.items()]
-
-    return KeptRows(*given, of=told)
-
-
 class _Lines:
     """CSV lines as bytes, the header's first; what is missing is empty."""
 
-    def __init__(self, columns: Sequence[str], units: Mapping[str, str]) -> None:
+    def __init__(
+        self, columns: Sequence[str], units: Mapping[str, str], only: Sequence[str] | None
+    ) -> None:
         self._stream = io.BytesIO()
-        self._writer = told(partial(Writer, self._stream), columns, units=units)
+        self._writer = told(partial(Writer, self._stream), columns, units=units, only=only)
         self.header = self._stream.getvalue()
 
     def of(self, rows: Rows) -> bytes:

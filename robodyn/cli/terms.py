@@ -6,14 +6,15 @@ import numpy as np
 
 from robodyn.cli.options import Model, Out, OutputStructured, Qdd, Tau, option, refuse, switch
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
-from robodyn.cli.states import StateOptions, overflow, remarks, single_state
+from robodyn.cli.states import StateOptions, remarks, single_state
 from robodyn.dynamics import closed_form
+from robodyn.dynamics.columns import DEGREES, SLIDING, scene_units
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
 from robodyn.elements.contacts import COMPLIANT, HARD, STICKS
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError, RobodynError, overflow
 from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import DEGREES, IN_DEGREES, SLIDING, scene_units
+from robodyn.tables.csv_fields import IN_DEGREES
 
 OF_JOINTS = ("q", "qd", "G", "D", "Q", "Psi")  # a column a joint, with its unit
 _BY = "By numbers of the scene too, links.forearm.m,gravity; repeatable."

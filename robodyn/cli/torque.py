@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from robodyn.cli.options import Force, Model, Number, Qdd, load_with, option, switch
-from robodyn.cli.states import TableOptions, evaluate
+from robodyn.cli.options import Force, Model, Number, Qdd, load_with, option
+from robodyn.cli.states import TableOptions, state_rows
 from robodyn.cli.turns import tell_flywheel
-from robodyn.dynamics.dynamics import inverse_dynamics_and_forces
-from robodyn.dynamics.free_joints import free_joints
-from robodyn.dynamics.state_columns import power_values, torque_columns, torque_values
-from robodyn.errors import InputError, ResidualError
+from robodyn.dynamics.columns import TORQUE, column_names
 
 
 def torque(
@@ -18,8 +13,6 @@ def torque(
     given: TableOptions = TableOptions(),
     qdd: Qdd = None,
     force: Force = None,
-    power: bool = switch("The power of each actuated joint's torque."),
-    residual: bool = switch("What is left at free joints, as columns, instead of an error."),
     fluctuation: Number = option(
         "In place of the rows, which are a turn of the one actuated joint: its mean torque and the "
         "flywheel that holds this fluctuation of speed, such as 0.02.",
@@ -35,13 +28,13 @@ def torque(
     the pin force fx1,fy1 (N, ground axes) on the side that the scene names first, and tc1 (N m),
     the torque of each coupling.  For each actuated joint with a motor there are its torque motor1
     (N m), which is tau1/ratio, its speed motor_speed1 (rad/s), and by its constants volt1 (V), amp1
-    (A) and watt1 (W).  Rows of STATES pass through with these columns added.  --power adds power1..
-    (W) = tau1 qd1 of the actuated joints.
+    (A) and watt1 (W).  Rows of STATES pass through with these columns added; --columns chooses, as
+    power1.. (W) = tau1 qd1.
 
     With fewer actuators than freedoms the motion must be one that the mechanism makes: a torque
     that is left at a free joint, residual2 (N m, or N), refuses its row unless it is below 1e-9 of
     the largest of M qdd, C qd, D qd, G and Q in that joint's equation (in a loop: along the motion
-    of that joint alone, actuated ones held).  --residual writes residual2.. instead.
+    of that joint alone, actuated ones held).  It is a column where --columns names it.
 
     --fluctuation DELTA takes whole turns of a machine with one actuated joint, the last row as the
     first, and tells mean_torque (N m), energy_fluctuation dE (J): the greatest less the least of
@@ -53,45 +46,19 @@ def torque(
       robodyn torque 2r --q 30deg,45deg --qd 1,0.5 --qdd 0,0
       robodyn torque four-bar --q 60deg --qd 5
       robodyn torque 2r - < states.csv | head -3
-      robodyn torque 2r states.csv --power --extremes
+      robodyn torque 2r states.csv --columns t,q1,tau,power | robodyn summary
       robodyn trajectory 2r --from 0,0 --to 1,2 --time 1 | cut -d, -f1-3 | \\
         robodyn torque 2r - --differentiate
       robodyn torque 2r --q 30deg,45deg --force tip2=0,-20
       robodyn simulate cart-pole --q 0,80deg --time 1 | \\
-        robodyn torque cart-pole - --residual
+        robodyn torque cart-pole - --columns t,tau1,residual2
       robodyn trajectory four-bar --speed 60rpm --turns 1 --points 361 | \\
         robodyn torque four-bar - --fluctuation 0.02
     """
     mechanism = load_with(model, force)
     quantities = given.quantities(qdd=qdd)
     if fluctuation is not None:
-        for name, wanted in (("--power", power), ("--residual", residual)):
-            if wanted:
-                raise InputError(f"{name} and --fluctuation", limit="exclude each other")
         tell_flywheel(mechanism, given, quantities, fluctuation)
         return
-
-    powers = [f"power{k + 1}" for k in mechanism.actuated if power]
-    free: list[int] = []
-    if residual:
-        free = free_joints(mechanism)
-        if not free:
-            limit = "no joint is free: the mechanism has as many actuators as freedoms"
-            raise InputError("--residual", where=mechanism.source, limit=limit)
-
-    def compute(
-        q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, t: np.ndarray | float = 0.0
-    ) -> np.ndarray:
-        try:
-            solved = inverse_dynamics_and_forces(mechanism, q, qd, qdd, t, residual=residual)
-        except ResidualError as error:
-            error.limit += ", or let --residual write it"
-            raise
-        tau = solved.tau
-        found = [torque_values(mechanism, q, qd, tau, solved.multipliers), tau[..., free]]
-        if powers:
-            found.append(power_values(mechanism, qd, tau))
-        return np.concatenate(found, axis=-1)
-
-    columns = [*torque_columns(mechanism), *(f"residual{k + 1}" for k in free), *powers]
-    evaluate(mechanism, given, quantities, columns, compute)
+    advice = ", or name the residuals in --columns"
+    state_rows(mechanism, given, quantities, column_names(mechanism, TORQUE), advice=advice)

@@ -11,20 +11,28 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
-from robodyn.cli.files import rows_file
+from robodyn.cli.files import input_file
 from robodyn.cli.motion_files import unwrapped, without_jumps
 from robodyn.cli.options import EACH, Model, Number, Text, Unwrap, option, refuse
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.states import Quantity, driver_of, option_source, overflow, remarks, table_source
+from robodyn.cli.states import (
+    Quantity,
+    chosen_columns,
+    option_source,
+    remarks,
+    table_source,
+)
 from robodyn.cli.times import Points, output_times
+from robodyn.dynamics.columns import column_names, scene_units
+from robodyn.dynamics.joint_vectors import driver_of, joint_values
+from robodyn.dynamics.named_points import named_point, named_points
+from robodyn.dynamics.state import State, find
 from robodyn.dynamics.sticking import AT_REST_REMARK
-from robodyn.errors import InputError, RobodynError, at_place, named_options
-from robodyn.kinematics.named_points import named_point
+from robodyn.errors import InputError, RobodynError, at_place, named_options, overflow
 from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import joint_values, scene_units
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.simulation.settings import EvenTimes
 from robodyn.tables.csv_fields import shown
@@ -88,7 +96,7 @@ class TrajectoryOptions:
 
     from_: Text = option(f"Angles at the start, rad, or 30deg, pi/2: {_WHICH}.", "VECTOR")
     to: Text = option(f"Angles at the end: {_WHICH}.", "VECTOR")
-    via: Annotated[Text, rows_file("--via", _VIA)] = None
+    via: Annotated[Text, input_file("--via", _VIA)] = None
     unwrap: Unwrap = False
     time: Text = option("Duration, s, 2s or 500ms; min: the shortest within the limits.", "S|min")
     profile: ProfileName | None = option("Default: quintic.")
@@ -112,7 +120,7 @@ class TrajectoryOptions:
     of: Text = option(_OF, "POINT")
     to_xy: Text = option("Straight from where the point is at --from to here, m.", "X,Y")
     arc: Text = option(_ARC, "CENTRE:ANGLE")
-    path: Annotated[Text, rows_file("--path", _PATH)] = None
+    path: Annotated[Text, input_file("--path", _PATH)] = None
     posture: Text = option(_POSTURE, "VECTOR")
     max_speed: Text = option("Largest speed of the point, m/s.", "V")
 
@@ -454,7 +462,7 @@ def trajectory(
       robodyn trajectory 2r --from 0,0 --to 90deg,45deg --time min --max-tau 25,8
       robodyn trajectory 2r --via motion.csv --profile cubic --max-qd 90deg/s
       robodyn trajectory four-bar --speed 60rpm --turns 1 --points 361
-      robodyn trajectory four-bar --speed 60rpm --turns 1 --extremes
+      robodyn trajectory four-bar --speed 60rpm --turns 1 --columns t,q1,tau1
       robodyn trajectory 2r --from 0,90deg --of tip2 --to-xy 0.4,0.9 --time 2
       robodyn trajectory 2r --profile sweep --from 30deg,45deg --amplitude 5deg \\
         --frequencies 0.2,5 --time 20 | robodyn torque 2r -
@@ -539,19 +547,26 @@ def _told(found: Shortest) -> ReferenceMotion:
 
 
 def _write(motion: ReferenceMotion, times: EvenTimes, rows: RowOptions) -> None:
-    n = motion.mechanism.n
-    columns = ["t", *(f"{name}{k + 1}" for name in ("q", "qd", "qdd") for k in range(n))]
-    block = max(1, min(BLOCK, WORK // n**3))
-    hidden = on_terminal(rows.out) and not rows.extremes  # the rows show how far they are
-    told = rows.writer(columns, units=scene_units(motion.mechanism))
-    with told as writer, progress("writing", hidden) as show:
+    mechanism, points = motion.mechanism, named_points(motion.mechanism)
+    columns = column_names(mechanism, ["t", "q", "qd", "qdd"])
+    own = columns
+    if rows.columns is not None:
+        own, _ = chosen_columns(mechanism, rows.columns, columns, [], points)
+    block = max(1, min(BLOCK, WORK // mechanism.n**3))
+    told = rows.writer(own, units=scene_units(mechanism), only=own)
+    gaps = [family.gaps for name in own if (family := find(mechanism, name, points))]
+    with told as writer, progress("writing", on_terminal(rows.out)) as show:
         for k in range(0, len(times), block):
             show(k / len(times))
             t = motion.begin + times[k : k + block]
             if k + block >= len(times):
                 t[-1] = motion.end
             with np.errstate(all="ignore"):
-                values = np.concatenate([t[:, None], *motion.states(t)], axis=1)
-            if not np.isfinite(values).all():
+                states = motion.states(t)
+                if own == columns:
+                    values = np.concatenate([t[:, None], *states], axis=1)
+                else:
+                    values = State(mechanism, *states, t=t, of=points).columns(own)
+            if not np.isfinite(values[:, np.logical_not(gaps)]).all() or np.isinf(values).any():
                 raise overflow()
             writer.write_columns(values)

@@ -35,7 +35,7 @@ from robodyn.dynamics.dynamics import (
     pin_forces,
     pins_at,
 )
-from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, matvec, placed
+from robodyn.dynamics.placed import Placed, absolute_rates, as_states, frame_rates, matvec, placed
 from robodyn.elements.builder import LinkMoment, PointForce
 from robodyn.engines.row_values import rows_of
 from robodyn.loops.closing import loop_size
@@ -293,6 +293,23 @@ def dependent_couplings(mechanism: Mechanism, q: ArrayLike) -> tuple[int, ...]:
     """The couplings whose torque is not unique at q (n,)."""
     changes = coupling_torques(mechanism, _free_multipliers(mechanism, q))
     return _felt(changes, FELT * loop_size(mechanism))
+
+
+def names_not_unique(mechanism: Mechanism, q: ArrayLike) -> str:
+    """The columns of forces that are not unique at the first of the states q (T, n) that has such.
+
+    "" where all are.
+    """
+    states = as_states(mechanism, "q", q)
+    dependent = dependent_rows(mechanism, states)
+    if not dependent.any():
+        return ""
+    state = states[np.argmax(dependent > 0)]
+    closures, links = not_unique(mechanism, state)
+    names = [f"fx{c + 1},fy{c + 1}" for c in closures]
+    names += [f"tc{c + 1}" for c in dependent_couplings(mechanism, state)]
+    names += [f"rx{k + 1},ry{k + 1} ({mechanism.link_names[k]})" for k in links]
+    return "; ".join(names)
 
 
 def _free_multipliers(mechanism: Mechanism, q: ArrayLike) -> Array:

@@ -1,7 +1,6 @@
 """The equations of loops: of pins, of points on lines, of angles that are kept, of couplings.
 
-And what kind of loop each closure makes (Grashof's classes of four-bars, slider-cranks, others),
-and the names of the columns of what acts in them.
+And what kind of loop each closure makes (Grashof's classes of four-bars, slider-cranks, others).
 """
 
 from __future__ import annotations
@@ -104,14 +103,6 @@ def _turned(
     for k, p in _gap(tree, closure):
         if line is None or tree.frames[k] != line:
             yield k, w * p
-
-
-def loop_columns(mechanism: Mechanism) -> list[str]:
-    """The columns of `dynamics.loop_forces`: of closures forces, then moments; of couplings."""
-    described = mechanism.description
-    pins = [f"f{axis}{c + 1}" for c in range(len(described.closures)) for axis in "xy"]
-    kept = [f"mz{c + 1}" for c, x in enumerate(described.closures) if x.aligned is not None]
-    return [*pins, *kept, *(f"tc{c + 1}" for c in range(len(described.couplings)))]
 
 
 def loop_class(mechanism: Mechanism, closure: int) -> str:

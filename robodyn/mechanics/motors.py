@@ -22,17 +22,8 @@ def driving_motors(mechanism: Mechanism) -> Iterator[tuple[int, Motor]]:
     return ((k, motor) for k in mechanism.actuated if (motor := links[k].motor) is not None)
 
 
-def motor_columns(mechanism: Mechanism) -> list[str]:
-    """The names of what `motor_values` gives: motor1.., motor_speed1.., volt1.., amp1.., watt1.."""
-    motors = list(driving_motors(mechanism))
-    electric = [(k, motor) for k, motor in motors if motor.torque_constant]
-    kinds = [("motor", motors), ("motor_speed", motors)]
-    kinds += [(name, electric) for name in ("volt", "amp", "watt")]
-    return [f"{name}{k + 1}" for name, those in kinds for k, _ in those]
-
-
-def motor_values(mechanism: Mechanism, tau: Sequence[Any], qd: Sequence[Any]) -> list[Any]:
-    """Torque N m, speed rad/s, voltage V, current A and power W of the motors, column by column.
+def motor_values(mechanism: Mechanism, tau: Sequence[Any], qd: Sequence[Any]) -> list[list[Any]]:
+    """Torque N m, speed rad/s, voltage V, current A and power W, each with a value a motor.
 
     tau and qd hold a value for each joint: a float, or an array.
     """
@@ -44,7 +35,7 @@ def motor_values(mechanism: Mechanism, tau: Sequence[Any], qd: Sequence[Any]) ->
             amps.append(torques[-1] / motor.torque_constant)
             volts.append(motor.resistance * amps[-1] + motor.torque_constant * speeds[-1])
     watts = [volt * amp + 0.0 for volt, amp in zip(volts, amps, strict=True)]
-    return [*torques, *speeds, *volts, *amps, *watts]
+    return [torques, speeds, volts, amps, watts]
 
 
 def torque_limits(mechanism: Mechanism) -> list[float]:

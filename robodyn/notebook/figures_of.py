@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robodyn.dynamics.columns import ANY_SCENE, scene_units
+from robodyn.dynamics.named_points import named_points
 from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError, printable
-from robodyn.kinematics.named_points import named_points
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly import assemble, first_pose
 from robodyn.mechanics.mechanism import Mechanism
@@ -22,15 +23,14 @@ from robodyn.pictures import animation_files
 from robodyn.pictures.animation_files import check_animation, check_programs, frames
 from robodyn.pictures.chart import read_chart
 from robodyn.pictures.chart_figure import chart_figure, map_figure
-from robodyn.pictures.column_units import ANY_SCENE, scene_units
 from robodyn.pictures.drawing import drawing, even_rows, traced
 from robodyn.pictures.force_arrows import forces_at
 from robodyn.pictures.mechanism_picture import mechanism_figure
 from robodyn.pictures.value_map import read_map
 from robodyn.simulation.simulation import Motion
 from robodyn.tables.arrays import Array
-from robodyn.tables.columns import Columns
 from robodyn.tables.csv_fields import shown
+from robodyn.tables.named_columns import Columns
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,11 +15,11 @@ from importlib.util import find_spec
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
+from robodyn.dynamics.columns import scene_units
 from robodyn.errors import RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.chart import read_chart
-from robodyn.pictures.column_units import scene_units
-from robodyn.tables.columns import Columns
+from robodyn.tables.named_columns import Columns
 
 if TYPE_CHECKING:
     from robodyn.simulation.simulation import Motion

@@ -17,7 +17,7 @@ from robodyn.scene.yaml_tree import Sequence as ListOf
 from robodyn.sweeps.sweep_plan import check
 from robodyn.sweeps.sweep_request import Kind, SweepRequest, plan_of
 from robodyn.sweeps.sweep_workers import results, without_remarks
-from robodyn.tables.columns import Columns
+from robodyn.tables.named_columns import Columns
 
 VECTORS = ("q", "qd", "qdd", "tau")
 

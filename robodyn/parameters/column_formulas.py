@@ -21,18 +21,21 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import points_of
+from robodyn.dynamics.columns import FAMILIES, LOOPS, MOTORS, column_names
 from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.dynamics.dynamics import pins_at
 from robodyn.dynamics.named_numbers import with_variables
+from robodyn.dynamics.named_points import NamedPoint, named_points
 from robodyn.dynamics.placed import Placed
 from robodyn.dynamics.reaction_forces import Acts, Felt, Part
+from robodyn.dynamics.transmission import ratio_named, transmission_loops, turn_between
 from robodyn.engines import expression
 from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Expression, Graph, Value, slopes_by, substituted, tangents
@@ -41,8 +44,6 @@ from robodyn.engines.formulas import Recorded, balance, evaluated, joint_jacobia
 from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.row_values import RowValues
 from robodyn.errors import InputError
-from robodyn.kinematics.named_points import NamedPoint, named_points
-from robodyn.kinematics.transmission import ratio_named, transmission_loops, turn_between
 from robodyn.loops.assembly import assemble
 from robodyn.loops.assembly_plan import Plan, Step, assembly_plan
 from robodyn.loops.branches import scene_branches
@@ -50,9 +51,8 @@ from robodyn.loops.closing import CLOSED as ROUNDING
 from robodyn.loops.closing import PASSES, loop_size
 from robodyn.loops.dyads import by_dyads, known_joints
 from robodyn.mechanics.link_tree import Tree
-from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.mechanics.motors import motor_columns, motor_values
+from robodyn.mechanics.motors import motor_values
 from robodyn.mechanics.planar_model import ClosureRow
 from robodyn.scene.expressions import NO_BENDS, check_smooth
 from robodyn.scene.quantities import Variables, expressions
@@ -60,8 +60,7 @@ from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 
-SHAKES = ("shake_fx", "shake_fy", "shake_m")
-PARTS = ("x", "y", "vx", "vy", "ax", "ay")
+PARTS = [word.removeprefix("{P}_") for word, _ in FAMILIES["points"].each]
 _SLOPE = re.compile("J([xy])([1-9][0-9]*)", re.ASCII)
 _RELATION = re.compile(r"<=|>=|==|<|>")
 
@@ -189,28 +188,35 @@ class ColumnFormulas:
     @cached_property
     def _named(self) -> dict[str, Callable[[], Any]]:
         """What makes the columns that are no point's."""
-        mechanism, state = self.mechanism, self.state.relative
-        found: dict[str, Callable[[], Any]] = {
-            f"{kind}{k + 1}": partial(values.__getitem__, k)
-            for kind, values in state.items()
-            for k in range(mechanism.n)
-        }
+        mechanism, state, n = self.mechanism, self.state.relative, self.mechanism.n
         torques = dict(zip(mechanism.actuated, self.forces, strict=False))
-        for k, tau in torques.items():
-            found[f"tau{k + 1}"] = partial(torques.__getitem__, k)
-            found[f"power{k + 1}"] = partial(expression.multiply, tau, state["qd"][k])
-        for order, kind in enumerate(("angle", "w", "wd")):
-            found |= {f"{kind}{k + 1}": partial(self._turn, k, order) for k in range(mechanism.n)}
-        taken = {f"r{axis}{k + 1}": ("reactions", k) for k in range(mechanism.n) for axis in "xy"}
-        taken |= {f"rm{k + 1}": ("slide_moments", k) for k in mechanism.slides}
-        taken |= {name: ("loop_forces", i) for i, name in enumerate(loop_columns(mechanism))}
-        taken |= {name: ("shaking", i) for i, name in enumerate(SHAKES)}
-        taken |= {name: ("motors", i) for i, name in enumerate(motor_columns(mechanism))}
-        for name, (values, at) in taken.items():
-            found[name] = partial(self._taken, values, at, "imag" if name[:2] == "ry" else "real")
-        for c in transmission_loops(mechanism):
-            found[f"transmission{c + 1}"] = partial(self._transmission, c)
-        return found
+        taken = partial(partial, self._taken)
+        each: dict[str, list[Callable[[], Any]]] = {
+            kind: [partial(values.__getitem__, k) for k in range(n)]
+            for kind, values in state.items()
+        }
+        each |= {
+            "tau": [partial(torques.__getitem__, k) for k in torques],
+            "power": [
+                partial(expression.multiply, tau, state["qd"][k]) for k, tau in torques.items()
+            ],
+            "links": [partial(self._turn, k, order) for k in range(n) for order in range(3)],
+            "reactions": [
+                taken("reactions", k, part) for k in range(n) for part in ("real", "imag")
+            ],
+            "slide_moments": [taken("slide_moments", k, "real") for k in mechanism.slides],
+            "shaking": [taken("shaking", i, "real") for i in range(3)],
+            "transmission": [partial(self._transmission, c) for c in transmission_loops(mechanism)],
+        }
+        found = {
+            name: make
+            for family, makers in each.items()
+            for name, make in zip(column_names(mechanism, [family]), makers, strict=True)
+        }
+        motors = column_names(mechanism, MOTORS)
+        found |= {name: taken("motors", i, "real") for i, name in enumerate(motors)}
+        names = column_names(mechanism, LOOPS)
+        return found | {name: taken("loop_forces", i, "real") for i, name in enumerate(names)}
 
     def serves(self, name: str) -> bool:
         """Whether there is a column of this name."""
@@ -283,7 +289,7 @@ class ColumnFormulas:
         """The columns of motors."""
         torques = dict(zip(self.mechanism.actuated, self.forces, strict=False))
         each = [torques.get(k, 0.0) for k in range(self.mechanism.n)]
-        return motor_values(self.named, each, self.state.relative["qd"])
+        return [*chain(*motor_values(self.named, each, self.state.relative["qd"]))]
 
     def _turn(self, k: int, order: int) -> Value:
         """The angle of a link, its rate (1) or its acceleration (2)."""

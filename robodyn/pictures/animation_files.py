@@ -19,8 +19,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from robodyn.control.tracking import ReferenceTable
+from robodyn.dynamics.named_points import NamedPoint
 from robodyn.errors import InputError, RobodynError
-from robodyn.kinematics.named_points import NamedPoint
 from robodyn.loops.closing import close_positions
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.chart_figure import check_matplotlib

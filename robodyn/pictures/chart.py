@@ -18,8 +18,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.errors import InputError
-from robodyn.pictures.column_units import (
+from robodyn.dynamics.columns import (
     TURNING,
     check_degrees,
     in_degrees,
@@ -27,6 +26,7 @@ from robodyn.pictures.column_units import (
     unit_of,
     with_unit,
 )
+from robodyn.errors import InputError
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.csv_fields import columns_told, shown
 from robodyn.tables.table import Reader
@@ -151,7 +151,7 @@ def chart(
 ) -> Chart:
     """The chart of tables: of each its name, its column along x, and its columns, (T,) each.
 
-    `units` are those of a scene (`column_units.scene_units`).  A value that is nan is a gap.  The
+    `units` are those of a scene (`columns.scene_units`).  A value that is nan is a gap.  The
     points of tables that are `scattered` are not joined.
 
     Raises InputError where a table has no row, the tables have different columns along x, or

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from robodyn.dynamics.columns import unit_of, with_unit
 from robodyn.errors import InputError, RobodynError
 from robodyn.pictures.chart import Chart, Panel, limits, spread
-from robodyn.pictures.column_units import unit_of, with_unit
 from robodyn.pictures.value_map import (
     COLOURS,
     LEVELS,

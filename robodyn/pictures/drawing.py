@@ -19,10 +19,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn.dynamics.named_points import NamedPoint
 from robodyn.dynamics.placed import Placed, placed
 from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.errors import RobodynError
-from robodyn.kinematics.named_points import NamedPoint
 from robodyn.loops.assembly import assembly_plan, attempt
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint

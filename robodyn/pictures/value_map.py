@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.dynamics.columns import TURNING, check_degrees, in_degrees, unit_of
 from robodyn.errors import InputError, at_place
 from robodyn.pictures.chart import (
     Opened,
@@ -23,7 +24,6 @@ from robodyn.pictures.chart import (
     tick_texts,
     ticks,
 )
-from robodyn.pictures.column_units import TURNING, check_degrees, in_degrees, unit_of
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import finite, is_missing, shown, split_fields, unquoted
 from robodyn.tables.table import Reader

@@ -9,11 +9,11 @@ import io
 import math
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import BinaryIO, cast
 
 from robodyn.errors import InputError
 from robodyn.scene.scene import Table, Tables
-from robodyn.tables.csv_fields import DELIMITERS, Delimited, unquoted
+from robodyn.tables.csv_fields import Delimited
 from robodyn.tables.input_file import read_regular
 from robodyn.tables.table import Reader
 
@@ -48,17 +48,6 @@ def read_table(
     return Table(file, over, column, places, values, repeats)
 
 
-def _commas(data: bytes, column: str) -> BinaryIO:
-    """A file whose fields end at commas; at what else tells its first line."""
-    first = data.partition(b"\n")[0].decode("utf-8-sig", "replace")
-    stream: Any = io.BytesIO(data)
-    for mark in DELIMITERS.values():
-        fields = [unquoted(field.strip()) for field in first.split(mark)]
-        if mark != "," and column in fields and "," not in first:
-            stream = Delimited(stream, mark)
-    return cast(BinaryIO, stream)
-
-
 def _columns(
     path: Path, x: str, column: str, turns: bool
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -66,7 +55,7 @@ def _columns(
     if x == column:
         raise ValueError(f"has {x} on both axes")
     try:
-        stream = _commas(read_regular(path), column)
+        stream = cast(BinaryIO, Delimited(io.BytesIO(read_regular(path))))
         reader = Reader(stream, "", (column,) if turns else (x, column))
         chunks = reader.chunks([x, column])
         rows = list(islice((row for c in chunks for row in c.values.tolist()), MOST_ROWS + 1))

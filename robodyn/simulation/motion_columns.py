@@ -11,14 +11,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from robodyn.dynamics import closed_form
-from robodyn.dynamics.dynamics import loop_forces, motion_dynamics
+from robodyn.dynamics.columns import MOTION, column_names
 from robodyn.dynamics.placed import finite, numbers
+from robodyn.dynamics.state import State
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.loop_rates import near_dead_centre
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import Control
 from robodyn.mechanics.torque_times import harmless_torque, over_a_scene_run
@@ -26,13 +25,8 @@ from robodyn.tables.arrays import Array
 
 
 def motion_columns(mechanism: Mechanism, tracked: bool) -> list[str]:
-    """Their names; those of a motion that a controller leads have its errors."""
-    joints = range(1, mechanism.n + 1)
-    names = ["t", *(f"{name}{k}" for name in ("q", "qd", "qdd") for k in joints)]
-    names += [f"tau{k + 1}" for k in mechanism.actuated]
-    names += loop_columns(mechanism)
-    names += ["energy", *(["gap"] if mechanism.rows else [])]
-    return names + [f"e{k + 1}" for k in mechanism.actuated if tracked]
+    """The names of a motion's columns; if a controller leads it, those of its errors too."""
+    return column_names(mechanism, [*MOTION, *(["errors"] if tracked else [])])
 
 
 def motion_values(
@@ -42,15 +36,8 @@ def motion_values(
 
     `moving` is what moves there: the mechanism, or one of its modes.
     """
-    solution = motion_dynamics(moving, q, qd, tau, t)
-    forces = loop_forces(mechanism, solution.multipliers[..., : len(mechanism.rows)], q)
-    energy = np.sum(closed_form.energies(moving, q, qd), axis=0)
-    driven = tau[:, list(mechanism.actuated)]
-    parts = [t[:, None], q, qd, solution.qdd, driven, forces, energy[:, None]]
-    if mechanism.rows:
-        gap = np.linalg.norm(closed_form.closure_gap(mechanism, q), axis=-1)
-        parts.append(gap[:, None])
-    return np.concatenate(parts, axis=-1)
+    state = State(mechanism, q, qd, tau=tau, t=t, moving=moving)
+    return state.columns(column_names(mechanism, MOTION))
 
 
 def as_actuation(

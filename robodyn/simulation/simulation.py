@@ -55,7 +55,7 @@ from robodyn.simulation.settings import (
     check_run,
 )
 from robodyn.tables.arrays import Array
-from robodyn.tables.columns import Columns
+from robodyn.tables.named_columns import Columns
 from robodyn.taylor.compiled import check_served
 from robodyn.taylor.run import TaylorRun
 

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from robodyn.control.tracking import ReferenceTable
-from robodyn.dynamics.dynamics import inverse_dynamics_and_forces, motion_dynamics
-from robodyn.dynamics.state_columns import Solved, column_names, columns_of
+from robodyn.dynamics.columns import STATE, column_names
+from robodyn.dynamics.named_points import named_points
+from robodyn.dynamics.state import State
 from robodyn.errors import InputError
-from robodyn.kinematics.named_points import named_points
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism
@@ -58,11 +58,6 @@ def parsed(text: str) -> RowResult:
     return RowResult("", text) if match is None else RowResult(match[1] or "", match[2].strip())
 
 
-def errors(mechanism: Mechanism) -> list[str]:
-    """The columns of a controller's errors."""
-    return [f"e{k + 1}" for k in mechanism.actuated]
-
-
 def check_results(
     mechanism: Mechanism,
     texts: Sequence[str],
@@ -76,8 +71,8 @@ def check_results(
     `of` are the points; `tracks` tells whether a controller's errors are there, `rows` whether a
     point has many; `others` are results besides, which a message names.
     """
-    known = column_names(mechanism, named_points(mechanism, of))
-    known += errors(mechanism) if tracks else []
+    families = [*STATE, *(["errors"] if tracks else [])]
+    known = column_names(mechanism, families, named_points(mechanism, of))
     for text in texts:
         taken, column = parsed(text)
         if column not in known:
@@ -91,20 +86,17 @@ def check_results(
             raise InputError("result", value=text, limit=limit)
 
 
-def at_states(mechanism: Mechanism, t: Array, q: Array, qd: Array, qdd_driven: Array) -> Solved:
-    """What acts if the independent joints accelerate so, at closed states (T, n)."""
+def at_states(
+    mechanism: Mechanism, t: Array, q: Array, qd: Array, qdd_driven: Array, of: Sequence[str]
+) -> State:
+    """The states where the independent joints accelerate so, at closed q and qd (T, n)."""
     qdd = loop_rates.loop_accelerations(with_independent(mechanism), q, qd, qdd_driven)
-    found = inverse_dynamics_and_forces(mechanism, q, qd, qdd, t)
-    return Solved(t, q, qd, qdd, found.tau, found.multipliers)
+    return State(mechanism, q, qd, qdd, t=t, of=of)
 
 
-def of_states(
-    mechanism: Mechanism, texts: Sequence[str], of: Sequence[str], solved: Solved
-) -> Array:
+def of_states(texts: Sequence[str], state: State) -> Array:
     """The columns that the texts name, (T, results)."""
-    wanted = [parsed(text).column for text in texts]
-    found = columns_of(mechanism, named_points(mechanism, of), solved, wanted)
-    return np.stack([found[name] for name in wanted], axis=-1)
+    return state.columns([parsed(text).column for text in texts])
 
 
 def of_rows(texts: Sequence[str], t: Array, columns: Array) -> Array:
@@ -120,15 +112,14 @@ def of_motion(
     """What the texts take of a motion's rows, (results,)."""
     mechanism, wanted = motion.mechanism, [parsed(text).column for text in texts]
     named, found = named_points(mechanism, of), []
+    errors = column_names(mechanism, ["errors"] if reference else [])
     for moving, t, q, qd, tau in motion.in_phases(motion.t, motion.q, motion.qd, motion.tau):
-        solution = motion_dynamics(moving, q, qd, tau, t)
-        forces = solution.multipliers[..., : len(mechanism.rows)]
-        solved = Solved(t, q, qd, solution.qdd, tau, forces)
+        state = State(mechanism, q, qd, tau=tau, t=t, of=named, moving=moving)
         given = {}
         if reference is not None:
             away = reference.at(t)[0] - q[:, list(mechanism.actuated)]
-            given = dict(zip(errors(mechanism), away.T, strict=True))
+            given = dict(zip(errors, away.T, strict=True))
         others = [name for name in wanted if name not in given]
-        given |= columns_of(mechanism, named, solved, others)
+        given |= dict(zip(others, state.columns(others).T, strict=True))
         found.append(np.stack([given[name] for name in wanted], axis=-1))
     return of_rows(texts, motion.t, np.concatenate(found))

@@ -28,8 +28,8 @@ from robodyn import __version__
 from robodyn.control.laws import controller
 from robodyn.control.tracking import ReferenceTable
 from robodyn.dynamics import closed_form
+from robodyn.dynamics.columns import TORQUE, column_names
 from robodyn.dynamics.dynamics import RobodynWarning
-from robodyn.dynamics.state_columns import torque_columns
 from robodyn.engines import machine
 from robodyn.engines.machine_motion import Status
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
@@ -332,14 +332,15 @@ def _velocities(mechanism: Mechanism, q: Array, qd: Array) -> tuple[Array, Kept]
 def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: list[str]) -> str:
     """The columns of a group, or of each of its points where one has none; the remark."""
     mechanism, first = group.mechanism, points.shape[1]
-    texts = plan.told or torque_columns(mechanism)
+    texts = plan.told or column_names(mechanism, TORQUE)
     driver = with_independent(mechanism)
     given = _given(driver, "qdd", plan.qdd, plan.variation.axes, points[group.points])
 
     def compute(chosen: slice) -> Array:
         q, qd = group.q[chosen], group.qd[chosen]
-        solved = at_states(mechanism, np.zeros(len(q)), q, qd, given[chosen])
-        return of_states(mechanism, texts, plan.of, solved)
+        return of_states(
+            texts, at_states(mechanism, np.zeros(len(q)), q, qd, given[chosen], plan.of)
+        )
 
     if plan.track is not None:  # which all points of a mechanism share
         with _misses() as said:
@@ -383,8 +384,8 @@ def _along(plan: Plan, mechanism: Mechanism, track: ReferenceTable) -> tuple[Arr
     if not kept.all():
         return nothing, Outcome.SINGULAR.label
     try:
-        solved = at_states(mechanism, t, q, qd, track.accelerations(t))
-        columns = of_states(mechanism, plan.told, plan.of, solved)
+        states = at_states(mechanism, t, q, qd, track.accelerations(t), plan.of)
+        columns = of_states(plan.told, states)
     except SingularError:
         return nothing, Outcome.SINGULAR.label
     return of_rows(plan.told, t, columns), FINISHED

@@ -25,8 +25,8 @@ import numpy as np
 
 from robodyn import __version__
 from robodyn.control.tracking import ReferenceTable
+from robodyn.dynamics.columns import TORQUE, column_names
 from robodyn.dynamics.dynamics import RobodynWarning
-from robodyn.dynamics.state_columns import torque_columns
 from robodyn.errors import InputError
 from robodyn.loops.assembly_plan import assembly_plan, with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -194,7 +194,7 @@ class Plan:
         joints = range(1, mechanism.n + 1)
         names = [axis.name for axis in self.variation.axes]
         if self.kind == "torque":
-            return [*names, *(self.told or torque_columns(mechanism)), "outcome"]
+            return [*names, *(self.told or column_names(mechanism, TORQUE)), "outcome"]
         if "final" in self.results:
             names += ["t_end", *(f"{x}{k}_end" for x in ("q", "qd") for k in joints)]
         if "extremes" in self.results:

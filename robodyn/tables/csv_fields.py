@@ -1,8 +1,8 @@
 """Single fields of a CSV row: splitting, quoting, reading numbers, showing text in errors.
 
-Tables with other delimiters are read as if they had commas.  With semicolons a number may have a
-decimal comma, as spreadsheets of many languages write it.  In quotes everything stands as it is,
-but for such a number.
+Tables with other delimiters are read as if they had commas.  With semicolons and tabs a number may
+have a decimal comma, as spreadsheets of many languages write it.  In quotes everything stands as it
+is, but for such a number.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import BinaryIO
 from robodyn.errors import nearest_first, printable
 
 IN_DEGREES = "_deg"  # ends the names of columns of angles in degrees
-DELIMITERS = {";": ";", "tab": "\t", ",": ","}
 LONGEST_SHOWN = 200  # characters of the input that an error repeats
 
 # Patterns are compiled where they are first used: `re` keeps them, and most commands need none.
@@ -78,19 +77,22 @@ _DECIMAL = re.compile(rb'("?)(\s*[-+]?[0-9]*),([0-9]*(?:[eE][-+]?[0-9]+)?\s*)\1'
 
 
 class Delimited:
-    """A binary stream of rows with commas, of one whose fields end at `delimiter` (; or a tab)."""
+    """A binary stream of rows with commas, of one whose fields end at commas, semicolons or tabs.
 
-    def __init__(self, stream: BinaryIO, delimiter: str) -> None:
+    Its header tells which: it has most of them outside of quotes.  Where they are semicolons or
+    tabs, a comma in a number is a decimal comma.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
         self._read: Callable[[int], bytes] = getattr(stream, "read1", stream.read)
-        self._mark = delimiter.encode()
-        self._numbers = _NUMBERS if delimiter == ";" else b""
-        fields = rb'"(?:[^"]|"")*"|[^%b\r\n"]*,[^%b\r\n"]*|%b'
-        self._fields = re.compile(fields % (self._mark, self._mark, self._mark))
+        self._mark = b""  # unknown; commas pass as they are
         self._pending = b""
         self._at_header = True
 
     def read1(self, size: int = READ_BYTES) -> bytes:
-        """What has arrived, in whole rows; empty at the end."""
+        """What has arrived, in whole rows, or as it is where it has commas; empty at the end."""
+        if self._mark == b",":
+            return self._read(size)
         while data := self._read(size):
             self._pending += data
             if b"\n" not in data and len(self._pending) <= LONGEST_ROW:
@@ -99,47 +101,50 @@ class Delimited:
             if self._pending.count(b'"', 0, whole) % 2 and len(self._pending) <= LONGEST_ROW:
                 continue  # of a quoted field that goes on
             whole = whole or len(self._pending)
+            if self._ends_at() == b",":
+                whole = len(self._pending)
             block, self._pending = self._pending[:whole], self._pending[whole:]
             return self._with_commas(block)
         block, self._pending = self._pending, b""
-        return self._with_commas(block)
+        return self._with_commas(block) if block and self._ends_at(block) != b"," else block
+
+    def _ends_at(self, block: bytes = b"") -> bytes:
+        """Where fields end, by the header, which is the first line of what was read."""
+        if not self._mark:
+            head = (block or self._pending).partition(b"\n")[0]
+            plain = re.sub(rb'"[^"]*"?', b"", head)
+            self._mark = max(b",", b";", b"\t", key=plain.count)
+            fields = rb'"(?:[^"]|"")*"|[^%b\r\n"]*,[^%b\r\n"]*|%b'
+            self._fields = re.compile(fields % (self._mark, self._mark, self._mark))
+            self._numbers = _NUMBERS.replace(b";", self._mark)
+        return self._mark
 
     read = read1
 
     def _with_commas(self, block: bytes) -> bytes:
+        if self._mark == b",":
+            return block
         head, end, rest = block.partition(b"\n")
         if self._at_header and head.count(b'"') % 2 == 0:
             self._at_header = False
             return self._fields.sub(self._field, head + end) + self._with_commas(rest)
-        if self._numbers and not block.translate(None, self._numbers):
-            return block.translate(bytes.maketrans(b",;", b".,"))
+        if not block.translate(None, self._numbers):
+            return block.translate(bytes.maketrans(b"," + self._mark, b".,"))
         return self._fields.sub(self._field, block)
 
     def _field(self, match: re.Match[bytes]) -> bytes:
         text = match[0]
         if text == self._mark:
             return b","
-        number = _DECIMAL.fullmatch(text) if self._numbers else None
+        number = _DECIMAL.fullmatch(text)
         if number:
             return number[2] + b"." + number[3]
         return text if text.startswith(b'"') else b'"' + text + b'"'
 
 
 def columns_told(header: Sequence[str], wanted: str = "") -> str:
-    """The columns that there are, in a long list those like the one wanted first.
-
-    And the likely delimiter, where it seems to be another one.
-    """
+    """The columns that there are, in a long list those like the one wanted first."""
     text = ", ".join(header)
     if len(text) > LONGEST_SHOWN:
         text = ", ".join(nearest_first(wanted, header))
-    return shown(text) + delimiter_hint(header)
-
-
-def delimiter_hint(header: Sequence[str]) -> str:
-    """What to do where a header seems to have another delimiter than it was read with."""
-    for name, mark in DELIMITERS.items():
-        if any(mark in column for column in header):
-            advice = "leave --delimiter out" if mark == "," else f"give --delimiter {name!r}"
-            return f"; its fields seem to end at {name!r}: {advice}"
-    return ""
+    return shown(text)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from robodyn.tables.arrays import Array
-from robodyn.tables.csv_fields import finite, split_fields, unquoted
-from robodyn.tables.table import plain_numbers
+from robodyn.tables.csv_fields import finite, is_missing, split_fields, unquoted
+from robodyn.tables.numbers import read
 from robodyn.tables.table_writer import Writer
 
 Rows = list[list[float | str | None]]
@@ -23,7 +23,8 @@ class SummaryWriter(Writer):
 
     `make` makes the writer of that, from its columns; it is called when all rows are there, so that
     a failure leaves nothing written.  A column of the input with a field that is no finite number
-    is none of numbers.  A computed text is no value, and a column of such texts is left out.
+    is none of numbers; an empty field is one without a value.  A computed text is no value, and a
+    column of such texts is left out.
     """
 
     needs_rows = True
@@ -59,9 +60,9 @@ class SummaryWriter(Writer):
     def write_rows(self, lines: Sequence[str], values: Array) -> None:
         rows = np.full((len(lines), len(self._header)), np.nan)
         rows[:, self._places] = values
-        passed = self._numbers(lines)
+        passed, numeric = self._numbers(lines)
         rows[:, self._passing] = passed
-        self._passing = [self._passing[k] for k in np.flatnonzero(~np.isnan(passed).any(axis=0))]
+        self._passing = [k for k, good in zip(self._passing, numeric, strict=True) if good]
         self.write_columns(rows)
 
     def write_empty(self, line: str) -> None:
@@ -82,14 +83,23 @@ class SummaryWriter(Writer):
         place = self._header.index(name) if name in self._header else -1
         return place if place in self._passing or place in self._places else None
 
-    def _numbers(self, lines: Sequence[str]) -> Array:
-        """The fields (n, k) of the input that pass through, NaN where one is no number."""
-        found = plain_numbers(lines, self._width, self._passing) if self._passing else None
-        if found is None:
-            fields = [split_fields(line) for line in lines]
-            texts = [[finite(unquoted(row[k])) for k in self._passing] for row in fields]
-            found = np.array(texts, float).reshape(len(lines), len(self._passing))
-        return found
+    def _numbers(self, lines: Sequence[str]) -> tuple[Array, list[bool]]:
+        """The fields (n, k) of the input that pass through, NaN where one is no number.
+
+        And which columns have numbers alone, and fields without a value.
+        """
+        found = read(lines, self._width, self._passing) if self._passing else None
+        if found is not None:
+            return found, [True] * len(self._passing)
+        split = [split_fields(line) for line in lines]
+        texts = [[unquoted(row[k]) for k in self._passing] for row in split]
+        values = [[finite(text) for text in row] for row in texts]
+        known = [
+            [x is not None or is_missing(text) for x, text in zip(*row, strict=True)]
+            for row in zip(values, texts, strict=True)
+        ]
+        numeric = [all(column) for column in zip(*known, strict=True)]
+        return np.array(values, float).reshape(len(lines), len(self._passing)), numeric
 
 
 class KeptRows(SummaryWriter):
@@ -123,6 +133,7 @@ class Extremes(SummaryWriter):
     """
 
     note: Callable[[str], object] = staticmethod(lambda text: None)
+    rank: Callable[[str], int] = staticmethod(lambda name: 0)  # of columns, by which they are told
 
     def _begin(self) -> None:
         width = len(self._header)
@@ -177,7 +188,7 @@ class Extremes(SummaryWriter):
         if not over.any() and self._count.max(initial=0) > 1:
             why = "there is no column t of numbers" if t is None else "t does not rise"
             self.note(f"Note: {why}: rows count equally in mean and rms")
-        for name in self._header:
+        for name in sorted(self._header, key=self.rank):
             if name == "t" or (k := self.numeric(name)) is None:
                 continue
             row: list[float | str | None] = [name]

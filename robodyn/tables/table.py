@@ -20,20 +20,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Container, Iterator, Sequence
-from itertools import chain, compress, repeat
-from operator import contains
-from typing import Any, BinaryIO, NamedTuple
+from itertools import chain
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from robodyn.errors import InputError
+from robodyn.tables import numbers
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import (
     IN_DEGREES,
     LONGEST_ROW,
     READ_BYTES,
     columns_told,
-    delimiter_hint,
     ends_open,
     finite,
     is_missing,
@@ -41,9 +40,6 @@ from robodyn.tables.csv_fields import (
     split_fields,
     unquoted,
 )
-from robodyn.tables.shortest import decimals
-
-FEW = 50  # lines that loadtxt reads in less time
 
 
 class Chunk(NamedTuple):
@@ -60,28 +56,6 @@ class _Rows(NamedTuple):
     lines: list[str]
     numbers: Sequence[int]
     quoted: bool  # whether any has a quote, so that not every comma ends a field
-
-
-def plain_numbers(rows: Sequence[str], width: int, places: Sequence[int]) -> Array | None:
-    """The columns `places` (n, k) of n rows of `width` fields, none quoted; all finite, or None."""
-    powers = np.fromiter(map(contains, rows, repeat("e")), bool, len(rows))
-    values = np.empty((len(powers), len(places)))
-    for chosen in (powers, ~powers):
-        lines = list(compress(rows, chosen))
-        found = None
-        if chosen is not powers and len(lines) >= FEW:
-            found = decimals(lines, width, places)
-        if found is None and lines:
-            # loadtxt parses exactly, but given columns does not mind rows of unequal length
-            if set(map(str.count, lines, repeat(","))) != {width - 1}:
-                return None
-            try:
-                plain: Any = {"delimiter": ",", "comments": None, "encoding": None}
-                found = np.loadtxt(lines, usecols=places, ndmin=2, **plain)
-            except ValueError:
-                return None
-        values[chosen] = found
-    return values if np.isfinite(values).all() else None
 
 
 class Reader:
@@ -140,7 +114,7 @@ class Reader:
         for rows in self._rows:
             values, fault = None, None
             if places and not rows.quoted:
-                values = plain_numbers(rows.lines, len(self.header), places)
+                values = numbers.read(rows.lines, len(self.header), places)
             if values is None:  # there is more to them, or a fault
                 values, fault = self._parsed(rows, [self.header[x] for x in places], places)
             if turned:
@@ -160,7 +134,7 @@ class Reader:
             for line, number in zip(rows.lines, rows.numbers, strict=True):
                 fields = self._split(line, number)
                 if len(fields) != len(self.header):
-                    limit = f"the header has {len(self.header)}{delimiter_hint(self.header)}"
+                    limit = f"the header has {len(self.header)}"
                     raise self._fault(number, "number of fields", len(fields), limit)
                 texts = [unquoted(fields[place]) for place in places]
                 found = [math.nan if self.gaps and is_missing(x) else finite(x) for x in texts]
@@ -169,7 +143,7 @@ class Reader:
                         empty = not text.strip()
                         limit = "the field is empty, not" if empty else "must be"
                         told = None if empty else shown(text)
-                        limit += f" a finite number{delimiter_hint(self.header)}"
+                        limit += " a finite number"
                         raise self._fault(number, name, told, limit)
                 values.append(found)
         except InputError as error:

@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from robodyn.tables.csv_fields import finite, quoted, split_fields, unquoted
-from robodyn.tables.shortest import shortest
+from robodyn.tables.numbers import written
 
 if TYPE_CHECKING:
     from robodyn.tables.arrays import Array
 
 HELD = 1 << 21  # bytes; more than what is read or written at once takes in any one piece
 Told = Callable[[str], tuple[str, float]]  # of a column: its name there, and what its values are
-FEW = 500  # numbers that `repr` writes in less time
 
 
 class Writer:
@@ -27,21 +26,32 @@ class Writer:
 
     Made from the stream, the names of k computed columns, and the header of the input where
     there is one.  A computed column that the input has already is replaced in its place; the
-    others follow the input's columns.  LF line ends; the input's text stays as it is.
+    others follow the input's columns.  `only` names those that are written, in their order, in
+    place of all.  LF line ends; the input's text stays as it is.
     """
 
     converts = False  # whether the input's fields are written in another way than they came
     needs_rows = False  # whether it makes nothing of a table without rows
 
     def __init__(
-        self, stream: BinaryIO, columns: Sequence[str], input_header: Sequence[str] = ()
+        self,
+        stream: BinaryIO,
+        columns: Sequence[str],
+        input_header: Sequence[str] = (),
+        only: Sequence[str] | None = None,
     ) -> None:
         self._stream = stream
         bytes(HELD)  # once so much was freed, glibc keeps what is freed for the rows to come
         new = [name for name in columns if name not in input_header]
-        self._header = [*input_header, *new]
-        self._places = [self._header.index(name) for name in columns]
-        self._appends_only = not self.converts and 0 < len(new) == len(columns)
+        every = [*input_header, *new]
+        self._header = every if only is None else list(only)
+        self._places = [every.index(name) for name in columns]
+        self._order = None if only is None else [every.index(name) for name in only]
+        self._own: list[int] | None = None  # of the computed columns, where these alone are written
+        if self._order is not None and set(self._order) <= set(self._places):
+            self._own = [self._places.index(place) for place in self._order]
+        appends = not self.converts and self._order is None
+        self._appends_only = appends and 0 < len(new) == len(columns)
         self._begin()
 
     def write_row(self, values: Sequence[float | str | None]) -> None:
@@ -49,14 +59,23 @@ class Writer:
 
         None is an empty field.
         """
+        if self._own is not None:
+            values = [values[k] for k in self._own]
         self._write_rows([tuple(map(self._text, values))])
 
     def write_ended(self, values: Array, ends: Sequence[str]) -> None:
         """Write n rows of numbers (n, k - 1), empty where they are NaN, each with a text after."""
-        self._write_rows(zip(self._repr(values), map(quoted, ends), strict=True))
+        rows = zip(self._repr(values), map(quoted, ends), strict=True)
+        if self._own is None:
+            self._write_rows(rows)
+            return
+        fields = [[*line.split(","), end] for line, end in rows]
+        self._write_rows([[row[k] for k in self._own] for row in fields])
 
     def write_columns(self, values: Array) -> None:
         """Write n rows that are computed columns alone, (n, k)."""
+        if self._own is not None:
+            values = values[:, self._own]
         if self.converts:
             self._write_rows(self._texts(values))
         else:
@@ -64,7 +83,9 @@ class Writer:
 
     def write_rows(self, lines: Sequence[str], values: Array) -> None:
         """Write n rows of the input, each with its computed columns, (n, k), empty if NaN."""
-        if self._appends_only:  # then nobody needs to know the line's fields
+        if self._own is not None:
+            self.write_columns(values)
+        elif self._appends_only:  # then nobody needs to know the line's fields
             self._write_rows(zip(lines, self._lines(values), strict=True))
         else:
             self._write_rows(self._merged(lines, self._texts(values)))
@@ -92,12 +113,13 @@ class Writer:
             fields = [self._field(field) for field in split_fields(line)]
             for place, text in zip(self._places, computed, strict=True):
                 fields[place : place + 1] = [text]  # the new ones' places are past the end
-            yield tuple(fields)
+            yield tuple(fields if self._order is None else [fields[k] for k in self._order])
 
     def _lines(self, values: Array) -> list[str]:
         """The computed values (n, k) as text, row by row, with commas between them."""
-        if values.ndim != 2 or values.shape[1] != len(self._places):
-            raise ValueError(f"values: shape (n, {len(self._places)}), not {values.shape}")
+        width = len(self._places if self._own is None else self._own)
+        if values.ndim != 2 or values.shape[1] != width:
+            raise ValueError(f"values: shape (n, {width}), not {values.shape}")
         return self._repr(values)
 
     def _repr(self, values: Array) -> list[str]:
@@ -110,9 +132,7 @@ class Writer:
                 fields = zip(lines[k].split(","), each, strict=True)
                 lines[k] = ",".join([field if there else "" for field, there in fields])
             return lines
-        if values.size < FEW:
-            return [",".join(map(repr, row)) for row in values.tolist()]
-        return shortest(values).split("\n")[:-1]
+        return written(values)
 
     def _texts(self, values: Array) -> Iterable[Sequence[str]]:
         """The same, each row by its fields."""
@@ -193,16 +213,19 @@ class ScaledWriter(Writer):
 
     def __init__(
         self,
-        make: Callable[[Sequence[str], Sequence[str]], Writer],
+        make: Callable[..., Writer],
         told: Told,
         columns: Sequence[str],
         input_header: Sequence[str] = (),
+        only: Sequence[str] | None = None,
     ) -> None:
         own, passing = [told(name) for name in columns], [told(name) for name in input_header]
         self._factors = [factor for _, factor in own]
         self._places = [k for k, (_, factor) in enumerate(passing) if factor != 1.0]
         self._passing = [factor for _, factor in passing]
-        self._writer = make([name for name, _ in own], [name for name, _ in passing])
+        names = [[name for name, _ in pairs] for pairs in (own, passing)]
+        chosen = None if only is None else [told(name)[0] for name in only]
+        self._writer = make(*names) if chosen is None else make(*names, only=chosen)
         self.needs_rows = self._writer.needs_rows
 
     def write_row(self, values: Sequence[float | str | None]) -> None:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_gap, point_motion, scaled_jacobian
+from robodyn.dynamics.named_points import named_point
 from robodyn.dynamics.placed import numbers
 from robodyn.errors import AssemblyError, InputError, SingularError
-from robodyn.kinematics.named_points import named_point
 from robodyn.loops import assembly
 from robodyn.loops.closing import close_positions, loop_size, wrapped
 from robodyn.mechanics.mechanism import Mechanism

@@ -42,10 +42,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_bias, point_motion, scaled_jacobian
+from robodyn.dynamics.named_points import NamedPoint, link_turns, named_point
 from robodyn.dynamics.placed import matvec, numbers
 from robodyn.engines.factors import damped, svd
 from robodyn.errors import AssemblyError, InputError, SingularError
-from robodyn.kinematics.named_points import NamedPoint, link_turns, named_point
 from robodyn.loops.assembly import all_branches, assembly_plan, attempt, scene_branches
 from robodyn.loops.closing import close_positions, closed_jacobians, loop_size, wrapped
 from robodyn.mechanics.mechanism import Mechanism, build

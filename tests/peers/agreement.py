@@ -11,7 +11,7 @@ import numpy as np
 from bench_frontier import ROOT, Array
 
 import robodyn
-from robodyn.kinematics.named_points import point_jacobian
+from robodyn.dynamics.named_points import point_jacobian
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanics.mechanism import Mechanism
 

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import points_of
+from robodyn.dynamics.named_points import unit_rates
 from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, placed
 from robodyn.errors import InputError
-from robodyn.kinematics.named_points import unit_rates
-from robodyn.loops.assembly_plan import assembly_plan
+from robodyn.loops.assembly_plan import assembly_plan, with_independent
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint, joint_index
 from robodyn.scene.scene import Closure
@@ -142,9 +142,9 @@ def rate_ratios(
 
     A ratio is NaN if the link that is divided by does not move, but for rounding.
     """
-    rates = np.asarray(qd, float)
-    if len(mechanism.actuated) == 1:
-        rates = unit_rates(mechanism, q)[..., 0]
+    driver, rates = with_independent(mechanism), np.asarray(qd, float)
+    if len(driver.actuated) == 1:
+        rates = unit_rates(driver, q)[..., 0]
     turns, sums = (
         frame_rates(mechanism, absolute_rates(mechanism, x)) for x in (rates, np.abs(rates))
     )

@@ -1,1 +1,0 @@
-"""Where everything is: points along a motion, angles of links, transmission, ranges of joints."""
