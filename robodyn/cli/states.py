@@ -351,7 +351,9 @@ def evaluate(
         with remarks():
             used = work.taken(mechanism, [])
             sources = [option_source(mechanism, quantity) for quantity in used]
-            row = _Computed(mechanism, sources, work).at([[]])[0].tolist()
+            computed = _Computed(mechanism, sources, work)
+            row = computed.at([[]])[0].tolist()
+            note_circuit(mechanism, sources, computed.q[0])
             row = [None if math.isnan(x) else x for x in row]
         options.write_one(mechanism, work.columns, row, work.only)
         return

@@ -100,7 +100,7 @@ class Body(Declared):
     )
     r: complex = key(
         "centre",
-        "centre of gravity: a point [x, y] of the link, or its distance along it",
+        "centre of gravity: [x, y] of the link, or its distance along it",
         unit="m",
         told=TOGETHER,
         symbol="r: centre of gravity of {}",
