@@ -83,6 +83,13 @@ class InputError(RobodynError):
     exit_code = 2
 
 
+class MassError(InputError):
+    """A link has no mass, which what is asked for needs: `limit` says what that is."""
+
+    def __init__(self, what: str, *, where: str = "", limit: str = "dynamics need") -> None:
+        super().__init__(what, where=where, limit=f"has no mass m, which {limit}")
+
+
 class Fault(NamedTuple):
     """One fault of a description: the place in the file, what is there, what is allowed."""
 

@@ -19,6 +19,8 @@ from mpmath import mp, mpf
 from robodyn import other_forces, pin_forces, reactions
 from robodyn.dynamics import closed_form, dense_dynamics
 from robodyn.dynamics import dynamics as dyn
+from robodyn.elements.loads import Force
+from robodyn.elements.springs import PointSpring
 from robodyn.engines import batches, formulas, straightline
 from robodyn.engines.arithmetic import FLOATS, Arithmetic
 from robodyn.engines.array_blocks import ArrayFormula
@@ -69,10 +71,10 @@ def parted(one: Case, forward=None, inverse=None, kinematics=None):
 def forces_on_links(mech, q, qd, t):
     """What springs and loads put on each link, (n,), N, complex."""
     found = np.zeros(mech.n, complex)
-    if mech.springs or mech.forces:
+    if mech.of(PointSpring) or mech.of(Force):
         each = iter(rows_of(parts.acting, mech).planar("forces", q, qd, t))
-        ends = [[(x.first.link, 1.0), (x.second.link, -1.0)] for x in mech.springs]
-        ends += [[(x.point.link, 1.0)] for x in mech.forces]
+        ends = [[(x.first.link, 1.0), (x.second.link, -1.0)] for x in mech.of(PointSpring)]
+        ends += [[(x.point.link, 1.0)] for x in mech.of(Force)]
         for force, links in zip(each, ends, strict=True):
             for link, sign in links:
                 if link is not None:

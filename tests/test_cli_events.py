@@ -91,7 +91,7 @@ def test_a_sum_of_a_plain_number_and_a_mass_is_refused(robodyn: Run) -> None:
         robodyn(*ARM, *more).fails(2, more[0], "a sum of a plain number and kg")
     robodyn(*ARM, "--tau", f"{text},0").fails(2, "--tau", "a sum of a plain number and kg")
     robodyn(*ARM, "--tau", "min(4 kg, 3 m/mm),0").fails(2, "--tau", "kg and a plain number")
-    robodyn(*ARM, "--time", text).fails(2, "--time", "adds a plain number and what is in kg")
+    robodyn(*ARM, "--time", text).fails(2, "--time", "a sum of a plain number and kg")
 
 
 def test_a_run_that_fails_keeps_an_earlier_file_of_events(robodyn: Run, tmp_path: Path) -> None:

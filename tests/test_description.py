@@ -8,6 +8,7 @@ import math
 import pickle
 import re
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,7 @@ from hypothesis import strategies as st
 
 from robodyn.errors import MOST_FAULTS, DescriptionError, InputError, RobodynError
 from robodyn.mechanics.mechanism import build
+from robodyn.scene import yaml_tree
 from robodyn.scene.description import from_text, read
 from robodyn.scene.scene import Closure, Description, Link, Point
 
@@ -301,6 +303,71 @@ def test_deep_nesting(text: str) -> None:
     assert re.search(r"nests deeper than \d+ levels", limit)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 200_000,
+        "{a: " * 200_000,
+        '[ "]", ' * 100_000,
+        "- " * 200_000,
+        "- ? " * 100_000,
+        "? - " * 100_000,
+        "\n".join(" " * k + "- a:" for k in range(0, 900, 2)),
+        "\n".join(" " * k + "a:" for k in range(900)),
+    ],
+)
+def test_deep_texts_are_never_composed(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The composer of PyYAML before 6.0.4 ends the process at 200,000 levels."""
+    monkeypatch.setattr(yaml, "compose", None)
+    begun = time.process_time()
+    with pytest.raises(DescriptionError, match=r"nests deeper than \d+ levels"):
+        yaml_tree.parse(text, "x.yaml")
+    assert time.process_time() - begun < 0.2
+
+
+@pytest.mark.parametrize("loader", ["C", "Python"])
+def test_what_the_guard_lets_pass_is_composed(loader: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By nodes in Python too, which nest as deep as Python's calls may."""
+    if loader == "Python":
+        own = type("Loader", (yaml.SafeLoader,), dict(vars(yaml_tree._Loader)))
+        monkeypatch.setattr(yaml_tree, "_Loader", own)
+    for brackets in (yaml_tree.MAX_DEPTH, yaml_tree.MAX_DEPTH + 1, yaml_tree.BRACKETS):
+        text = "[" * brackets + "]" * brackets
+        if brackets == yaml_tree.MAX_DEPTH:
+            assert isinstance(yaml_tree.parse(text, "x"), yaml_tree.Sequence)
+            continue
+        with pytest.raises(DescriptionError, match="nests deeper"):
+            yaml_tree.parse(text, "x")
+    wide = "[" + "[1, 2], " * 2 * yaml_tree.BRACKETS + "]"
+    found = yaml_tree.parse(wide, "x")
+    assert isinstance(found, yaml_tree.Sequence)
+    assert len(found.items) == 2 * yaml_tree.BRACKETS
+
+
+def test_a_tree_knows_where_it_is_written() -> None:
+    text = "# \u00e4\na: {x: 1.5, y: 'z'}\nb:\n  - |\n   t\n  - 3 mm  # c\n"
+    root = yaml_tree.parse(text, "x")
+    assert isinstance(root, yaml_tree.Mapping)
+    (_, inner), (_, items) = root.pairs
+    assert isinstance(inner, yaml_tree.Mapping)
+    assert isinstance(items, yaml_tree.Sequence)
+    written = [(x, text[x.begin : x.end]) for x in (inner, *(y for _, y in inner.pairs))]
+    assert [part for _, part in written] == ["{x: 1.5, y: 'z'}", "1.5", "'z'"]
+    assert all(x.inline for x, _ in written)
+    assert not root.inline
+    assert not items.inline
+    assert [x.inline for x in items.items] == [False, True]
+    assert text[items.items[1].begin : items.items[1].end] == "3 mm"
+
+
+def test_a_bomb_of_aliases_ends_soon() -> None:
+    begun = time.process_time()
+    for text in (laughs(12, "[*, *, *, *, *, *, *, *, *, *]"), laughs(2000, "[*, *]")):
+        with pytest.raises(DescriptionError, match=r"aliases counted|nests deeper"):
+            yaml_tree.parse(text, "x")
+    assert time.process_time() - begun < 0.2
+
+
 # Faults: place, value, what is allowed, line
 
 
@@ -325,7 +392,7 @@ links:
 
 def test_an_empty_link_lacks_every_key() -> None:
     assert [(place, limit) for place, _, limit, _ in faults_of("links: [{}]")] == [
-        (f"links[0].{key}", "is missing") for key in ("name", "m", "l", "r", "I")
+        (f"links[0].{key}", "is missing") for key in ("name", "l")
     ]
 
 

@@ -23,6 +23,7 @@ from robodyn.dynamics.closed_form import (
 from robodyn.dynamics.named_points import points
 from robodyn.errors import DescriptionError
 from robodyn.loops.assembly import assemble
+from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene import yaml_tree
 from robodyn.scene.description import _Reader, from_text
@@ -248,6 +249,11 @@ def test_a_random_linkage_is_the_same_in_both_forms(seed: int, slides: bool) -> 
     assert np.abs(np.exp(1j * q) - np.exp(1j * np.array(joints))).max() < 1e-14
     assert np.abs(closure_gap(drawn, q)).max(initial=0.0) < 1e-14
     assert drawn.actuated == explicit.actuated
+    driver = with_independent(drawn)
+    assembled = assemble(driver, q[list(driver.actuated)])
+    turning = [k for k in range(drawn.n) if k not in drawn.slides]
+    assert np.abs(np.exp(1j * assembled) - np.exp(1j * q))[turning].max() < 1e-6
+    assert np.abs(assembled - q)[list(drawn.slides)].max(initial=0.0) < 1e-6
     qd = np.array([linkage.rng.uniform(-1, 1) for _ in q])
     for own, other in (
         (mass_matrix(drawn, q), mass_matrix(explicit, q)),
@@ -520,7 +526,8 @@ def test_pins_are_ends_of_springs_points_of_loads_and_points() -> None:
     assert list(named) == ["P", "Q", "G"]
     mechanism = build(description)
     q = start_of(mechanism)
-    of = ["O=joint1", "B=tip2", "P", "Q", "R=rocker"]
+    assert points(mechanism, q).names == ("P", "Q", "G")
+    of = ["O=joint1", "B", "P", "Q", "R=rocker"]
     places = points(mechanism, q, of=of).position @ [1, 1j]
     wanted = [0, 1.046 + 0.798j, 0.62 + 0.85j, 1.046 + 0.798j, 1.046 + 0.798j]
     assert np.abs(places - wanted).max() < 1e-15
@@ -634,12 +641,37 @@ actuated: [cart]
     assert list(start_of(mechanism)) == [0.0, math.pi / 2]
 
 
+def test_a_piston_in_the_slot_of_a_lever() -> None:
+    """The pin goes along with the piston, though the ground has it as drawn."""
+    text = """\
+gravity: 9.81
+pins: {Q: [0, 0], T: [0.2, 0.6], C: [0.15, 0.45]}
+links:
+  - {name: lever, pins: [Q, T], m: 1, r: 0.3, I: 0.05}
+  - {name: piston, pins: [C], along: [1, 0], m: 0.5, r: 0, I: 0.01}
+ground: [Q, C]
+slots: [{pin: C, on: lever, along: [1, 3]}]
+"""
+    mechanism = built(text)
+    q = assemble(mechanism, [math.radians(80)])
+    assert q[1] == pytest.approx(0.45 / math.tan(math.radians(80)) - 0.15, rel=1e-12)
+
+
 def test_a_moment_of_inertia_about_the_own_joint() -> None:
     plain = "gravity: 9.81\nlinks:\n  - {name: a, m: 2, l: 1, r: [0.3, 0.4], I: 0.25}\n"
     own = built(plain.replace("I: 0.25", "J: 0.75"))
     assert own.description.links == built(plain).description.links
     point = built(plain.replace("[0.3, 0.4], I: 0.25", "0.7, J: 0.98"))
     assert point.description.links[0].I == 0.0  # not rounding
+
+
+def test_equations_have_I_where_a_scene_has_J(robodyn: Run, tmp_path: Path) -> None:
+    scene = tmp_path / "arm.yaml"
+    scene.write_text("links:\n  - {name: a, m: 2, l: 1, r: [0.3, 0.4], J: 0.75}\n")
+    told = robodyn("equations", scene).succeeds().out
+    assert "M11 = m1 (r1x² + r1y²) + I1" in told
+    assert "0.25" in told
+    assert "J1" not in told
 
 
 def test_faults_of_the_drawing_and_of_what_else_there_is_are_told_together() -> None:

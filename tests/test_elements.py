@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -10,6 +12,7 @@ import yaml
 from jsonschema import Draft202012Validator
 from read_equations import module
 
+import robodyn
 from random_mechanisms import seeded_tree
 from robodyn import forward_dynamics, inverse_dynamics, simulate
 from robodyn.dynamics.identities import BOUND, identities, sample_states
@@ -356,3 +359,37 @@ def test_an_element_may_be_added_to_a_mechanism(seed):
     found = regressor(mechanism, q, qd, qdd)
     tau = inverse_dynamics(mechanism, q, qd, qdd)[:, list(mechanism.actuated)]
     assert np.allclose(found.Y @ found.values + found.known, tau, rtol=1e-11, atol=1e-11)
+
+
+ROOT = Path(robodyn.__file__).parent
+PICTURES = ("elements/", "pictures/")
+CONTACTS = ("mechanics/modes.py", "dynamics/sticking.py", "simulation/phases.py")
+
+
+def imports(file):
+    """The modules of robodyn that a file imports anywhere in it, each with the names it takes."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("robodyn"):
+            yield node.module, [x.name for x in node.names]
+        elif isinstance(node, ast.Import):
+            yield from ((x.name, []) for x in node.names if x.name.startswith("robodyn."))
+
+
+def test_what_elements_stand_on():
+    """Nothing that reads them: imports inside of functions and for types count."""
+    files = (ROOT / "elements").glob("*.py")
+    found = {module.split(".")[1] for x in files for module, _ in imports(x)}
+    assert found <= {"elements", "tables", "errors"}
+
+
+@pytest.mark.parametrize("kind", kinds.KINDS, ids=lambda kind: kind.__name__)
+def test_few_files_know_a_kind(kind):
+    """Outside of elements, pictures and contacts: others ask properties."""
+    known = {
+        str(place)
+        for file in ROOT.rglob("*.py")
+        if not str(place := file.relative_to(ROOT)).startswith((*PICTURES, *CONTACTS))
+        for module, names in imports(file)
+        if kind.__name__ in names and module.split(".")[1] in ("elements", "scene")
+    }
+    assert len(known) <= 8, known

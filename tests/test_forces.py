@@ -80,7 +80,7 @@ class TestTorques:
         "change",
         [
             lambda mech: dataclasses.replace(mech, moments=tuple(x + 0.1 for x in mech.moments)),
-            lambda mech: exchanged(mech, {PointSpring: mech.springs[1:]}),
+            lambda mech: exchanged(mech, {PointSpring: mech.of(PointSpring)[1:]}),
             lambda mech: exchanged(mech, {JointSpring: ()}),
             lambda mech: exchanged(mech, {SmoothFriction: ()}),
             lambda mech: exchanged(mech, {Force: ()}),

@@ -11,7 +11,7 @@ from typing import get_args
 
 from documents import PAGES, README, ROOT, rows_below
 
-from robodyn.mechanics.program import Row
+from robodyn.elements.program import Row
 
 PACKAGE = ROOT / "robodyn"
 GUIDE = PAGES["how-it-works"]

@@ -19,7 +19,7 @@ from robodyn.dynamics import closed_form, dynamics
 from robodyn.errors import InputError, RobodynError
 from robodyn.scene import expressions, syntax, units
 from robodyn.scene.quantities import parse_quantity
-from robodyn.scene.unit_arithmetic import CONSTANTS
+from robodyn.scene.syntax import VALUE_CONSTANTS
 
 COMMANDS = typer.main.get_command(cli._application([])).commands
 
@@ -77,7 +77,7 @@ def test_values_are_read_as_the_guide_says() -> None:
 def test_units_and_functions_of_values_are_listed() -> None:
     written = PAGES["values"].split("## Numbers with units")[1].split("## Expressions")[0]
     listed = {x for text in re.findall(r"`([^`]+)`", written) for x in text.split()}
-    assert {*units.UNITS, *syntax.FUNCTIONS, *CONSTANTS} <= listed
+    assert {*units.UNITS, *syntax.FUNCTIONS, *VALUE_CONSTANTS} <= listed
 
 
 def test_expressions_and_their_units_are_listed() -> None:

@@ -64,6 +64,20 @@ def test_base_parameters_are_found_without_noise(path: Path) -> None:
         assert np.abs(left).max() < 1e-9 * np.abs(torques(true, states)).max()
 
 
+def test_moments_about_own_joints_are_written() -> None:
+    """J goes with I, and with the mass and the centre that it is about."""
+    text = (ROOT / "robots/2r.yaml").read_text().replace("I: 0.082", "J: 0.2764")
+    mech = build(from_text(text, "2r.yaml"))
+    true, states = other(mech), random_states(mech, 120, seed=2)
+    found = rd.identify(mech, *states, torques(true, states))
+    known = SceneValues(text, "2r.yaml")
+    changed = identification.changes(mech.description, found.description, known)
+    assert "links.upper arm.J" in changed
+    again = build(from_text(rewritten(text, "2r.yaml", changed), "2r.yaml"))
+    left = torques(again, states) - torques(true, states)
+    assert np.abs(left).max() < 1e-9 * np.abs(torques(true, states)).max()
+
+
 def test_named_numbers_are_found_without_noise() -> None:
     """m and r of one link together: the torques are not linear in them."""
     mech = rd.load(ARM)

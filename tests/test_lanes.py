@@ -13,6 +13,7 @@ import oracles
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn import assemble, closure_gap, kinetic_energy, load, potential_energy, simulate
 from robodyn.elements.joints import SmoothFriction
+from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.engines import machine
 from robodyn.engines.machine_motion import Status
 from robodyn.loops.loop_rates import loop_velocities
@@ -105,8 +106,8 @@ class TestForces:
         )
         text = re.sub(r" friction: \{[^}]*\},", "", forced(seed, plain).text)
         mechanism = build(from_text(text, "x"))
-        assert mechanism.springs
-        assert mechanism.joint_springs
+        assert mechanism.of(PointSpring)
+        assert mechanism.of(JointSpring)
         assert not mechanism.of(SmoothFriction)
         n = mechanism.n
         y = np.hstack([plain.q, plain.qd])[None]
@@ -164,7 +165,7 @@ class TestForces:
         tau[:, mechanism.actuated[0]] = rng.normal(size=9)
         angle = np.linspace(-1, 1, 9)
         options = {"rtol": 1e-9, "atol": 1e-9, "link": n - 1}
-        time = 0.2 if mechanism.springs else 1.0
+        time = 0.2 if mechanism.of(PointSpring) else 1.0
         together = run(mechanism, y, time, tau, angle, **options)
         for some in (slice(1, 3), slice(3, 9)):
             alone = run(mechanism, y[some], time, tau[some], angle[some], **options)

@@ -25,6 +25,7 @@ from random_mechanisms import (
     sizes,
     trees,
 )
+from robodyn.elements.loads import Force
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import build, joint_index, load
 from robodyn.scene.description import from_text
@@ -355,8 +356,8 @@ class TestObject:
             "  - {link: link3, at: [0, 0.2], force: [1, 5], frame: link}\n"
         )
         mech, bare = mechanism(text), mechanism(chain(4))
-        assert [force.turns for force in mech.forces] == [False, True]
-        coefficients = dict(mech.tree.point(mech.forces[0].point).terms)
+        assert [force.turns for force in mech.of(Force)] == [False, True]
+        coefficients = dict(mech.tree.point(mech.of(Force)[0].point).terms)
         for k, (weight, other) in enumerate(zip(mech.weights, bare.weights, strict=True)):
             expected = other + (3 + 2j) * coefficients.get(k, 0j)
             assert weight == pytest.approx(expected, rel=1e-14)

@@ -6,6 +6,7 @@ must have them right with no line elsewhere; exports and written equations refus
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -27,8 +28,13 @@ from robodyn import (
     simulate,
 )
 from robodyn.dynamics.identities import BOUND, Identity, identities, sample_states
-from robodyn.elements.base import SPENT, STORED, Element, Grip, PlanarPoint, PointForce
+from robodyn.dynamics.named_numbers import named_values
+from robodyn.elements import kinds
+from robodyn.elements.base import SPENT, STORED, Element
+from robodyn.elements.builder import Grip, PointForce
 from robodyn.elements.joints import Rotor
+from robodyn.elements.keys import Way, key
+from robodyn.elements.link_rows import PlanarPoint
 from robodyn.elements.springs import JointDamper
 from robodyn.equations.recorded import recorded
 from robodyn.equations.written import equations
@@ -36,9 +42,11 @@ from robodyn.errors import InputError
 from robodyn.export.mjcf import mjcf
 from robodyn.export.urdf import urdf
 from robodyn.mechanics.link_tree import Tree
-from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism, build, joint_damping
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.pictures.force_arrows import forces_at
+from robodyn.scene import grammar
+from robodyn.scene.description import from_text
 from robodyn.scene.scene import Point
 
 LINKS = 3
@@ -399,6 +407,15 @@ def test_exports_and_equations_refuse_it_by_name(case):
         write(case.plain)
 
 
+def test_a_number_of_the_scene_is_not_varied_without_it(case):
+    """What builds the scene anew with other numbers would leave it out in silence."""
+    q, qd, _ = states(case.seed)
+    with pytest.raises(InputError, match="not that of its scene file"):
+        simulate(case.mechanism, q[0], qd[0], 0.1, sensitivity=["links.link0.m"])
+    with pytest.raises(InputError, match="more than its file"):
+        named_values(case.mechanism, "links.link0.m")
+
+
 # -- what a wrong kind shows -----------------------------------------------------------------------
 
 
@@ -443,3 +460,42 @@ def test_a_damper_that_another_element_brings_counts_once(seed):
 def more(case, qdd):
     """What the rotor, which no parameter of the scene has, adds to the torques."""
     return (qdd @ case.inertia())[:, list(case.mechanism.actuated)]
+
+
+class Bearing(Element):
+    """A damper that a scene's file has as a load, and that is a `JointDamper` of a mechanism."""
+
+    joint: int = key("link_name", "the link whose joint it is")
+    drag: float = key("amount", "of the bearing", unit="N m s/rad", symbol="cb: drag of {}")
+
+    ways: ClassVar[tuple[Way, ...]] = (Way("bearing", "load", "A bearing.", ("drag",)),)
+
+    def also(self):
+        yield JointDamper(self.joint, self.drag)
+
+
+@pytest.fixture
+def bearings():
+    """Scenes may have them."""
+    grammar.declare((*grammar.OTHERS, *kinds.KINDS, Bearing))
+    yield
+    grammar.declare((*grammar.OTHERS, *kinds.KINDS))
+
+
+@pytest.mark.usefixtures("bearings")
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_damper_that_an_element_of_a_file_brings_counts_once(seed):
+    text = seeded_tree(seed, LINKS).text
+    plain = build(from_text(text, "x"))
+    text += "\nloads: [{joint: link0, drag: 0.4}]\n"
+    mechanism = build(from_text(text, "x"))
+    assert mechanism.damping == (plain.damping[0] + 0.4, *plain.damping[1:])
+    assert joint_damping(mechanism.description) == mechanism.damping
+    q, qd, qdd = states(seed)
+    tau = inverse_dynamics(mechanism, q, qd, qdd)
+    wanted = inverse_dynamics(plain, q, qd, qdd) + 0.4 * qd * [1.0, 0.0, 0.0]
+    assert np.allclose(tau, wanted, atol=1e-11)
+    found = regressor(mechanism, q, qd, qdd)
+    assert found.values[found.names.index("d1")] == mechanism.damping[0]
+    assert np.allclose(found.Y @ found.values + found.known, tau[:, list(mechanism.actuated)])
+    assert not faults(mechanism)

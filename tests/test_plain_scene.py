@@ -9,8 +9,7 @@ from named_case import case
 
 import robodyn
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
-from robodyn.mechanics.mechanism import load
-from robodyn.scene.description import from_text
+from robodyn.scene.description import from_text, read
 from robodyn.scene.plain_scene import plain_scene
 from robodyn.scene.scene import Description
 
@@ -45,7 +44,7 @@ def read_again(scene: Description, source: str) -> Description:
 def test_shipped_scenes() -> None:
     for path in SHIPPED:
         with case(path):
-            described = load(path).description
+            described = read(path)._replace(pins=())  # a drawing's alone
             assert read_again(described, str(path)) == described
 
 

@@ -15,16 +15,7 @@ from reference_motions import START, scene
 
 from random_mechanisms import mechanism
 from robodyn import simulate
-from robodyn.engines import straightline
-from robodyn.engines.arithmetic import FLOATS
-from robodyn.engines.expansion import MotionProgram
-from robodyn.engines.expression import Graph
-from robodyn.engines.factors import SMALL, Factors, elimination_order, svd
-from robodyn.engines.formulas import RECORDED, Formula
-from robodyn.engines.series import Series, State
-from robodyn.errors import InputError, RobodynError
-from robodyn.mechanics.actuation import Actuation, callback, expressions, table
-from robodyn.mechanics.program import (
+from robodyn.elements.program import (
     Anchored,
     Derivative,
     Function,
@@ -46,6 +37,15 @@ from robodyn.mechanics.program import (
     Turn,
     Unknown,
 )
+from robodyn.engines import straightline
+from robodyn.engines.arithmetic import FLOATS
+from robodyn.engines.expansion import MotionProgram
+from robodyn.engines.expression import Graph
+from robodyn.engines.factors import SMALL, Factors, elimination_order, svd
+from robodyn.engines.formulas import RECORDED, Formula
+from robodyn.engines.series import Series, State
+from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics.actuation import Actuation, callback, expressions, table
 from robodyn.mechanics.torque_rows import linear_piece, torque_slots
 from robodyn.scene.expressions import FUNCTIONS
 from robodyn.simulation.report import Outcome

@@ -14,6 +14,7 @@ from documents import PAGES, ROOT
 from good_scenes import ARM, EVERYTHING, LOOP
 from jsonschema import Draft202012Validator
 from named_case import case
+from test_drawn import Linkage
 
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn.errors import DescriptionError
@@ -104,6 +105,22 @@ def test_shipped_scenes_obey() -> None:
 def test_good_scenes_obey(text: str) -> None:
     from_text(text, "my.yaml")
     assert obeys(text)
+
+
+def test_drawn_scenes_obey() -> None:
+    for seed in range(12):
+        with case(seed):
+            text = Linkage(seed, slides=True).drawn()
+            assert obeys(text)
+            assert not obeys(text + "\nclosures: []")
+            assert not obeys(text.replace(", m: ", ", mass: ", 1))
+
+
+def test_one_moment_of_inertia() -> None:
+    link = "links: [{name: a, m: 1, l: 2, r: 0%s}]"
+    assert obeys(link % ", J: 1")
+    assert not obeys(link % "")
+    assert not obeys(link % ", I: 1, J: 1")
 
 
 def test_random_scenes_obey() -> None:

@@ -360,7 +360,7 @@ FAULTS = [
     (SPRING.format('law: "x % 2"'), "springs[0].law", "%, which bends"),
     (SPRING.format('law: "x**99"'), "springs[0].law", "an exponent above 64"),
     (SPRING.format('law: "open(x)"'), "springs[0].law", "function open"),
-    (SPRING.format('law: "x.real"'), "springs[0].law", "has `x.real`"),
+    (SPRING.format('law: "x.real"'), "springs[0].law", "'.' at character 2"),
     (SPRING.format('law: "3 N*x"'), "springs[0].law", "must be in N m, not in N"),
     (SPRING.format('law: "3 N m*x + 2 N"'), "springs[0].law", "a sum of N m and N"),
     (SPRING.format('law: "3 m/mm + 4 kg + x"'), "springs[0].law", "a plain number and kg"),
@@ -387,7 +387,7 @@ FAULTS = [
     (POINTS.format('law: "q1"'), "springs[0].law", "name q1"),
     (TORQUE.format('"q2"'), "loads[0].torque", "name q2; known: t, q1..q1"),
     (TORQUE.format('"x"'), "loads[0].torque", "name x"),
-    (TORQUE.format('"1/0"'), "loads[0].torque", "divides by zero"),
+    (TORQUE.format('"1/0"'), "loads[0].torque", "a division by zero"),
     (TORQUE.format('"5"'), "loads[0].torque", "must be a number"),
     (TORQUE.format("yes"), "loads[0].torque", "has name yes"),
     (TORQUE.format("[1, 2]"), "loads[0].torque", "must be a number"),
@@ -515,8 +515,8 @@ def test_expressions_with_units(tmp_path):
     other = other.replace("4*sin(2*t)", "0.004 kN*sin(2 rad/s · t)")
     one, two = (from_text(text, str(tmp_path / "a.yaml")) for text in (GOOD, other))
     assert other.count("N") == GOOD.count("N") + 4
-    assert one.springs[0].law.code == two.springs[0].law.code
-    assert one.loads[0].varying[1].code == two.loads[0].varying[1].code
+    assert one.springs[0].law.node == two.springs[0].law.node
+    assert one.loads[0].varying[1].node == two.loads[0].varying[1].node
 
 
 def test_the_schema_takes_such_scenes_and_no_others(tables):
@@ -572,7 +572,7 @@ def test_many_of_a_kind_act_as_one_of_their_sum(entry, one, all_of_them, count, 
     ("text", "at"),
     [
         ("1/q1", "q1 = 0"),
-        ("q1/0", "q1 = 0"),
+        ("q1/(t-t)", "q1 = 0, t = 0"),
         ("log(q1, 1)", "q1 = 0"),
         ("t/(t-t)", "t = 0"),
         ("(t-t)**-1 + qd1", "qd1 = 0, t = 0"),

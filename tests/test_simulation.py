@@ -76,8 +76,9 @@ class TestReferenceDigits:
         scenes = {json.loads(path.read_text())["scene"] for path in REFERENCES.glob("*.json")}
         examples = {f"robots/{path.name}" for path in (ROOT / "robots").glob("*.yaml")}
         # a hard case, and scenes whose mechanics others of their kind have
-        others = ("parallelogram", "cart-pole", "scotch-yoke", "hydraulic-boom", "toggle-press")
-        assert examples - scenes == {f"robots/{x}.yaml" for x in (*others, "rack-gripper")}
+        others = {"parallelogram", "cart-pole", "scotch-yoke", "hydraulic-boom", "toggle-press"}
+        others |= {"rack-gripper", "jansen-leg", "drawn-six-bar", "bell-crank"}
+        assert examples - scenes == {f"robots/{x}.yaml" for x in others}
         assert set(SENSITIVITY) == {path.stem for path in REFERENCES.glob("*.json")}
 
     @each("name", SENSITIVITY)
@@ -933,7 +934,7 @@ class TestOutcomes:
                 raise SingularError("no way on")
             return [0.0, 0.0]
 
-        tau = Actuation(None, ("tau0, tau1, = _law(t)",), {"_law": law})
+        tau = Actuation(None, ("tau0, tau1, = _law(t)",), (), {"_law": law})
         motion = simulate(scene("2r"), *START, 1.0, tau=tau)
         assert motion.outcome is Outcome.SINGULAR
         assert "singular" in motion.outcome.advice

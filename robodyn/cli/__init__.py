@@ -27,7 +27,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from robodyn import __version__
 from robodyn.cli import progress
-from robodyn.errors import RobodynError, printable_lines
+from robodyn.errors import MassError, RobodynError, printable_lines
 from robodyn.tables.csv_fields import plain_digits
 
 USAGE_ERROR: Any = BadParameter.__base__  # click's, of which typer has its own
@@ -164,7 +164,7 @@ class Command(TyperCommand):
         """Tell how a negative number is given that an unknown option begins, or of two dashes."""
         from difflib import get_close_matches  # only a faulty option pays for the import
 
-        from robodyn.scene.unit_arithmetic import read_value
+        from robodyn.scene.quantities import read_value
 
         word = next((x for x in words if unknown and x.startswith(unknown)), "")
         flags = [flag for parameter in self.params for flag in parameter.opts]
@@ -258,6 +258,8 @@ def run(arguments: list[str]) -> int:
             return 128 + progress.received[-1]  # compiled code makes another error of a signal
         if debug:
             raise
+        if isinstance(error, MassError):
+            error.limit = error.limit.replace("dynamics need", f"{_called(arguments)} needs")
         print(printable_lines(_described(error)), file=sys.stderr)
         return error.exit_code if isinstance(error, RobodynError) else 1
     return code if isinstance(code, int) else 0
@@ -280,9 +282,14 @@ def _described(error: Exception) -> str:
     return f"Error: {text}"
 
 
+def _called(arguments: list[str]) -> str:
+    """The word that names the command, empty if there is none."""
+    return next((word for word in arguments if not word.startswith("-")), "")
+
+
 def _application(arguments: list[str], whole: bool = True) -> typer.Typer:
     """The command that is called; where none is, all, `whole` or as a list of their names."""
-    called = next((word for word in arguments if not word.startswith("-")), "")
+    called = _called(arguments)
     is_called = called in COMMANDS
     application = typer.Typer(
         cls=Commands,

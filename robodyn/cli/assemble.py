@@ -230,11 +230,11 @@ def _content(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> dict[
     if not np.isfinite(both).all():
         raise overflow()
     values = both.reshape(len(PARTS), mechanism.n, 4).tolist()
-    links = [
-        {"name": link}
-        | {part: dict(zip(COMPONENTS, values[p][k], strict=True)) for p, part in enumerate(PARTS)}
-        for k, link in enumerate(mechanism.link_names)
-    ]
+    links: list[dict[str, Any]] = [{"name": link} for link in mechanism.link_names]
+    for p, part in enumerate(PARTS):
+        for k, link in enumerate(links):
+            if part != "centre" or k not in mechanism.massless:
+                link[part] = dict(zip(COMPONENTS, values[p][k], strict=True))
     vectors = {vector: x.tolist() for vector, x in zip(VECTORS, motion, strict=True)}
     return {"branch": name, **vectors, "links": links}
 
@@ -266,7 +266,12 @@ def _tables(branch: dict[str, Any], slides: Sequence[int]) -> list[Grid]:
         [f"{k + 1} {link['name']}", *(branch[key][k] for key in keys)]
         for k, link in enumerate(links)
     ]
-    places = [[link["name"], part, *link[part].values()] for link in links for part in PARTS]
+    places = [
+        [link["name"], part, *link[part].values()]
+        for link in links
+        for part in PARTS
+        if part in link
+    ]
     angles = ["joint", *(with_unit(key, OF_PARTS) for key in keys)]
     ways = ["joint", "q [m]", "qd [m/s]", "qdd [m/s²]"]
     where = ["link", "point", "x [m]", "y [m]", "vx [m/s]", "vy [m/s]"]

@@ -69,6 +69,7 @@ def bench(
             for row in chain([first], measured):
                 writer.write_row(row)
         return
+    mechanism.check_masses()
     torques = Actuation((0.0,) * mechanism.n)
     if tau is not None:
         torques = actuation.expressions(mechanism, tau, "--tau")

@@ -120,7 +120,8 @@ def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
     q = sample.q
     if not len(q):
         return {"mobility": None, "cond_M": None, "cond_Psi": None}
-    cond_M = condition_numbers(closed_form.mass_matrix(mechanism, q))
+    massless = bool(mechanism.massless)
+    cond_M = None if massless else _span(condition_numbers(closed_form.mass_matrix(mechanism, q)))
     mobility, cond_Psi = mechanism.n, None
     if mechanism.rows:
         s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q), compute_uv=False)
@@ -128,7 +129,7 @@ def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
         mobility, cond_Psi = mechanism.n - rank, _span(s[:, 0] / s[:, rank - 1])
         if rank < len(mechanism.rows):
             note(f"Note: {len(mechanism.rows) - rank} of the closures' equations are redundant")
-    return {"mobility": mobility, "cond_M": _span(cond_M), "cond_Psi": cond_Psi}
+    return {"mobility": mobility, "cond_M": cond_M, "cond_Psi": cond_Psi}
 
 
 def _span(values: np.ndarray) -> list[float | None]:

@@ -11,33 +11,43 @@ from robodyn.cli.states import Quantity, single_state
 from robodyn.errors import InputError
 from robodyn.export.mjcf import TIMESTEP, mjcf
 from robodyn.export.model_xml import contact_notes, vector
+from robodyn.export.scene_text import check_tables, scene_text
 from robodyn.export.urdf import urdf, urdf_notes
 from robodyn.loops.assembly import first_pose
 from robodyn.tables.output_file import write_text
 
-ModelFormat = Literal["urdf", "mjcf"]  # the language of a model file
+ModelFormat = Literal["urdf", "mjcf", "scene"]  # the language of a model file
 
 
 def export(
     model: Model,
-    format: ModelFormat = option("urdf (ROS, Pinocchio) or mjcf (MuJoCo).", default=MISSING),
+    format: ModelFormat = option("urdf (ROS, Pinocchio), mjcf (MuJoCo) or scene.", default=MISSING),
     q: Q = None,
     timestep: Number = option("Of mjcf, s. Default: 0.001.", "S"),
     out: Out = None,
 ) -> None:
-    """The same mechanism as URDF or MJCF, for other tools.
+    """The same mechanism as URDF or MJCF, for other tools, or as a scene by its numbers.
 
     Each joint of the model is named after its link and has the coordinate q_i; the plane is X-Y.
     URDF holds open chains only, and no gravity: set it where the file is loaded.  MJCF closes
     loops by equality constraints; it begins at --q, else at zero, or where loops close first, and
-    has that configuration as the keyframe `start`.
+    has that configuration as the keyframe `start`.  A scene is written in the explicit form: links
+    by lengths, closures, and of a mechanism as drawn the pose that it starts in.
 
     \b
     Examples:
       robodyn export 2r --format urdf --out 2r.urdf
       robodyn export four-bar --format mjcf --q 60deg > four-bar.xml
+      robodyn export jansen-leg --format scene -o lengths.yaml
     """
     mechanism = model.load()
+    if format == "scene":
+        refuse("is for models of other tools", q=q, timestep=timestep)
+        check_tables(mechanism, out)
+        if "#" in mechanism.description.written.text:
+            note("Note: the comments of the file are left out")
+        write_text(scene_text(mechanism), out)
+        return
     if format == "urdf":
         refuse("is for mjcf, urdf has no word for it", q=q, timestep=timestep)
         text, notes = urdf(mechanism), urdf_notes(mechanism)

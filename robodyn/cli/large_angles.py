@@ -5,20 +5,19 @@ Options and the scene file are looked at, never the rows of tables, which may ru
 
 from __future__ import annotations
 
-import ast
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from contextvars import ContextVar
-from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from robodyn.dynamics.joint_vectors import joint_units
 from robodyn.elements.springs import JointSpring
 from robodyn.errors import InputError
-from robodyn.scene.quantities import entries
-from robodyn.scene.syntax import plain_text
-from robodyn.scene.unit_arithmetic import read_value
+from robodyn.scene.expressions import COMPARISONS, names_of, number_of, walk
+from robodyn.scene.quantities import entries, expressions, read_value, state_variables
+from robodyn.scene.syntax import Node, plain_text
+from robodyn.scene.units import Quantity
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 VECTORS = ("q", "from", "to", "hold", "at", "amplitude")  # options with angles of joints
 # the command's options by the words of their flags; None with --quiet
 options: ContextVar[Mapping[str, Any] | None] = ContextVar("options", default=None)
+ALIKE = ("+", "-", "neg", "abs", "min", "max", "if", *COMPARISONS)  # of angles angles
 MOST = 3  # places that are named
 
 
@@ -47,12 +47,17 @@ def tell_large_angles(mechanism: Mechanism, values: Callable[[], SceneValues]) -
         note(f"Note: {told}; write {degrees} for degrees")
 
 
-def is_large(text: str, joints: bool = False) -> bool:
-    """Whether a value has no unit and no pi, and is beyond a turn in rad, its `joints` apart."""
+def is_large(text: str) -> bool:
+    """Whether a value has no unit and no pi, and is beyond a turn in rad."""
     with suppress(ValueError):
-        value = read_value(text, joints)
-        return not value.of and "pi" not in plain_text(text) and abs(value.total) > math.tau
+        return _is_large(read_value(text).written)
     return False
+
+
+def _is_large(number: Node) -> bool:
+    """The same of a tree; False where it is no number."""
+    plain = all(type(x) is tuple or (type(x) is float and x != math.pi) for x in walk(number))
+    return plain and abs(number_of(number) or 0.0) > math.tau
 
 
 def _in_options(
@@ -98,7 +103,9 @@ def _in_scene(mechanism: Mechanism, values: Callable[[], SceneValues]) -> Iterat
         node = next(node for key, node in scene.written.tree.pairs if key.text == "couplings")
         for item, x in zip(getattr(node, "items", [node]), scene.couplings, strict=True):
             text = item.text.partition("=")[2]
-            if x.joint not in mechanism.slides and is_large(text, joints=True):
+            (found,) = expressions(text, state_variables(mechanism.n))
+            unit = any(isinstance(part, Quantity) for part in walk(found.written))
+            if x.joint not in mechanism.slides and abs(x.angle) > math.tau and not unit:
                 yield f"{mechanism.source}: {item.text}", f"{abs(x.angle):g}"
 
 
@@ -113,28 +120,19 @@ def _turning(mechanism: Mechanism) -> set[str]:
 
 def _compared(mechanism: Mechanism, text: str) -> list[str]:
     """Large numbers that an expression compares with, or takes from, angles of joints."""
-    from robodyn.scene.expression_units import marked
+    turning, found = {f"q{k}" for k in range(mechanism.n) if k not in mechanism.slides}, []
 
-    turning, found = _turning(mechanism), []
+    def is_angle(side: Node) -> bool:
+        names = names_of(side)
+        alike = all(type(x) is not tuple or x[0] in ALIKE for x in walk(side))
+        return bool(names) and names <= turning and alike
 
-    def is_angle(side: ast.expr) -> bool:
-        nodes = [*ast.walk(side)]
-        names = {x.id for x in nodes if isinstance(x, ast.Name)} - {"abs", "min", "max"}
-        scaled = any(isinstance(x, ast.Mult | ast.Div | ast.Pow | ast.Mod) for x in nodes)
-        return bool(names) and names <= turning and not scaled
-
-    with suppress(SyntaxError, ValueError):  # which the command tells
-        nodes = marked(text, lambda name: name[0] in "qt").nodes
-        for node in chain.from_iterable(map(ast.walk, nodes)):
-            match node:
-                case ast.Compare(left=left, comparators=[right]):
-                    pass
-                case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
-                    pass
-                case _:
-                    continue
-            for side, other in ((left, right), (right, left)):
-                number = ast.unparse(other)
-                if is_angle(side) and is_large(number):
-                    found.append(number.lstrip("-"))
+    with suppress(ValueError, ArithmeticError):  # which the command tells
+        for one in expressions(text, state_variables(mechanism.n, mechanism.slides)):
+            for node in walk(one.written):
+                if type(node) is tuple and node[0] in ("+", "-", *COMPARISONS):
+                    _, left, right = node
+                    for side, other in ((left, right), (right, left)):
+                        if is_angle(side) and _is_large(other):
+                            found.append(f"{abs(number_of(other) or 0.0):g}")
     return found

@@ -54,7 +54,7 @@ def terms(
     if not derivatives:
         refuse("is for --derivatives: give that too", by=by, qdd=qdd, tau=tau)
     q_, qd_ = single_state(mechanism, state.quantities())
-    resting = [k for k in mechanism.dry if not qd_[k]]
+    resting = [k for k in mechanism.sticks if not qd_[k]]
     if resting:
         dry = ", ".join(mechanism.link_names[k] for k in resting)
         note(
@@ -66,13 +66,15 @@ def terms(
     content: dict[str, tuple[str, np.ndarray]] = {  # the unit and the value
         "q": ("rad", q_),
         "qd": ("rad/s", qd_),
-        "M": ("kg m²", closed_form.mass_matrix(mechanism, q_)),
-        "C": ("kg m²/s", closed_form.coriolis_matrix(mechanism, q_, qd_)),
-        "G": ("N m", closed_form.gravity_vector(mechanism, q_)),
     }
-    if any(mechanism.damping):
+    moves = not (mechanism.massless and mechanism.rows)  # else closures alone have terms
+    if moves:
+        content["M"] = "kg m²", closed_form.mass_matrix(mechanism, q_)
+        content["C"] = "kg m²/s", closed_form.coriolis_matrix(mechanism, q_, qd_)
+        content["G"] = "N m", closed_form.gravity_vector(mechanism, q_)
+    if any(mechanism.damping) and moves:
         content["D"] = "N m s/rad", np.diag(mechanism.damping)
-    if mechanism.has_state_forces or mechanism.contacts & {STICKS, COMPLIANT}:
+    if moves and (mechanism.has_state_forces or mechanism.contacts & {STICKS, COMPLIANT}):
         content["Q"] = "N m", closed_form.other_forces(mechanism, q_, qd_)
     if mechanism.rows:
         content["Psi"] = "m", closed_form.closure_jacobian(mechanism, q_)
@@ -84,17 +86,18 @@ def terms(
         with remarks():
             names = [name.strip() for each in by or () for name in each.split(",")]
             content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, names)
-    energies = {
-        "KE": float(closed_form.kinetic_energy(mechanism, q_, qd_)),
-        "PE": float(closed_form.potential_energy(mechanism, q_)),
-    }
+    energies = {}
+    if moves:
+        energies["KE"] = float(closed_form.kinetic_energy(mechanism, q_, qd_))
+        energies["PE"] = float(closed_form.potential_energy(mechanism, q_))
     values = [*(value for _, value in content.values()), np.array(list(energies.values()))]
     if not all(np.isfinite(value).all() for value in values):
         raise overflow()
 
     def tables() -> list[Grid]:
         found = [_table(mechanism, name, *item) for name, item in content.items()]
-        return [*found, Grid(["KE [J]", "PE [J]"], [list(energies.values())])]
+        both = [Grid(["KE [J]", "PE [J]"], [list(energies.values())])] if energies else []
+        return [*found, *both]
 
     plain = {name: value.tolist() for name, (_, value) in content.items()}
     write_structure(format, out, in_told_units(plain | energies, scene_units(mechanism)), tables)

@@ -508,7 +508,7 @@ def _actuation(
     times = law.reference.times
     span = (law.reference.where, times[0], times[-1])
     held = isinstance(law, Sampled)
-    return Actuation(None, lines, asked, kinks, held, span, law, states=len(own))
+    return Actuation(None, lines, (), asked, kinks, held, span, law, states=len(own))
 
 
 def _check(control: str, given: Mapping[str, object], rate: float | None) -> None:

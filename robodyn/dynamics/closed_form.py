@@ -52,6 +52,7 @@ LONG = 100  # links, from which on products of whole matrices cost more than sum
 
 def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = None) -> Array:
     """Re(T^H A T), M in x less rotors, (..., n, n); with `rates` Re(T^H A T'), C in x."""
+    mechanism.check_masses()
     moved = rates or at
     if mechanism.n >= LONG and not mechanism.slides:
         return _by_blocks(mechanism.arrays.A, 1j * at.X, 1j * moved.X)
@@ -119,6 +120,7 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     Raises InputError where q is not finite or not n wide, SingularError where the ends of a spring
     with a free length coincide.
     """
+    mechanism.check_masses()
     arrays, at = mechanism.arrays, placed(mechanism, q)
     loads = -columns(mechanism, arrays.weights, at.X, at.E).real - arrays.moments
     G: Array = matvec(arrays.J.T, loads)
@@ -182,6 +184,7 @@ def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
 
 
 def _kinetic(mechanism: Mechanism, at: Placed, qd: ArrayLike) -> Array:
+    mechanism.check_masses()
     arrays = mechanism.arrays
     v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
     KE: Array = 0.5 * (matvec(arrays.A, v) * v.conj()).real.sum(axis=-1)

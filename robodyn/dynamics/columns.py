@@ -181,7 +181,9 @@ def _places(state: State) -> Array:
     points = [*mechanism.pivots, *mechanism.tips, *mechanism.centres]
     position, velocity, _ = point_motion(mechanism, points, state.q, state.qd)
     both = np.concatenate([position, velocity], axis=-1).reshape(len(state.q), 3, mechanism.n, 4)
-    return np.swapaxes(both, 1, 2).reshape(len(state.q), -1)
+    there = np.ones((mechanism.n, 3), bool)
+    there[list(mechanism.massless), 2] = False  # which have no centre of gravity
+    return np.swapaxes(both, 1, 2)[:, there].reshape(len(state.q), -1)
 
 
 # -- the registry ----------------------------------------------------------------------------------
@@ -409,7 +411,14 @@ def _names(family: Family, mechanism: Mechanism, points: tuple[str, ...]) -> tup
                 found += [name.replace(brace, other) for other in others if other != item]
             if len(places) < 2:
                 found.append(name)
+    if family.name == "places":  # a link without a mass has no centre of gravity
+        lost = tuple(str(k + 1) for k in mechanism.massless)
+        found = [x for x in found if not (x.startswith("centre_") and _number(x) in lost)]
     return tuple(found)
+
+
+def _number(name: str) -> str:
+    return name[len(name.rstrip("0123456789")) :]
 
 
 def column_names(

@@ -93,6 +93,7 @@ def required_load(
 
 def _loads(mechanism: Mechanism, at: Placed, bent: Placed) -> Array:
     """What acts on x in `required_load`, Re(T^H A X'') and what weights do, where X'' is `bent`."""
+    mechanism.check_masses()
     arrays = mechanism.arrays
     felt = matvec(arrays.A, bent.X).conj() - arrays.weights
     loads: Array = columns(mechanism, felt, at.X, at.E).real - arrays.moments

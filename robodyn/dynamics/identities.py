@@ -123,7 +123,7 @@ def _follows(mechanism: Mechanism) -> bool:
 
 
 def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
-    """Every identity at the sampled states.
+    """Every identity at the sampled states; those of closures alone if links have no mass.
 
     The closed forms are held against the program of rows of the scene, built anew: a wrong
     constant of the numeric model shows.  Of states that differ in the joints that slip or press
@@ -155,6 +155,8 @@ def _of_one_mode(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     if mechanism.mode is not None:
         scene = in_mode(scene, mechanism.mode)
     rows = RowValues(replace(scene, A=()))  # which none reads, and which is large
+    if mechanism.massless:
+        return _closure_identities(mechanism, rows, q, qd) if mechanism.rows else []
     M, C = closed_form.mass_matrix(mechanism, q), closed_form.coriolis_matrix(mechanism, q, qd)
     found = [
         Identity("M = M^T", _relative(M - np.swapaxes(M, -1, -2), M)),

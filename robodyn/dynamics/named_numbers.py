@@ -24,6 +24,7 @@ from robodyn.mechanics.mechanism import ClosureRow, Mechanism, constants, with_k
 from robodyn.mechanics.modes import in_mode
 from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues
+from robodyn.scene.welds import without_welds
 
 CHANGE = 0.25  # of a number, or of 1 where it is zero
 SAME = 1e-9  # relative, by which what is no multiple of a change is told
@@ -79,7 +80,7 @@ def with_variables(
         for row in mechanism.rows
         if row.arm and row.closure is not None
     }
-    made = with_kept(constants(scene), kept)
+    made = with_kept(constants(without_welds(scene)), kept)
     couplings = tuple(row for row in mechanism.rows if row.closure is None)
     rows = (*made.rows, *couplings)
     if mode is None:
@@ -112,7 +113,7 @@ def named_values(mechanism: Mechanism, *names: str) -> SceneValues:
     """
     values = _values(mechanism)
     values.check(names)
-    if values.base != mechanism.description:
+    if without_welds(values.base) != mechanism.description or mechanism.added:
         limit = "no derivative is known by it: the mechanism has more than its file (--force)"
         raise InputError(", ".join(names), where=mechanism.source, limit=limit)
     return values

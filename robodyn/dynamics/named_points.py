@@ -58,7 +58,7 @@ def named_points(
     places = places_of(mechanism.description)
     texts = (
         [x for text in texts for x in _listed(places, text)]
-        or list(places.points)
+        or [name for name, _ in mechanism.description.points]
         or [f"tip{k + 1}" for k in range(mechanism.n)]
     )
     found: dict[str, Point] = {}

@@ -36,12 +36,10 @@ from robodyn.dynamics.dynamics import (
     pins_at,
 )
 from robodyn.dynamics.placed import Placed, absolute_rates, as_states, frame_rates, matvec, placed
-from robodyn.elements.base import PointForce
-from robodyn.elements.loads import Moment
+from robodyn.elements.builder import LinkMoment, PointForce
 from robodyn.engines.row_values import rows_of
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
-from robodyn.mechanics.force_rows import LinkMoment
 from robodyn.mechanics.link_tree import Tree, places_of
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Point
@@ -145,9 +143,8 @@ class Felt:
         moments = np.concatenate([own, np.zeros_like(own[..., :1])], axis=-1)
         for spin, back in zip(mechanism.spins, self.spun, strict=True):
             moments[..., -1 if spin.carrier is None else spin.carrier] += back
-        for entry in mechanism.description.loads:
-            if isinstance(entry, Moment):
-                moments[..., entry.link] += entry.torque
+        for link, torque in mechanism.steady_moments:
+            moments[..., link] += torque
         for couple, value in self.rows(part).moments:
             moments[..., -1 if couple.link is None else couple.link] += value
         return moments
@@ -328,6 +325,7 @@ def _felt(changes: NDArray[np.inexact], least: float) -> tuple[int, ...]:
 @lru_cache(maxsize=64)
 def bodies_of(mechanism: Mechanism) -> Bodies:
     """The bodies of a mechanism, at points summed from the ground."""
+    mechanism.check_masses()
     links, n = mechanism.description.links, mechanism.n
     own = [(k, link.m, Point(k, link.r)) for k, link in enumerate(links) if link.m]
     own += [(k, x.payload, Point(k, x.l)) for k, x in enumerate(links) if x.payload]

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from typing import ClassVar
 
+from robodyn.elements.builder import Builder, Term
 from robodyn.elements.contacts import End, Guard, Mode
 from robodyn.elements.keys import Declared
-from robodyn.elements.values import Signal
-from robodyn.tables.records import Record
-
-if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, Slot, Term
-    from robodyn.mechanics.link_tree import Tree
+from robodyn.elements.link_rows import PlanarPoint, Tree
+from robodyn.elements.values import Point, Signal
 
 STORED, SPENT = "stored", "spent"
 
@@ -21,39 +18,6 @@ STORED, SPENT = "stored", "spent"
 # order; a change of it changes the last bits of every result.
 SPRINGS, MOMENTS, FORCES = 0, 1, 2
 FRICTION, SPENT_LAW, STORED_LAW, SLIPPING, LINEAR = 0, 1, 2, 3, 4
-
-
-class PlanarPoint(Record):
-    """A point `constant + sum_k coefficient_k X_k` of the mechanism, m."""
-
-    constant: complex
-    terms: Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
-
-    @property
-    def reach(self) -> float:
-        """How far it may be from the origin at most, m: the arm of a force there."""
-        return abs(self.constant) + sum(abs(c) for _, c in self.terms)
-
-
-Grip = tuple[PlanarPoint, int | None]  # a point, and the link (None: the ground) that it is of
-
-
-class PointForce(NamedTuple):
-    """A force of an element at a point, N: `unit` times the planar slot `force`, or `unit` itself.
-
-    What feels the opposite, if anything does, is `back`.
-    """
-
-    element: Element
-    unit: complex
-    force: Slot | None
-    at: Grip
-    back: Grip | None = None
-    square: Slot | None = None  # of the distance that gives its direction
-
-
-class NoDirection(ZeroDivisionError):
-    """The ends of the element of this name coincide at every state."""
 
 
 class Element(Declared):
@@ -94,6 +58,16 @@ class Element(Declared):
         return False
 
     @property
+    def steady_force(self) -> tuple[Point, complex] | None:
+        """A constant force that is among the weights, N in the ground's frame, and its point."""
+        return None
+
+    @property
+    def steady_moment(self) -> tuple[int, float] | None:
+        """A link, and the constant torque on it that is among the moments, N m."""
+        return None
+
+    @property
     def signals(self) -> tuple[Signal, ...]:
         """Its laws, expressions and tables."""
         return tuple(signal for _, signal in self.varies())
@@ -106,6 +80,15 @@ class Element(Declared):
     def placed(self, tree: Tree) -> Iterator[Element]:
         """The elements that act in a mechanism of these links, of one that a scene has."""
         yield self
+
+    def moved(
+        self, point: Callable[[Point], Point], turn: Callable[[int | None], complex]
+    ) -> Element | None:
+        """It on other links: `point` takes its points there, whose frames have a `turn` there.
+
+        None if it then acts on the ground alone.
+        """
+        return self
 
     def varies(self) -> Iterator[tuple[str, Signal]]:
         """Its signals, each with the place in its mapping."""

@@ -14,14 +14,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robodyn.elements.base import FRICTION, SLIPPING, SPENT, Element
+from robodyn.elements.builder import Builder, Term
 from robodyn.elements.contacts import COMPLIANT, HARD, STICKS, End, Guard, Mode
 from robodyn.elements.keys import Way, at_joints, key
+from robodyn.elements.link_rows import Tree
 from robodyn.elements.springs import JointDamper, JointSpring
 from robodyn.tables.records import Record
 
 if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, Term
-    from robodyn.mechanics.link_tree import Tree
     from robodyn.tables.arrays import Array
 
 TORQUE, TORQUES, RATES = ("torque", "force"), ("N m", "N"), ("rad/s", "m/s")
@@ -304,7 +304,10 @@ class Stops(Element):
         if self.low is None and self.high is None:
             yield "", "needs a min, a max, or both", None
         elif self.low is not None and self.high is not None and not self.low < self.high:
-            yield "high", f"must be above min, {self.low:g}", f"{self.high:g}"
+            limit = f"must be above min, {self.low:g}"
+            if self.low == self.high:
+                limit += "; a joint that cannot move is `joint: fixed`"
+            yield "high", limit, f"{self.high:g}"
 
     def placed(self, tree: Tree) -> Iterator[Element]:
         for side, end in Range(self.joint, self.low, self.high).ends:

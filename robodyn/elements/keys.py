@@ -15,6 +15,7 @@ from robodyn.tables.records import Record
 
 NEEDED: Final[Any] = object()  # the default of what a file must have
 ONE = "one of the three"
+TOGETHER = "none of the three"  # what stands for a key of several that a file has all, or none
 # what stands for a key of several that exclude one another, one of which a file must have
 ONES = (ONE, "I or J", "r or centre")
 Sided = Any  # a text, or a pair of texts: of joints that turn, and of those that slide
@@ -69,6 +70,11 @@ class Key(Record):
     def one(self) -> bool:
         """Whether it is one of several, of which a file must have exactly one."""
         return self.told in ONES
+
+    @property
+    def together(self) -> bool:
+        """Whether it is one of several, of which a file has all or none."""
+        return bool(self.told == TOGETHER)
 
     def of(self, slides: bool) -> Key:
         """The key of a joint that turns, or slides."""

@@ -6,16 +6,14 @@ gives F_k -= conj(c_k) f.  Loads that vary are signals in place of numbers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, ClassVar
 
-from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element, PointForce
+from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element
+from robodyn.elements.builder import Builder, PlanarTerm, PointForce
 from robodyn.elements.keys import Way, key
+from robodyn.elements.link_rows import Tree
 from robodyn.elements.values import Point, Signal
-
-if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, PlanarTerm
-    from robodyn.mechanics.link_tree import Tree
 
 
 class Force(Element):
@@ -47,6 +45,7 @@ class Force(Element):
         name="frame",
     )
     varying: tuple[Signal | None, Signal | None] = (None, None)
+    turn: complex = 1.0 + 0j  # from the link's frame to that which a turning force is told in
 
     points: ClassVar[dict[str, str]] = {"point": "c: point of {}"}
     ways: ClassVar[tuple[Way, ...]] = (
@@ -69,6 +68,12 @@ class Force(Element):
         place = {"link": self.point.link, "at": self.point.at}
         return place | {"force": parts, "turns": self.turns}
 
+    def moved(
+        self, point: Callable[[Point], Point], turn: Callable[[int | None], complex]
+    ) -> Force | None:
+        there, turned = point(self.point), self.turn * turn(self.point.link)
+        return None if there.link is None else self._replace(point=there, turn=turned)
+
     @property
     def varied(self) -> bool:
         """Whether it is not constant."""
@@ -88,7 +93,7 @@ class Force(Element):
         if not self.turns or k is None or tree.frames[k] is not None or self.varied:
             yield self
         else:
-            yield self._replace(force=tree.turned(k, self.force), turns=False)
+            yield self._replace(force=tree.turned(k, self.turn * self.force), turns=False)
 
     @property
     def acts(self) -> str:
@@ -106,6 +111,10 @@ class Force(Element):
     def steady(self) -> bool:
         return not self.turns and not self.varied
 
+    @property
+    def steady_force(self) -> tuple[Point, complex] | None:
+        return (self.point, self.force) if self.steady else None
+
     def untimed(self) -> Force:
         if not self.varied:
             return self
@@ -118,7 +127,8 @@ class Force(Element):
         point, whole, turned = tree.point(self.point), self.force, 1.0 + 0j
         E = b.direction(link) if self.turns else None  # without it it is among the weights
         if self.turns:
-            turned, whole = tree.turned(link, turned), tree.turned(link, whole)
+            turned = tree.turned(link, self.turn)
+            whole = tree.turned(link, whole if self.turn == 1.0 else self.turn * whole)
         if not self.varied:
             b.force(PointForce(self, whole, E, (point, link)))
             if b.work and E is not None:
@@ -168,8 +178,18 @@ class Moment(Element):
         if self.varying is not None:
             yield "torque", self.varying
 
+    def moved(
+        self, point: Callable[[Point], Point], turn: Callable[[int | None], complex]
+    ) -> Moment | None:
+        link = point(Point(self.link, 0j)).link
+        return None if link is None else self._replace(link=link)
+
     def called(self, names: Sequence[str]) -> str:
         return f" on {names[self.link]}"
+
+    @property
+    def steady_moment(self) -> tuple[int, float] | None:
+        return (self.link, self.torque) if self.varying is None else None
 
     def placed(self, tree: Tree) -> Iterator[Moment]:
         """A constant one is among the constant moments of the mechanism."""

@@ -10,8 +10,8 @@ law F pulls by F(x, v) in the place of k x, with its extension x = sqrt(s) - L o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar
 
 from robodyn.elements.base import (
     LINEAR,
@@ -21,17 +21,12 @@ from robodyn.elements.base import (
     STORED,
     STORED_LAW,
     Element,
-    NoDirection,
-    PlanarPoint,
-    PointForce,
     conserves,
 )
+from robodyn.elements.builder import Builder, NoDirection, PointForce, Slot, Term
 from robodyn.elements.keys import ONE, Way, key
+from robodyn.elements.link_rows import PlanarPoint, Tree
 from robodyn.elements.values import Law, Point, Signal, Table
-
-if TYPE_CHECKING:
-    from robodyn.mechanics.force_rows import Builder, Slot, Term
-    from robodyn.mechanics.link_tree import Tree
 
 TABLE = "a CSV file of its pull: columns x and F, linear between rows"
 DAMPED = "stands beside law; damping is in the law, by its v"
@@ -110,6 +105,11 @@ class PointSpring(Element):
     def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
         if isinstance(self.law, Law) and self.damping:
             yield "damping", DAMPED, self.damping
+
+    def moved(
+        self, point: Callable[[Point], Point], turn: Callable[[int | None], complex]
+    ) -> PointSpring:
+        return self._replace(first=point(self.first), second=point(self.second))
 
     def varies(self) -> Iterator[tuple[str, Signal]]:
         yield from _law_of(self)
@@ -197,7 +197,7 @@ class JointSpring(Element):
     """A spring and damper at a joint; in a mechanism its damper is an element of its own."""
 
     joint: int = key(
-        "link_name",
+        "joint_name",
         (
             "the link whose own joint it is; its angle counts from turn to turn",
             "the link whose own joint it is",
@@ -270,6 +270,10 @@ class JointSpring(Element):
     def placed(self, tree: Tree) -> Iterator[Element]:
         if self.stiffness or self.law:
             yield self._replace(damping=0.0)
+
+    def also(self) -> Iterator[JointDamper]:
+        if self.damping:
+            yield JointDamper(self.joint, self.damping)
 
     @property
     def acts(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from robodyn.elements.keys import Declared, Way, key
 from robodyn.tables.records import Record
@@ -23,10 +23,10 @@ class Point(Declared):
 
 
 class Law(Record):
-    """A smooth expression: as its file has it, as code over `names`, and these."""
+    """A smooth expression: as its file has it, its tree (`scene/syntax.py`), and its names."""
 
     text: str
-    code: str
+    node: Any
     names: frozenset[str]  # t, q0.., qd0..; of a spring x, its extension, and v, its rate
 
 

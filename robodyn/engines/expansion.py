@@ -19,16 +19,16 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
+from robodyn.elements import program as rows
+from robodyn.elements.program import COORDINATES, Function, Program, Row, Slot, arguments
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import Arithmetic, Planar, Value, convolution, plus, times, weighted
 from robodyn.engines.expression import Expression, Graph, needed
 from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.engines.series import Framed, Series, State, start
-from robodyn.mechanics import program as rows
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import COORDINATES, Function, Program, Row, Slot, arguments
 from robodyn.mechanics.torque_rows import torque_slots
 
 FLAT = 45.0  # exp(-FLAT) is nothing beside 1

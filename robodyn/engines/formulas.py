@@ -20,6 +20,7 @@ from contextvars import ContextVar
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
+from robodyn.elements.program import Given, Program
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import (
     Arithmetic,
@@ -36,7 +37,8 @@ from robodyn.engines.series import Series, relative, start
 from robodyn.engines.series import absolute as absolute
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import Given, Program
+from robodyn.scene.expressions import OPERATIONS, value_in
+from robodyn.scene.syntax import Node
 
 
 def _power(a: Value, exponent: float) -> Value:
@@ -78,18 +80,20 @@ RECORDED = Arithmetic(
     functions={name: partial(_or_nan, partial(expression.call, name)) for name in FUNCTIONS},
 )
 
-_WRITTEN: dict[str, object] = {
-    f"_{name}": partial(expression.call, name) for name in (*FUNCTIONS, "abs")
+_WRITTEN: dict[str, Callable[..., Any]] = {
+    **OPERATIONS,
+    **{name: partial(expression.call, name) for name in (*FUNCTIONS, "abs")},
+    "pow": expression.power,
+    "atan2": expression.arctangent,
 }
-_WRITTEN |= {"_pow": expression.power, "_atan2": expression.arctangent, "__builtins__": {}}
 
 
-def evaluated(code: str, variables: Mapping[str, Value]) -> Any:
-    """What code of `scene.expressions.Written` is of recorded numbers.
+def evaluated(node: Node, variables: Mapping[str, Value]) -> Any:
+    """What a tree of an expression is of recorded numbers.
 
-    NameError, TypeError, ValueError or AttributeError where it has what they have not.
+    KeyError, TypeError, ValueError or AttributeError where it has what they have not.
     """
-    return eval(code, {**_WRITTEN, **variables})
+    return value_in(node, variables, _WRITTEN)
 
 
 # Links in a chain from which on the torques of a state take fewer operations by directions: a chain

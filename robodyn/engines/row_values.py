@@ -11,7 +11,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.elements.base import Element, NoDirection, PointForce
+from robodyn.elements.base import Element
+from robodyn.elements.builder import LinkMoment, NoDirection, PointForce
+from robodyn.elements.program import finite
 from robodyn.engines import straightline
 from robodyn.engines.arithmetic import Planar, planar_times
 from robodyn.engines.array_blocks import ArrayFormula
@@ -21,10 +23,8 @@ from robodyn.engines.series import Series
 from robodyn.errors import SignalError
 from robodyn.mechanics import parts
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.mechanics.force_rows import LinkMoment
 from robodyn.mechanics.parts import no_direction
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import finite
 from robodyn.scene.scene import Law, Table, signal_place
 from robodyn.tables.arrays import Array, Complex
 

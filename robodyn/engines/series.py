@@ -29,6 +29,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from robodyn.elements import program as rows
+from robodyn.elements.program import (
+    COORDINATES,
+    Coefficient,
+    PlanarCoefficient,
+    Program,
+    Row,
+    Slot,
+)
 from robodyn.engines.arithmetic import (
     ZERO,
     Arithmetic,
@@ -44,16 +53,7 @@ from robodyn.engines.arithmetic import (
     times,
 )
 from robodyn.engines.factors import Factors
-from robodyn.mechanics import program as rows
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import (
-    COORDINATES,
-    Coefficient,
-    PlanarCoefficient,
-    Program,
-    Row,
-    Slot,
-)
 
 
 class State(NamedTuple):

@@ -163,11 +163,19 @@ Parts = tuple[Part, ...]
 
 
 def check_size(mechanism: Mechanism) -> None:
-    """Raise InputError for more links than a derivation is written of."""
+    """Raise InputError for more links than a derivation is written of, and for turned zeros."""
     if mechanism.n > MOST_LINKS:
         limit = f"at most {MOST_LINKS} links; the equations without --steps have no limit"
         value = f"{mechanism.n} links"
         raise InputError("--steps", where=mechanism.source, value=value, limit=limit)
+    mechanism.check_masses()
+    for k, link in enumerate(mechanism.description.links):
+        if link.turn != 1.0:
+            limit = (
+                f"link {link.name} hangs from a weld whose x axis is not its carrier's: q{k + 1}"
+            )
+            limit += " then counts from there, which no step writes; leave out --steps"
+            raise InputError("--steps", where=mechanism.source, limit=limit)
 
 
 def said(*told: str | Vector) -> Line:

@@ -13,8 +13,8 @@ x how far it is beyond, v = x'; step(x) is 1 for x > 0, else 0.
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -24,8 +24,11 @@ from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointSpring
 from robodyn.equations.symbolic import Atom, Planar, Role, Sum, of, summed
 from robodyn.mechanics.planar_model import Mechanism, conserves
+from robodyn.scene.expressions import OPERATIONS, changed, names_of, value_in, walk
 from robodyn.scene.scene import Law
+from robodyn.scene.syntax import Node
 
+ARITHMETIC = ("+", "-", "*", "/", "%", "**")
 SWITCHES = "sign(0) is 0, and step(x) is 1 for x > 0, else 0."
 
 
@@ -33,14 +36,14 @@ SWITCHES = "sign(0) is 0, and step(x) is 1 for x > 0, else 0."
 class Formula:
     """An expression in names, each with the sum that it stands for."""
 
-    tree: ast.expr
+    tree: Node
     names: Mapping[str, Sum]
 
     def atoms(self) -> Iterator[Atom]:
         """Every atom that it uses."""
-        for node in ast.walk(self.tree):
-            if isinstance(node, ast.Name) and node.id in self.names:
-                yield from self.names[node.id].atoms()
+        for node in walk(self.tree):
+            if isinstance(node, str):
+                yield from self.names[node].atoms()
 
     def substituted(self, values: Mapping[str, Fraction]) -> Formula:
         """The same with numbers for the symbols that `values` names."""
@@ -50,14 +53,12 @@ class Formula:
     @property
     def switches(self) -> bool:
         """Whether it has what `SWITCHES` explains."""
-        names = (x.id for x in ast.walk(self.tree) if isinstance(x, ast.Name))
-        return not {"sign", "step"}.isdisjoint(names)
+        return any(type(x) is tuple and x[0] in ("sign", "step") for x in walk(self.tree))
 
     def value(self, number: Callable[[Sum], Any], functions: Mapping[str, Any]) -> Any:
         """What it is, `number` telling what sums are."""
-        scope = {name: number(entry) for name, entry in self.names.items()}
-        code = compile(ast.fix_missing_locations(ast.Expression(self.tree)), "<formula>", "eval")
-        return eval(code, {"__builtins__": {}}, {**functions, **scope})
+        values = {name: number(entry) for name, entry in self.names.items()}
+        return value_in(self.tree, values, {**OPERATIONS, **functions})
 
 
 class Definition(NamedTuple):
@@ -124,8 +125,7 @@ def formula_of(law: Law, own: Mapping[str, Sum]) -> Formula:
         return _rate(int(name[2:])) if name[1] == "d" else _angle(int(name[1:]))
 
     names = {name: own[name] if name in own else meant(name) for name in law.names}
-    plain: ast.expr = _Plain().visit(ast.parse(law.code, mode="eval").body)
-    return Formula(plain, names)
+    return Formula(changed(law.node, _plain), names)
 
 
 def spring_terms(mechanism: Mechanism, scene: Any) -> Iterator[JointTerm]:
@@ -148,41 +148,45 @@ def contact_terms(
     for j, friction in dry.items():
         link, unit = _joint(mechanism, j)
         numbers = mechanism.dry[j]
-        text = "a*sign(v)" if friction.torque else ""
-        if numbers.stribeck is not None and numbers.static > numbers.torque:
-            text = "s*sign(v)*exp(-(v/w)**2)"
+        static, turn = numbers.static > numbers.torque, ("sign", "v")
+        tree: Node = ("*", "a", turn)
+        if numbers.stribeck is not None and static:
+            bell = "exp", ("neg", ("**", ("/", "v", "w"), 2.0))
+            tree = "*", ("*", "s", turn), bell
             if friction.torque:
-                text = "sign(v)*(a + (s - a)*exp(-(v/w)**2))"
-        if text:
-            told = f"dry friction at the joint of {link}, in motion"
-            known = {"a": friction.torque, "s": friction.static, "w": friction.stribeck}
-            yield _contact(j, -1, "B", text, known, unit, told)
+                tree = "*", turn, ("+", "a", ("*", ("-", "s", "a"), bell))
+        elif not friction.torque:
+            continue
+        told = f"dry friction at the joint of {link}, in motion"
+        known = {"a": friction.torque, "s": friction.static, "w": friction.stribeck}
+        yield _contact(j, -1, "B", tree, known, unit, told)
     for j, stop in stops.items():
         link, unit = _joint(mechanism, j)
-        parts = []
-        for value, sign, beyond, damper in (
-            (stop.low, "", "l - q" if stop.low else "-q", "- d*v"),
-            (stop.high, "-", "q - h" if stop.high else "q", "+ d*v"),
-        ):
-            push = f"max(0, k*({beyond}))"
-            if stop.damping:
-                push = f"step({beyond})*max(0, k*({beyond}) {damper})"
-            if value is not None:
-                parts.append(f"-({push})" if sign else push)
+        below: Node = ("-", "l", "q") if stop.low else ("neg", "q")
+        above: Node = ("-", "q", "h") if stop.high else "q"
+        low, high = (_push(x, y, stop.damping) for x, y in ((below, "-"), (above, "+")))
+        tree = ("neg", high) if stop.low is None else ("-", low, high)
+        if stop.high is None:
+            tree = low
         told = f"push of the stops of the joint of {link}"
         known = {"k": stop.stiffness, "d": stop.damping, "l": stop.low, "h": stop.high}
-        text = " + ".join(parts).replace("+ -", "- ")
-        yield _contact(j, 1, "Y", text, known, unit, told)
+        yield _contact(j, 1, "Y", tree, known, unit, told)
+
+
+def _push(beyond: Node, sign: str, damped: Any) -> Node:
+    """max(0, k x), or step(x) max(0, k x + d v) or - d v, of what is beyond a stop."""
+    spring = "*", "k", beyond
+    if not damped:
+        return "max", 0.0, spring
+    return "*", ("step", beyond), ("max", 0.0, (sign, spring, ("*", "d", "v")))
 
 
 def _contact(
-    joint: int, sign: int, letter: str, text: str, known: Mapping[str, Any], unit: str, told: str
+    joint: int, sign: int, letter: str, tree: Node, known: Mapping[str, Any], unit: str, told: str
 ) -> JointTerm:
     """A term of Q from its formula in `known` symbols, and in q and v of its joint."""
     known = {**known, "q": _angle(joint), "v": _rate(joint)}
-    tree = ast.parse(text, mode="eval").body
-    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
-    formula = Formula(tree, {name: value for name, value in known.items() if name in used})
+    formula = Formula(tree, {name: known[name] for name in known if name in names_of(tree)})
     name = Atom(Role.force, (joint, "~"), f"{letter}{joint + 1}")
     return JointTerm(joint, "Q", sign, name, Definition(name.name, formula, unit, told))
 
@@ -199,21 +203,10 @@ def _rate(joint: int) -> Sum:
     return of(Atom(Role.rate, (joint,)))
 
 
-class _Plain(ast.NodeTransformer):
-    """Functions by their names, powers as powers, and numbers that are computed as one number."""
-
-    def visit_Call(self, node: ast.Call) -> ast.expr:
-        assert isinstance(node.func, ast.Name)
-        args = [self.visit(x) for x in node.args]
-        if node.func.id == "_pow":
-            return ast.BinOp(args[0], ast.Pow(), args[1])
-        return ast.Call(ast.Name(node.func.id.removeprefix("_"), ast.Load()), args, [])
-
-    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
-        found = ast.BinOp(self.visit(node.left), node.op, self.visit(node.right))
-        if isinstance(found.left, ast.Constant) and isinstance(found.right, ast.Constant):
-            try:
-                return ast.Constant(float(eval(ast.unparse(found), {"__builtins__": {}})))
-            except (ArithmeticError, TypeError):
-                return found
-        return found
+def _plain(node: tuple[Any, ...]) -> Node:
+    """Powers of any kind as one, and numbers that are computed as one number."""
+    operation, *parts = ("**", *node[1:]) if node[0] == "pow" else node
+    if operation in ARITHMETIC and all(isinstance(x, float) for x in parts):
+        with suppress(ArithmeticError, TypeError):
+            return float(OPERATIONS[operation](*parts))
+    return operation, *parts

@@ -6,13 +6,14 @@ Where a long line may be broken, before + and -, a blank stands; other blanks ar
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Any
 
 from robodyn.equations.named_laws import Formula
 from robodyn.equations.symbolic import Atom, Monomial, Number, Role, Sum
+from robodyn.scene.expressions import fold
 
 GLUE = "\u00a0"  # a blank that is not broken at
 OPENING, CLOSING = ("(", "[", r"\{"), (")", "]", r"\}")
@@ -98,44 +99,41 @@ def added(names: Sequence[str]) -> str:
 def formula_text(notation: Notation, formula: Formula) -> tuple[str, int]:
     """A formula as one line, and what binds it: 1 a sum, 2 a product, 3 a power, 4 nothing."""
 
-    def bound(tree: ast.expr, least: int) -> str:
-        text, binds = shown(tree)
+    def bound(part: tuple[str, int], least: int) -> str:
+        text, binds = part
         return text if binds >= least else notation.bracketed(text)
 
-    def shown(tree: ast.expr) -> tuple[str, int]:
-        match tree:
-            case ast.Constant(value=float() | int() as value):
-                whole = abs(value) < WHOLE and value == int(value)
-                text = notation.number(int(value) if whole else Fraction(value))
-                return text, 4 if value >= 0.0 and "e" not in text and "cdot" not in text else 2
-            case ast.Name(id=name):
-                entry = formula.names[name]
-                one = len(entry.terms) == 1 and sum(map(len, entry.terms)) <= 1
-                return notation.text(entry), 4 if one or not entry else 1
-            case ast.UnaryOp(op=sign, operand=operand):
-                minus = "-" if isinstance(sign, ast.USub) else ""
-                return minus + bound(operand, 2), 1
-            case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as sign, right=right):
-                middle = "+" if isinstance(sign, ast.Add) else "-"
-                other = bound(right, 1 if middle == "+" else 2)
-                other = notation.bracketed(other) if other.startswith("-") else other
-                return f"{bound(left, 1)} {middle}{GLUE}{other}", 1
-            case ast.BinOp(left=left, op=ast.Mult(), right=right):
-                return bound(left, 2) + notation.times + bound(right, 2), 2
-            case ast.BinOp(left=left, op=ast.Div(), right=right):
-                return f"{bound(left, 2)}/{bound(right, 3)}", 2
-            case ast.BinOp(left=left, op=ast.Pow(), right=right):
-                power = right.value if isinstance(right, ast.Constant) else None
-                if isinstance(power, float | int) and power in range(1, 100):
-                    return notation.power(bound(left, 4), int(power)), 3
-                return notation.raised(bound(left, 4), shown(right)[0]), 3
-            case ast.Call(func=ast.Name(id="sqrt"), args=[inner]):
-                return notation.root(shown(inner)[0]), 4
-            case ast.Call(func=ast.Name(id=name), args=args):
-                return notation.applied(name, ", ".join(shown(x)[0] for x in args)), 4
-        raise AssertionError(ast.dump(tree))
+    def leaf(x: float | str) -> tuple[str, int]:
+        if isinstance(x, str):
+            entry = formula.names[x]
+            one = len(entry.terms) == 1 and sum(map(len, entry.terms)) <= 1
+            return notation.text(entry), 4 if one or not entry else 1
+        whole = abs(x) < WHOLE and x == int(x)
+        text = notation.number(int(x) if whole else Fraction(x))
+        return text, 4 if x >= 0.0 and "e" not in text and "cdot" not in text else 2
 
-    return shown(formula.tree)
+    def apply(node: tuple[Any, ...], parts: list[tuple[str, int]]) -> tuple[str, int]:
+        operation, first, last = node[0], parts[0], parts[-1]
+        match operation:
+            case "neg":
+                return "-" + bound(first, 2), 1
+            case "+" | "-":
+                other = bound(last, 1 if operation == "+" else 2)
+                other = notation.bracketed(other) if other.startswith("-") else other
+                return f"{bound(first, 1)} {operation}{GLUE}{other}", 1
+            case "*":
+                return bound(first, 2) + notation.times + bound(last, 2), 2
+            case "/":
+                return f"{bound(first, 2)}/{bound(last, 3)}", 2
+            case "**":
+                if node[2] in range(1, 100):
+                    return notation.power(bound(first, 4), int(node[2])), 3
+                return notation.raised(bound(first, 4), last[0]), 3
+            case "sqrt":
+                return notation.root(first[0]), 4
+        return notation.applied(operation, ", ".join(text for text, _ in parts)), 4
+
+    return fold(formula.tree, leaf, apply)
 
 
 WHOLE = 1e15  # numbers below it are written as whole ones if they are

@@ -7,6 +7,8 @@ Their entries are formulas to read (`written.py`) or recorded arithmetic (`recor
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -112,7 +114,18 @@ def _units(mechanism: Mechanism, *units: str) -> str:
 
 
 def heads(mechanism: Mechanism) -> Iterator[Head]:
-    """The blocks that the scene has."""
+    """The blocks that the scene has; those of closures alone if links have no mass."""
+    unit = partial(_units, mechanism)
+    if not mechanism.massless:
+        yield from _heads_of_motion(mechanism)
+    if mechanism.rows:
+        yield Head("closures", "Psi", "closure Jacobian, d gap/dq", unit("m", "1"), "matrix")
+        yield Head("closures", "Psidot_qd", "closure bias", "m/s²", "vector", ("q", "qd"))
+        yield Head("closures", "gap", "closure gap, first side less second", "m", "vector")
+
+
+def _heads_of_motion(mechanism: Mechanism) -> Iterator[Head]:
+    """The blocks beside tau."""
     unit, load = partial(_units, mechanism), load_unit(mechanism)
     yield Head("left", "M", "mass matrix", unit("kg m²", "kg m", "kg"), "symmetric", ("q",), "qdd")
     meaning = "Coriolis and centrifugal matrix, by Christoffel symbols"
@@ -138,10 +151,6 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         meaning = f"{unit('torques', 'forces')} of what has no potential"
         inputs = ("q", "qd", "t") if mechanism.timed else ("q", "qd")
         yield Head("right", "Q", meaning, load, "vector", inputs)
-    if mechanism.rows:
-        yield Head("closures", "Psi", "closure Jacobian, d gap/dq", unit("m", "1"), "matrix")
-        yield Head("closures", "Psidot_qd", "closure bias", "m/s²", "vector", ("q", "qd"))
-        yield Head("closures", "gap", "closure gap, first side less second", "m", "vector")
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,10 +207,10 @@ class Equations(Generic[Entry]):
         right = "".join(f" + {block.name}" for block in self.others)
         if not self.side("closures"):
             return [f"{left} = tau{right}"]
-        return [
-            f"{left} = tau{right} + Psi^T lambda",
-            "gap = 0    Psi qd = 0    Psi qdd + Psidot qd = 0",
-        ]
+        closed = "gap = 0    Psi qd = 0    Psi qdd + Psidot qd = 0"
+        if self.mechanism.massless:
+            return [closed]
+        return [f"{left} = tau{right} + Psi^T lambda", closed]
 
     def driven(self, name: str) -> list[str]:
         """The joint torques: `name` with a joint's number where it is driven."""
@@ -223,6 +232,8 @@ class Equations(Generic[Entry]):
         for k, link in enumerate(links):
             carrier = link.hangs_from.link
             zero = "+X" if carrier is None else links[carrier].name
+            if link.turn != 1.0:
+                zero += f" turned by {math.degrees(cmath.phase(link.turn)):.9g} deg"
             unit, meaning = "rad", f"angle of {link.name} from {zero}"
             if link.slides:
                 unit, meaning = "m", f"displacement of {link.name} along its axis"

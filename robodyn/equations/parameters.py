@@ -29,7 +29,7 @@ from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.grammar import NUMBERS
-from robodyn.scene.scene import Closure, Coupling, Link, Point, Table, signals_of, told
+from robodyn.scene.scene import MASS, Closure, Coupling, Link, Point, Table, signals_of, told
 
 ROLES = {  # by unit
     "kg": Role.mass,
@@ -75,6 +75,7 @@ class Parameters:
                 raise InputError(place, where=description.source, value=told(signal), limit=limit)
         self.known: dict[str, Parameter] = {}
         self.zero: dict[str, None] = {}
+        self.has_masses = all(link.has_mass for link in description.links)
         self.dry: dict[int, DryFriction] = {}
         self.stops: dict[int, Stops] = {}
         self._points: dict[Point, Planar] = {}
@@ -268,7 +269,8 @@ class Parameters:
         role: int | None = None,
     ) -> Sum:
         if value == 0.0:
-            self.zero[name] = None
+            if name.rstrip("0123456789") not in MASS or self.has_masses:
+                self.zero[name] = None
             return ZERO
         self.known[name] = Parameter(name, value, unit, printable(meaning))
         role = ROLES.get(unit, Role.force) if role is None else role

@@ -14,10 +14,9 @@ point.
 
 from __future__ import annotations
 
-import ast
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import combinations
@@ -27,27 +26,19 @@ import numpy as np
 
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.expression_units import state_dimension
-from robodyn.scene.expressions import NotAllowedError, Written, state_names
-from robodyn.scene.syntax import FUNCTIONS
+from robodyn.mechanics.time_samples import FUNCTIONS
+from robodyn.scene.expressions import changed, code_of, fold, names_of, walk
+from robodyn.scene.quantities import expressions, state_variables
+from robodyn.scene.syntax import Node, NotAllowedError
 from robodyn.tables.arrays import Array
 
 Values = Callable[[Array, Array], Array]
 
 _NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)
 LARGEST = 1e300  # of numbers in an event: sums of what they make stay among the floats
-WAYS = {ast.Gt: 1, ast.GtE: 1, ast.Lt: -1, ast.LtE: -1}
-_ARRAYS: dict[str, Callable[..., Any]] = {
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "atan2": np.arctan2,
-    "abs": np.abs,
-    "min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
-    "max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
-    "hypot": lambda *x: np.sqrt(sum(each**2 for each in x)),
-    "log": lambda x, base=math.e: np.log(x) / np.log(base),
-}
+WAYS = {">": 1, ">=": 1, "<": -1, "<=": -1}
+_SCOPE = {"__builtins__": {}, **{f"_{name}": each for name, each in FUNCTIONS.items()}}
+_SCOPE |= {"_pow": np.power, "_where": np.where}
 
 
 @dataclass(frozen=True)
@@ -99,32 +90,31 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
 
     Raises InputError, naming `where`, for what is neither.
     """
-    names, known = state_names(mechanism.n)
     try:
-        written = Written(text, names, known, dimensions=state_dimension(mechanism.slides))
+        found = expressions(text, state_variables(mechanism.n, mechanism.slides))
     except NotAllowedError as error:
         what = _INSTEAD.search(text)
         instead = f"; {_WRITE[what[0]]}" if what else ""
         raise InputError(f"an event does not allow {error}{instead}", where=where) from None
     except ValueError as error:
-        equal = f"; {_WRITE['==']}" if re.search(r"[^=<>!]=[^=]", text) else ""
+        equal = f"; {_WRITE['==']}" if re.search(r"[^<>]=", text) else ""
         raise InputError(
             repr(text), where=where, limit=f"is no expression: {error}{equal}"
         ) from None
-    if len(written.codes) != 1:
+    if len(found) != 1:
         raise InputError(repr(text), where=where, limit="must be one expression, without a comma")
-    if not written.names:
+    if not found[0].names:
         raise InputError(repr(text), where=where, limit="never changes: it names no t, q or qd")
-    tree, way, strict = ast.parse(written.codes[0], mode="eval").body, 0, True
-    numbers = [x.value for x in ast.walk(tree) if isinstance(x, ast.Constant)]
-    if any(isinstance(x, int | float) and abs(x) > LARGEST for x in numbers):
+    tree, way, strict = found[0].node, 0, True
+    if any(isinstance(x, float) and abs(x) > LARGEST for x in walk(tree)):
         limit = f"has a number above {LARGEST:g}: what it makes leaves the floats"
         raise InputError(repr(text), where=where, limit=limit)
-    if isinstance(tree, ast.Compare):
-        if any(isinstance(side, ast.Compare) for side in (tree.left, *tree.comparators)):
+    if type(tree) is tuple and tree[0] in WAYS:
+        operation, left, right = tree
+        if any(type(side) is tuple and side[0] in WAYS for side in (left, right)):
             raise InputError(repr(text), where=where, limit="compares a comparison")
-        way, strict = WAYS[type(tree.ops[0])], isinstance(tree.ops[0], ast.Gt | ast.Lt)
-        tree = ast.BinOp(tree.left, ast.Sub(), *tree.comparators)
+        way, strict = WAYS[operation], operation in "<>"
+        tree = "-", left, right
     n = mechanism.n
     cuts = tuple(
         Part(_vectorised(x, n), bound_of(x, n), around=around_of(x, n)) for x in switches(tree)
@@ -170,31 +160,22 @@ def _functions(
     return tuple(event_function(mechanism, name, text, f"event {name}") for name, text in given)
 
 
-class _Chosen(ast.NodeTransformer):
+def _for_arrays(node: tuple[Any, ...]) -> Node:
     """`a if b else c` of arrays, and comparisons as 0.0 and 1.0."""
-
-    def visit_Compare(self, node: ast.Compare) -> ast.expr:
-        return ast.BinOp(self.generic_visit(node), ast.Mult(), ast.Constant(1.0))  # type: ignore[arg-type]
-
-    def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
-        parts = [self.visit(part) for part in (node.test, node.body, node.orelse)]
-        return ast.Call(ast.Name("_where", ast.Load()), parts, [])
+    if node[0] in WAYS:
+        return "*", node, 1.0
+    return ("where", *node[1:]) if node[0] == "if" else node
 
 
-def _vectorised(tree: ast.expr, n: int) -> Values:
-    scope: dict[str, Any] = {"__builtins__": {}, "_where": np.where, "_pow": np.power}
-    for name in FUNCTIONS:
-        scope[f"_{name}"] = _ARRAYS.get(name) or getattr(np, name)
-    copied = ast.parse(ast.unparse(ast.fix_missing_locations(tree)), mode="eval").body
-    text = ast.unparse(ast.fix_missing_locations(_Chosen().visit(copied)))
-    used = set(re.findall(r"\bqd?\d+\b", text))
+def _vectorised(tree: Node, n: int) -> Values:
     columns = [
         f"{name}{k} = y[:, {k + first}]"
         for name, first in (("q", 0), ("qd", n))
         for k in range(n)
-        if f"{name}{k}" in used
+        if f"{name}{k}" in names_of(tree)
     ]
-    body = "\n    ".join([*columns, f"return {text}"])
+    body = "\n    ".join([*columns, f"return {code_of(changed(tree, _for_arrays))}"])
+    scope: dict[str, Any] = dict(_SCOPE)
     exec(compile(f"def values(t, y):\n    {body}\n", "<robodyn event>", "exec"), scope)
     function = scope["values"]
 
@@ -228,86 +209,62 @@ def named_events(mechanism: Mechanism, texts: Iterable[str], taken: str) -> dict
     return given
 
 
-def switches(tree: ast.expr) -> list[ast.expr]:
+def switches(tree: Node) -> list[Node]:
     """Functions between whose zeros the expression is smooth, each once, what they hold first."""
-    found: dict[str, ast.expr] = {}
-    for switch in _all(tree):
-        found.setdefault(ast.unparse(ast.fix_missing_locations(switch)), switch)
-    return list(found.values())
+    found = fold(tree, lambda x: {}, _switches)
+    return [switch for switch in found if names_of(switch)]
 
 
-def has_one_sign(node: ast.expr) -> bool:
+def _switches(node: tuple[Any, ...], parts: list[dict[Node, None]]) -> dict[Node, None]:
+    found = {switch: None for part in parts for switch in part}
+    return found | dict.fromkeys(_own(*node))
+
+
+def has_one_sign(node: Node) -> bool:
     """Whether an expression says that it is nowhere below zero: abs(x), sqrt(x), their powers."""
-    match node:
-        case ast.Call(func=ast.Name(id="_abs" | "_sqrt" | "_hypot")):
+    while type(node) is tuple:
+        operation, *parts = node
+        if operation in ("abs", "sqrt", "hypot"):
             return True
-        case ast.BinOp(left=left, op=ast.Sub(), right=ast.Constant(value=0)):
-            return has_one_sign(left)
-        case (
-            ast.BinOp(left=left, op=ast.Pow()) | ast.Call(func=ast.Name(id="_pow"), args=[left, _])
-        ):
-            return has_one_sign(left)
+        if operation not in ("**", "pow") and (operation, *parts[1:]) != ("-", 0.0):
+            return False
+        node = parts[0]
     return False
 
 
-def _all(node: ast.expr) -> Iterator[ast.expr]:
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.expr):
-            yield from _all(child)
-    for switch in _own(node):
-        if any(isinstance(x, ast.Name) and not x.id.startswith("_") for x in ast.walk(switch)):
-            yield switch
-
-
-def _own(node: ast.expr) -> list[ast.expr]:
-    """The switches of a node, less those of its parts."""
-    match node:
-        case ast.Compare(left=left, comparators=[right]):
-            return [_less(left, right)]
-        case ast.IfExp(test=test) if not isinstance(test, ast.Compare):
-            return [test]
-        case ast.BinOp(left=left, op=ast.Div(), right=right):
-            return [right]
-        case ast.BinOp(left=left, op=ast.Mod(), right=right):
-            return [right, _whole(ast.BinOp(left, ast.Div(), right))]
-        case ast.BinOp(left=left, op=ast.Pow(), right=right):
-            try:
-                positive = float(ast.literal_eval(right)) >= 0.0
-            except ValueError:
-                positive = False
-            return [] if positive else [left]
-        case ast.Call(func=ast.Name(id=name), args=args):
-            return _of_call(name, args)
+def _own(operation: str, *x: Node) -> list[Node]:
+    """The switches of an operation, less those of its parts."""
+    match operation:
+        case "<" | "<=" | ">" | ">=":
+            return [("-", *x)]
+        case "if" if not (type(x[0]) is tuple and x[0][0] in WAYS):
+            return [x[0]]
+        case "/":
+            return [x[1]]
+        case "%":
+            return [x[1], _whole(("/", *x))]
+        case "**" if isinstance(x[1], tuple):  # a power below zero
+            return [x[0]]
+        case "abs" | "sign" | "sqrt" | "atan2" | "pow":
+            return [x[0]]
+        case "log":
+            return [*x, *(("-", base, 1.0) for base in x[1:])]
+        case "hypot" if len(x) == 1:
+            return [*x]
+        case "floor":
+            return [_whole(x[0])]
+        case "tan":
+            return [("cos", x[0])]
+        case "asin" | "acos":
+            return [("-", x[0], end) for end in (1.0, -1.0)]
+        case "min" | "max":
+            return [("-", *pair) for pair in combinations(x, 2)]
     return []
 
 
-def _of_call(name: str, args: list[ast.expr]) -> list[ast.expr]:
-    match name:
-        case "_abs" | "_sign" | "_sqrt" | "_atan2" | "_pow":
-            return args[:1]
-        case "_log":
-            return [*args, *(_less(base, ast.Constant(1.0)) for base in args[1:])]
-        case "_hypot" if len(args) == 1:
-            return args
-        case "_floor":
-            return [_whole(args[0])]
-        case "_tan":
-            return [ast.Call(ast.Name("_cos", ast.Load()), args, [])]
-        case "_asin" | "_acos":
-            return [_less(args[0], ast.Constant(x)) for x in (1.0, -1.0)]
-        case "_min" | "_max":
-            return [_less(a, b) for a, b in combinations(args, 2)]
-    return []
-
-
-def _less(left: ast.expr, right: ast.expr) -> ast.expr:
-    return ast.BinOp(left, ast.Sub(), right)
-
-
-def _whole(x: ast.expr) -> ast.expr:
+def _whole(x: Node) -> Node:
     """What passes zero where x is a whole number."""
-    turned = ast.BinOp(ast.Constant(math.pi), ast.Mult(), x)
-    return ast.Call(ast.Name("_sin", ast.Load()), [turned], [])
+    return "sin", ("*", math.pi, x)
 
 
 Bounded = tuple[Any, Any]  # values, and bounds of their errors
@@ -331,14 +288,13 @@ SLOPES: dict[str, Callable[[Any, Any, Any], Any]] = {
     "sign": lambda x, dx, value: 0.0,
     "floor": lambda x, dx, value: 0.0,
 }
-ARRAYS: dict[str, Callable[..., Any]] = {"asin": np.arcsin, "acos": np.arccos, "atan": np.arctan}
 
 
 def _positive(x: Any) -> Any:
     return np.maximum(x, 0.0)
 
 
-def bound_of(tree: ast.expr, n: int) -> Callable[[Array, Array], Array]:
+def bound_of(tree: Node, n: int) -> Callable[[Array, Array], Array]:
     """The bound (..., k or 1) on the rounding of an expression's values along a step.
 
     Those are at its times (..., k), of its states (..., k, 2n or more).
@@ -354,7 +310,7 @@ def bound_of(tree: ast.expr, n: int) -> Callable[[Array, Array], Array]:
     return bound
 
 
-def around_of(tree: ast.expr, n: int) -> Callable[[Array, Array, Array, Array], Bounded]:
+def around_of(tree: Node, n: int) -> Callable[[Array, Array, Array, Array], Bounded]:
     """An expression's values (k,) in the middle of boxes, and how far they go from there.
 
     Those are times from begin (k,) to end, and states as far as dy (k, 2n..) from y.
@@ -378,46 +334,36 @@ def _known(begin: Array, end: Array, y: Array, dy: Array, n: int) -> Callable[[s
     return known
 
 
-def _bounded(node: ast.expr, known: Callable[[str], Bounded]) -> Bounded:
-    match node:
-        case ast.Constant(value=value):
-            return float(value), 0.0  # type: ignore[arg-type]
-        case ast.Name(id=name):
-            return known(name)
-        case ast.UnaryOp(op=op, operand=operand):
-            value, error = _bounded(operand, known)
-            return (-value if isinstance(op, ast.USub) else value), error
-        case ast.BinOp(left=left, op=op, right=right):
-            return _operated(op, _bounded(left, known), _bounded(right, known))
-        case ast.Compare(left=left, ops=[op], comparators=[right]):
-            a, b = _bounded(left, known)[0], _bounded(right, known)[0]
-            above = isinstance(op, ast.Gt | ast.GtE)
-            return (a > b if above else a < b) * 1.0, 0.0
-        case ast.IfExp(test=test, body=body, orelse=orelse):
-            chosen = np.asarray(_bounded(test, known)[0]) != 0.0
-            (a, da), (b, db) = _bounded(body, known), _bounded(orelse, known)
-            return np.where(chosen, a, b), np.where(chosen, da, db)
-        case ast.Call(func=ast.Name(id=name), args=args):
-            return _called(name[1:], [_bounded(x, known) for x in args])
-    raise TypeError(ast.dump(node))
+def _bounded(tree: Node, known: Callable[[str], Bounded]) -> Bounded:
+    return fold(tree, lambda x: known(x) if isinstance(x, str) else (x, 0.0), _operated)
 
 
-def _operated(op: ast.operator, left: Bounded, right: Bounded) -> Bounded:
-    (a, da), (b, db) = left, right
-    match op:
-        case ast.Add() | ast.Sub():
-            value = a + b if isinstance(op, ast.Add) else a - b
+def _operated(node: tuple[Any, ...], parts: list[Bounded]) -> Bounded:
+    operation, (a, da), (b, db) = node[0], parts[0], parts[-1]
+    match operation:
+        case "neg":
+            return -a, da
+        case "<" | "<=" | ">" | ">=":
+            return (a > b if operation[0] == ">" else a < b) * 1.0, 0.0
+        case "if":
+            _, (x, dx), _ = parts
+            chosen = np.asarray(a) != 0.0
+            return np.where(chosen, x, b), np.where(chosen, dx, db)
+        case "**" | "pow":
+            return _power(parts[0], parts[1])
+        case "+" | "-":
+            value = a + b if operation == "+" else a - b
             # of a plain number there is none: a sum less, at many small calls
             error = da if isinstance(db, float) and db == 0.0 else da + db
-        case ast.Mult():
+        case "*":
             value, error = a * b, abs(a) * db + abs(b) * da + da * db
-        case ast.Div():
+        case "/":
             value = np.divide(a, b)
             error = np.divide(da + abs(value) * db, _positive(abs(b) - db))
-        case ast.Mod():
+        case "%":
             value, error = np.mod(a, b), da + np.abs(np.floor(np.divide(a, b))) * db
         case _:
-            return _power(left, right)
+            return _called(operation, parts)
     return value, error + EPS * abs(value)
 
 
@@ -442,8 +388,6 @@ def _power(base: Bounded, exponent: Bounded) -> Bounded:
 def _called(name: str, args: list[Bounded]) -> Bounded:
     (x, dx), *others = args
     match name:
-        case "pow":
-            return _power(args[0], args[1])
         case "min" | "max":
             reduce = np.minimum.reduce if name == "min" else np.maximum.reduce
             values = np.broadcast_arrays(*(a for a, _ in args))
@@ -461,8 +405,8 @@ def _called(name: str, args: list[Bounded]) -> Bounded:
             value, error = np.log(x), np.divide(dx, _positive(np.abs(x) - dx))
             if others:
                 base = _called("log", others)
-                return _operated(ast.Div(), (value, error + 2.0 * EPS * np.abs(value)), base)
+                return _operated(("/",), [(value, error + 2.0 * EPS * np.abs(value)), base])
         case _:
-            value = (ARRAYS.get(name) or getattr(np, name))(x)
+            value = FUNCTIONS[name](x)
             error = SLOPES[name](x, dx, value) * dx
     return value, error + 2.0 * EPS * np.abs(value)

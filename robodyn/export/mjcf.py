@@ -66,6 +66,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     are in the turn nearest to q.  Raises InputError for what MJCF cannot say, and for links without
     mass or inertia, which MuJoCo refuses; AssemblyError where no pose is found that closes.
     """
+    mechanism.check_masses()
     description = mechanism.description
     refuse_unsaid(mechanism, "MJCF", REASONS, SAID, _unsaid, KINDS)
     for k, link in enumerate(description.links):
@@ -164,7 +165,7 @@ class _Elements:
             self.order.append(k)
             name, place, begin = self.names[k], link.hangs_from.at, self.q[k]
             if link.axis is None:
-                kind, axis, along = "hinge", "0 0 1", rect(1.0, begin)
+                kind, axis, along = "hinge", "0 0 1", link.turn * rect(1.0, begin)
             else:
                 kind, axis, along = "slide", "1 0 0", link.axis
                 place += begin * along
@@ -192,7 +193,7 @@ class _Elements:
                 found["armature"] = number(spin.inertia * spin.rates[joint] ** 2)
         if self.mechanism.damping[joint]:
             found["damping"] = number(self.mechanism.damping[joint])
-        known = self.mechanism.joint_springs
+        known = self.mechanism.of(JointSpring)
         springs = [spring for spring in known if spring.joint == joint and spring.law is None]
         if springs:
             stiffness = sum(spring.stiffness for spring in springs)

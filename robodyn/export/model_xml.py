@@ -40,6 +40,7 @@ from robodyn.elements.joints import DryFriction, Stops
 from robodyn.equations.symbolic import Atom, Role, of, summed
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.expressions import value_in
 from robodyn.scene.scene import (
     Description,
     Law,
@@ -54,9 +55,12 @@ RESERVED = frozenset({"world", "universe", "root_joint"})
 SAFE, UNSAFE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*"), re.compile(r"[^A-Za-z0-9_]+")
 # these say how a scene is named and assembled, are said in the comment, or act on nothing
 SCENE_SAID = frozenset(
-    {"source", "name", "gravity", "links", "branches", "actuated", "start", "written", "points"}
+    {"source", "name", "gravity", "links", "branches", "actuated", "start", "written"}
+    | {"points", "pins", "welds", "apart"}
 )
-LINK_SAID = frozenset({"name", "m", "l", "r", "I", "hangs_from", "payload", "damping", "axis"})
+LINK_SAID = frozenset(
+    {"name", "m", "l", "r", "I", "hangs_from", "payload", "damping", "axis"} | {"turn", "has_mass"}
+)
 
 
 class Names:
@@ -270,8 +274,8 @@ def polynomial(law: Signal | None) -> dict[str, str] | None:
     if not isinstance(law, Law):
         return None
     try:
-        found = summed(eval(law.code, {"__builtins__": {}}, {"x": of(X), "v": of(V)}))
-    except (ArithmeticError, NameError, TypeError):  # functions, remainders, powers that are none
+        found = summed(value_in(law.node, {"x": of(X), "v": of(V)}))
+    except (ArithmeticError, KeyError, TypeError):  # functions, remainders, powers that are none
         return None
     powers = ((dict(monomial), float(number)) for monomial, number in found.terms.items())
     terms = {(each.get(X, 0), each.get(V, 0)): number for each, number in powers}

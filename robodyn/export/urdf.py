@@ -27,6 +27,7 @@ from robodyn.export.model_xml import (
 )
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import Link
+from robodyn.scene.welds import Welded
 
 REASONS = {
     "closures": "URDF describes trees, it has no closed loops; MJCF has",
@@ -44,6 +45,7 @@ def urdf(mechanism: Mechanism) -> str:
     cannot say: closures, springs, loads, smooth friction, rotors, and couplings of more than two
     joints.
     """
+    mechanism.check_masses()
     plain = [] if mechanism.spins else ["motor"]  # a gear alone is no matter of dynamics
     refuse_unsaid(mechanism, "URDF", REASONS, ["couplings", "limits", *plain])
     couplings = {coupling.joint: coupling for coupling in mechanism.description.couplings}
@@ -64,7 +66,7 @@ def urdf(mechanism: Mechanism) -> str:
         _link(root, bodies[k], link.m, link.r, link.I)
         turns = "revolute" if link.limits is not None else "continuous"
         kind, ends = "prismatic" if link.slides else turns, (parent, bodies[k])
-        joint = _joint(root, joints[k], kind, ends, link.hangs_from.at, link.axis or 1.0)
+        joint = _joint(root, joints[k], kind, ends, link.hangs_from.at, link.axis or link.turn)
         SubElement(joint, "axis", xyz="1 0 0" if link.slides else "0 0 1")
         if limits := _limits(link):
             SubElement(joint, "limit", {name: number(x) for name, x in limits.items()})
@@ -83,6 +85,13 @@ def urdf(mechanism: Mechanism) -> str:
             body = names.new(f"{payload}_link")
             _link(root, body, link.payload, 0j, 0.0)
             _joint(root, payload, "fixed", (bodies[k], body), complex(link.l))
+    welded = Welded(mechanism.description)
+    for w, weld in enumerate(mechanism.description.welds):  # its mass is that of its carrier
+        (above, at), turn = welded.frame(mechanism.n + w)
+        own = names.new(weld.name)
+        body = names.new(f"{own}_link")
+        _link(root, body, 0.0, 0j, 0.0)
+        _joint(root, own, "fixed", (ground if above is None else bodies[above], body), at, turn)
     return document(root, comment(mechanism, joints))
 
 

@@ -15,6 +15,11 @@ from typing import TYPE_CHECKING, TypeVar
 
 from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene import quantities
+from robodyn.scene.dimensions import misfit
+from robodyn.scene.expressions import SCOPE, code_of, names_of
+from robodyn.scene.quantities import state_variables
+from robodyn.scene.syntax import LONGEST, Node, NotAllowedError
 from robodyn.tables.short_repr import short_repr
 
 if TYPE_CHECKING:
@@ -22,9 +27,9 @@ if TYPE_CHECKING:
 
     from robodyn.mechanics.run_control import Control, Steps
     from robodyn.mechanics.torque_times import Held
-    from robodyn.scene.expressions import Change
 
 T = TypeVar("T")
+Change = Callable[[list[Node]], list[Node]]  # of expressions into others
 
 
 class CallerError(Exception):
@@ -49,6 +54,7 @@ class Actuation:
 
     constants: tuple[float, ...] | None
     lines: tuple[str, ...] = ()
+    torques: tuple[Node, ...] = ()  # of expressions: the trees of the lines
     scope: Mapping[str, object] = field(default_factory=dict)
     kinks: tuple[float, ...] = ()
     linear: bool = False  # in time between kinks, whatever the state is
@@ -61,6 +67,13 @@ class Actuation:
     states: int = 0
     # the same torques on a mechanism with other numbers, where they depend on these or on the run
     remade: Callable[[Mechanism], Actuation] | None = None
+    where: str = ""  # the argument that had the expressions
+
+    @classmethod
+    def of(cls, torques: Sequence[Node], where: str = "") -> Actuation:
+        """Torques by expressions, one a joint, that were given as the argument `where`."""
+        lines = tuple(f"tau{k} = {code_of(node)}" for k, node in enumerate(torques))
+        return cls(None, lines, tuple(torques), dict(SCOPE), where=where)
 
     @property
     def told(self) -> Steps | None:
@@ -131,32 +144,32 @@ def expressions(
     units that do not fit, and for anything but arithmetic, comparisons, `a if b else c`, the
     functions above, pi and e.
     """
-    from robodyn.scene.expression_units import misfit, state_dimension
-    from robodyn.scene.expressions import MAX_LENGTH, SCOPE, NotAllowedError, Written, state_names
-
-    rename, known = state_names(mechanism.n)
+    variables = state_variables(mechanism.n, mechanism.slides)
     try:
-        writer = Written(text, rename, known, driving, state_dimension(mechanism.slides))
+        found = quantities.expressions(text, variables)
     except NotAllowedError as error:
-        if len(text) > MAX_LENGTH:
-            limit = f"is longer than {MAX_LENGTH} characters"
+        if len(text) > LONGEST:
+            limit = f"is longer than {LONGEST} characters"
             raise InputError("expression", where=where, limit=limit) from None
         raise InputError(f"torque expression does not allow {error}", where=where) from None
     except ValueError as error:
         raise InputError(repr(text), where=where, limit=f"is no expression: {error}") from None
-    written = writer.codes
-    whole = len(written) == mechanism.n
-    for k, found in enumerate(writer.measures):
+    nodes = [x.node for x in found]
+    if driving is not None:
+        nodes = driving(nodes)
+    whole = len(nodes) == mechanism.n
+    for k, one in enumerate(found):
         joint = k if whole or k >= len(mechanism.actuated) else mechanism.actuated[k]
-        if limit := misfit(found, unit or ("N" if joint in mechanism.slides else "N m")):
-            raise InputError(f"entry {k + 1}", where=where, value=writer.texts[k], limit=limit)
-    if not writer.names:
-        values = [_constant(code, text, where) for code in written]
+        if limit := misfit(one.measure, unit or ("N" if joint in mechanism.slides else "N m")):
+            raise InputError(f"entry {k + 1}", where=where, value=one.text, limit=limit)
+    if not any(map(names_of, nodes)):
+        values = [x.value for x in found]
+        if not all(map(math.isfinite, values)):
+            raise InputError(repr(text), where=where, limit="must be finite")
         with at_place(where):
             return constant(mechanism, values)
-    each = _each_joint(mechanism, written, ("0.0", "-0.0", "0", "-0"), "expressions", where)
-    lines = [f"tau{k} = {code}" for k, code in enumerate(each)]
-    return Actuation(None, tuple(lines), dict(SCOPE))
+    each = _each_joint(mechanism, nodes, (0.0, ("neg", 0.0)), "expressions", where)
+    return Actuation.of(each, where)
 
 
 def table(
@@ -194,7 +207,8 @@ def table(
     lines = [f"{targets}= _interpolate(t)"]
     lines += [f"tau{k} = 0.0" for k in mechanism.passive]
     span = ("table of torques", stamps[0], stamps[-1])
-    return Actuation(None, tuple(lines), {"_interpolate": interpolate}, tuple(stamps), True, span)
+    scope = {"_interpolate": interpolate}
+    return Actuation(None, tuple(lines), (), scope, tuple(stamps), True, span)
 
 
 def callback(
@@ -216,7 +230,7 @@ def callback(
 
     targets = "".join(f"tau{k}, " for k in range(n))
     state = "".join(f"q{k}, " for k in range(n)) + "".join(f"qd{k}, " for k in range(n))
-    return Actuation(None, (f"{targets}= _torques(t, ({state}))",), {"_torques": torques})
+    return Actuation(None, (f"{targets}= _torques(t, ({state}))",), (), {"_torques": torques})
 
 
 def values_given(given: Iterable[float], what: str) -> list[float]:
@@ -241,16 +255,3 @@ def for_each_actuated(mechanism: Mechanism, given: ArrayLike, name: str) -> list
         raise InputError(name, value=shown, limit=limit)
     each: list[float] = np.broadcast_to(values, count).tolist()
     return each
-
-
-def _constant(code: str, text: str, where: str) -> float:
-    from robodyn.scene.expressions import value_of
-
-    try:
-        value = value_of(code)
-    except (ArithmeticError, ValueError) as error:
-        limit = f"is no real number: {error}"
-        raise InputError(repr(text), where=where, limit=limit) from None
-    if not math.isfinite(value):
-        raise InputError(repr(text), where=where, value=value, limit="must be finite")
-    return value

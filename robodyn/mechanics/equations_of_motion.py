@@ -21,10 +21,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from robodyn.mechanics.force_rows import Builder, PlanarTerm, Term
-from robodyn.mechanics.program import (
+from robodyn.elements.base import Element
+from robodyn.elements.builder import Builder, PlanarTerm, Term
+from robodyn.elements.program import (
     Coefficient,
     Derivative,
+    Given,
     Inner,
     Moment,
     PlanarCoefficient,
@@ -36,6 +38,8 @@ from robodyn.mechanics.program import (
     Slot,
     Unknown,
 )
+from robodyn.mechanics.planar_model import Mechanism
+from robodyn.scene.scene import Law, Signal, Table
 
 
 class EquationsOfMotion(Builder):
@@ -44,6 +48,13 @@ class EquationsOfMotion(Builder):
     `program.named` tells the slots of x (n: E, or s), mu (r), gap (r), load (n: of coordinates,
     without the torques at joints), bends (what a series may not tell), power, KE and PE.
     """
+
+    mechanism: Mechanism
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        super().__init__(mechanism)
+        self.tables: list[tuple[Table, Slot]] = []  # and what they are over
+        self.laws: list[tuple[Law, Slot]] = []  # and what they are
 
     def write(
         self,
@@ -59,6 +70,7 @@ class EquationsOfMotion(Builder):
         times the way.  With `chained` the sums over A run along the tree: fewer in deep ones.
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
+        mechanism.check_masses()
         number = program.planar_number
         inertia: list[Coefficient] = [0.0] * n
         slides = set(mechanism.slides)
@@ -122,6 +134,61 @@ class EquationsOfMotion(Builder):
         moment = program.number(-mechanism.moments[k])
         return program.sum((1.0, turning), *self.moments[k], constant=moment)
 
+    def signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
+        """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
+        from robodyn.mechanics.signal_rows import signal_rows  # only scenes with signals import it
+
+        if isinstance(signal, Table):
+            self.tables.append((signal, self.variable(signal.over) if x is None else x))
+        own = {} if x is None else {"x": x, "v": self.rate(x)}
+        slot, watched = signal_rows(self, signal, own)
+        if isinstance(signal, Law):
+            self.laws.append((signal, slot))
+        for each, scale in watched:
+            self.bends(each, arm * scale)
+            if isinstance(signal, Table):
+                self.program.named.setdefault("lines", []).append(each)
+        return slot
+
+    def stored(self, law: Signal, x: Slot) -> Slot:
+        """The energy of a spring at its extension x."""
+        from robodyn.mechanics.signal_rows import stored_energy
+
+        return stored_energy(self, law, x)
+
+    def _scene_forces(self) -> None:
+        on_links = (x for x in self.mechanism.elements if x.at is None and x.acts)
+        for element in sorted(on_links, key=lambda x: x.rank):
+            element.rows(self)
+
+    def _joints(self, torques: Sequence[Slot | None], steady: bool) -> None:
+        """Torques at the joints: what a link gets its parent gives."""
+        here: list[list[Element]] = [[] for _ in torques]
+        for element in self.mechanism.elements:
+            if element.at is not None:
+                here[element.at].append(element)
+        for j, tau in enumerate(torques):
+            if tau is not None:
+                self.torque(j, 1.0, tau, spends=not steady)
+                if not isinstance(self.program.rows[tau], Given):
+                    self.bends(tau, 1.0)
+            if self.mechanism.damping[j]:
+                self.torque(j, self.number(-self.mechanism.damping[j]), self.v(j))
+            for element in sorted(here[j], key=lambda x: x.rank):
+                element.rows(self)
+            acting, constant = self._acting[j], self._constant[j]
+            if acting or constant:
+                self.torques[j] = self.sum(*acting, constant=self.number(constant))
+
+    def _spun(self) -> None:
+        """What rotors do, beside all that acts at their joints."""
+        for k, d, inertia, ratio, bend in self._rotors:
+            before = self.torques[k]
+            own: list[Term] = [] if before is None else [(1.0, before)]
+            self.torques[k] = self.sum(*own, (self.number(-inertia * ratio), bend))
+            if d is not None:
+                self.moments[d].append((self.number(inertia), bend))
+
     def kinetic(self) -> Slot:
         """1/2 sum of A_jj w_j^2, or A_jj |X_j'|^2, of Re(conj(X_j') A_jk X_k'), and of elements."""
         program = self.program
@@ -134,7 +201,8 @@ class EquationsOfMotion(Builder):
             one, other = (self._moving(i) for i in (j, k))
             moved = program.planar_sum((program.planar_number(value), other))
             terms.append((1.0 if j != k else 0.5, program.add(Inner(one, moved))))
-        terms += self.kinetic_energies()
+        for element in self.mechanism.elements:
+            terms += element.kinetic(self)
         return program.sum(*terms)
 
     def _moving(self, k: int) -> Slot:
@@ -155,7 +223,8 @@ class EquationsOfMotion(Builder):
                 terms.append((1.0, program.add(RealPart(down))))
             if mechanism.moments[k]:
                 terms.append((number(-mechanism.moments[k]), self.coordinate(k)))
-        terms += self.energies()
+        for element in self.mechanism.elements:
+            terms += element.energy(self)
         return program.sum(*terms)
 
     def _chain(self) -> None:

@@ -5,12 +5,12 @@ What has no series (comparisons, abs, min, ...) is refused.
 
 from __future__ import annotations
 
-import ast
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from robodyn.mechanics.program import (
+from robodyn.elements.program import (
     Function,
     Power,
     Primitive,
@@ -20,7 +20,9 @@ from robodyn.mechanics.program import (
     Slot,
     Sum,
 )
-from robodyn.scene.syntax import FUNCTIONS
+from robodyn.mechanics.kinks import switch_number
+from robodyn.scene.expressions import changed, code_of, fold
+from robodyn.scene.syntax import FUNCTIONS, Node
 
 MOST_FACTORS = 64  # of a whole power that is written as products
 
@@ -51,38 +53,56 @@ class ExpressionRows:
             return int(part)
         return self.program.add(Sum(self.program.number(part), ()))
 
-    def read(self, tree: ast.expr) -> Part:
+    def read(self, tree: Node) -> Part:
         """What an expression is, after its parts."""
-        match tree:
-            case ast.Constant(value=int() | float() as value):
-                return float(value)
-            case ast.Name(id=name):
-                return Slotted(self.variable(name))
-            case ast.UnaryOp(op=sign, operand=operand):
-                part = self.read(operand)
-                return part if isinstance(sign, ast.UAdd) else self.product(-1.0, part)
-            case ast.BinOp(left=left, op=operation, right=right) if type(operation) in _OPERATIONS:
-                return _OPERATIONS[type(operation)](self, self.read(left), self.read(right))
-            case ast.Subscript(slice=ast.Constant(value=int() as k)):
-                return 0.0 if self.held is None else self.held[k]
-            case ast.Call(func=ast.Name(id="_int"), args=[switch]):
-                return self.read(switch)
-            case ast.IfExp(test=ast.Call(args=[ast.Subscript(slice=index)])):
-                return self.chosen(index, [tree.orelse, tree.body])
-            case ast.Call(func=ast.Name(id="_pick"), args=[ast.Subscript(slice=index), *parts]):
-                return self.chosen(index, parts)
-            case ast.Call(func=ast.Name(id="_pow"), args=[left, right]):
-                return self.power(self.read(left), self.read(right))
-            case ast.Call(func=ast.Name(id=name), args=args):
-                return self.function(name.removeprefix("_"), [self.read(x) for x in args])
-        raise self.refused(f"`{ast.unparse(tree)[:60]}`")
+        return fold(self.chosen(tree), self.leaf, self.applied)
 
-    def chosen(self, index: ast.expr, parts: list[ast.expr]) -> Part:
-        """The part that a switch holds; of all, where it is not known, to see that they serve."""
-        if self.held is None:
-            return [self.read(part) for part in parts][-1]
-        held = self.held[ast.literal_eval(index)]
-        return math.nan if math.isnan(held) else self.read(parts[int(held)])
+    def chosen(self, tree: Node) -> Node:
+        """The tree with what its switches hold; all of it where they are not known."""
+        held = self.held
+        if held is None:
+            return tree
+
+        def choose(node: tuple[Any, ...]) -> Node:
+            k = _held(node[1]) if node[0] in ("if", "pick") else None
+            if k is None:
+                return node
+            parts = node[2:] if node[0] == "pick" else (node[3], node[2])
+            return math.nan if math.isnan(held[k]) else parts[int(held[k])]
+
+        return changed(tree, choose)
+
+    def leaf(self, leaf: float | str) -> Part:
+        """What a number or a name is."""
+        if not isinstance(leaf, str):
+            return leaf
+        k = switch_number(leaf)
+        if k is not None:
+            return 0.0 if self.held is None else self.held[k]
+        return Slotted(self.variable(leaf))
+
+    def applied(self, node: tuple[Any, ...], x: list[Part]) -> Part:
+        """What an operation is of its parts."""
+        match node[0]:
+            case "+":
+                return self.sum(x[0], x[1], 1.0)
+            case "-":
+                return self.sum(x[0], x[1], -1.0)
+            case "*":
+                return self.product(*x)
+            case "/":
+                return self.quotient(*x)
+            case "**" | "pow":
+                return self.power(*x)
+            case "neg":
+                return self.product(-1.0, *x)
+            case "int":
+                return x[0]
+            case "if" | "pick" if _held(node[1]) is not None:
+                return x[1] if node[0] == "if" else x[-1]  # all serve
+            case "if" | "%" | "<" | "<=" | ">" | ">=":
+                raise self.refused(f"`{code_of(node)[:60]}`")
+        return self.function(node[0], x)
 
     def sum(self, a: Part, b: Part, sign: float) -> Part:
         """a + sign b."""
@@ -169,10 +189,7 @@ class ExpressionRows:
         raise self.refused(f"function {name}")
 
 
-_OPERATIONS: dict[type, Callable[[ExpressionRows, Part, Part], Part]] = {
-    ast.Add: lambda rows, a, b: rows.sum(a, b, 1.0),
-    ast.Sub: lambda rows, a, b: rows.sum(a, b, -1.0),
-    ast.Mult: ExpressionRows.product,
-    ast.Div: ExpressionRows.quotient,
-    ast.Pow: ExpressionRows.power,
-}
+def _held(test: Node) -> int | None:
+    """The number of the switch that a condition is."""
+    name = test[1] if type(test) is tuple else test
+    return switch_number(name) if isinstance(name, str) else None

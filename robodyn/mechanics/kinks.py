@@ -9,6 +9,16 @@ from collections.abc import Sequence
 NEAR = 4.0  # spacings of floats
 
 
+def switch(k: int) -> str:
+    """The name, in trees of torques, of what stands still between two times."""
+    return f"_s[{k}]"
+
+
+def switch_number(name: str) -> int | None:
+    """The k of a name that is of a switch."""
+    return int(name[3:-1]) if name.startswith("_s[") else None
+
+
 class Pieces:
     """Which piece between increasing `kinks` holds at a time.
 

@@ -16,7 +16,8 @@ from robodyn.scene.scene import Closure, Link, Point
 class Tree:
     """The links as a tree: points in terms of X.
 
-    The frame of link k is phase_k E_frame, with constants phase_k: axes of prismatic joints.
+    The frame of link k is phase_k E_frame, with constants phase_k: axes of prismatic joints, and
+    turns of welds.
     """
 
     def __init__(self, links: Sequence[Link]) -> None:
@@ -33,8 +34,9 @@ class Tree:
         self.phases: list[complex] = [1.0 + 0j] * len(links)
         for k in self.order:
             j, axis = self.parent[k], links[k].axis
+            own = links[k].turn if axis is None else axis
             above = 1.0 if j is None else self.phases[j]
-            self.phases[k] = above if axis is None else axis if above == 1.0 else above * axis
+            self.phases[k] = above if own == 1.0 else own if above == 1.0 else above * own
             self.frames[k] = k if axis is None else None if j is None else self.frames[j]
         self._depth: dict[int | None, int] = {None: 0}
         self._root: dict[int, int] = {}

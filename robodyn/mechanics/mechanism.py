@@ -30,11 +30,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from robodyn.elements.base import Element
+from robodyn.elements.base import Element, whole
 from robodyn.elements.joints import Range, Rotor
 from robodyn.elements.kinds import place_of
-from robodyn.elements.loads import Force, Moment
-from robodyn.elements.springs import JointDamper, JointSpring
+from robodyn.elements.springs import JointDamper
 from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest, places_of
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
@@ -45,6 +44,7 @@ from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
 from robodyn.scene.scene import Description, Point
+from robodyn.scene.welds import without_welds
 
 
 def load(path: str | Path) -> Mechanism:
@@ -62,11 +62,11 @@ def build(description: Description) -> Mechanism:
     closure of points that cannot move apart.
     """
     try:
+        description = without_welds(description)
         mechanism = constants(description)
-        moments = [x for x in description.loads if isinstance(x, Moment)]
-        if mechanism.slides and moments:  # their PE is zero where the link points along +X
-            phases = Tree(description.links).phases
-            turned = sum(x.torque * cmath.phase(phases[x.link]) for x in moments)
+        moments, phases = mechanism.steady_moments, Tree(description.links).phases
+        if moments and any(x != 1.0 for x in phases):  # PE is zero where the link lies along +X
+            turned = sum(torque * cmath.phase(phases[k]) for k, torque in moments)
             mechanism = replace(mechanism, energy_offset=mechanism.energy_offset - turned)
         if description.couplings:
             rows = mechanism.rows + tuple(coupling_rows(description))
@@ -90,13 +90,14 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
     """
     links, tree = description.links, Tree(description.links)
     carried, first, inertia = carried_by(tree, bodies)
-    forces = [y for x in description.loads if isinstance(x, Force) for y in x.placed(tree)]
+    elements = [element for _, element in description.elements]
+    forces = (y.steady_force for x in elements for y in x.placed(tree))
     steady = [0j] * len(links)  # of constant forces: their sum below each link, and its moment
     moment = [0j] * len(links)
-    for force in forces:
-        if force.point.link is not None and force.steady:
-            steady[force.point.link] += force.force.conjugate()
-            moment[force.point.link] += force.point.at * force.force.conjugate()
+    for point, force in filter(None, forces):
+        if point.link is not None:
+            steady[point.link] += force.conjugate()
+            moment[point.link] += point.at * force.conjugate()
     for k in reversed(tree.order):
         p, j = links[k].hangs_from.at, tree.parent[k]
         if j is not None:
@@ -116,9 +117,9 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
         if links[k].slides:
             phase = tree.phases[k]
             B[k], weights[k] = phase * carried[k], phase * (gamma * carried[k] + steady[k])
-    for entry in description.loads:
-        if isinstance(entry, Moment) and (d := tree.frames[entry.link]) is not None:
-            moments[d] += entry.torque
+    for k, torque in filter(None, (x.steady_moment for x in elements)):
+        if (d := tree.frames[k]) is not None:
+            moments[d] += torque
     return Mechanism(
         name=description.name,
         source=description.source,
@@ -213,8 +214,8 @@ def _dense_couplings(
 
 def _elements(tree: Tree, description: Description) -> Iterator[Element]:
     """What acts, of each kind in the order of the scene."""
-    found = [x for _, element in description.elements for x in element.placed(tree)]
-    found += [JointDamper(k, damping) for k, damping in enumerate(joint_damping(description))]
+    found: list[Element] = list(_dampers(description))
+    found += [y for _, x in description.elements for each in whole([x]) for y in each.placed(tree)]
     yield from sorted([*found, *_rotors(tree)], key=place_of)
 
 
@@ -232,15 +233,21 @@ def _rotors(tree: Tree) -> Iterator[Rotor]:
             yield Rotor(k, link.motor.inertia, link.motor.ratio, carrier, link.slides)
 
 
-def joint_damping(description: Description) -> tuple[float, ...]:
-    """Of the joints' own dampers, those of the springs at them, and those of the rotors there."""
-    damping = [link.damping for link in description.links]
+def _dampers(description: Description) -> Iterator[JointDamper]:
+    """The dampers of joints and of the rotors there; others are those of elements."""
     for k, link in enumerate(description.links):
+        damping = link.damping
         if link.motor is not None and link.motor.damping:
-            damping[k] += link.motor.damping * link.motor.ratio * link.motor.ratio
-    for spring in description.springs:
-        if isinstance(spring, JointSpring):
-            damping[spring.joint] += spring.damping
+            damping += link.motor.damping * link.motor.ratio * link.motor.ratio
+        yield JointDamper(k, damping)
+
+
+def joint_damping(description: Description) -> tuple[float, ...]:
+    """Of the joints' own dampers, those of the rotors there, and those of elements."""
+    damping = [x.damping for x in _dampers(description)]
+    for x in whole(element for _, element in description.elements):
+        if isinstance(x, JointDamper):
+            damping[x.joint] += x.damping
     return tuple(damping)
 
 

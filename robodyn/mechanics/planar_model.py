@@ -13,13 +13,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from robodyn.elements.base import Element, whole
-from robodyn.elements.base import PlanarPoint as PlanarPoint
 from robodyn.elements.base import conserves as conserves
-from robodyn.elements.contacts import Mode
+from robodyn.elements.contacts import STICKS, Mode
 from robodyn.elements.joints import DryFriction, Range, Rotor
-from robodyn.elements.loads import Force
-from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
-from robodyn.errors import printable
+from robodyn.elements.link_rows import PlanarPoint as PlanarPoint
+from robodyn.elements.springs import JointDamper
+from robodyn.errors import MassError, printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
 from robodyn.mechanics.model_parts import Inertias as Inertias
 from robodyn.mechanics.model_parts import OnDemand as OnDemand
@@ -112,29 +111,20 @@ class Mechanism:
         return tuple(0.0 if x is None else x for x in found)
 
     @cached_property
-    def springs(self) -> tuple[PointSpring, ...]:
-        """Those between points."""
-        return self.of(PointSpring)
-
-    @cached_property
-    def spans(self) -> tuple[PlanarPoint, ...]:
-        """The first ends of these less their second ones."""
-        return tuple(x.reach(self.tree) for x in self.springs)
-
-    @cached_property
-    def joint_springs(self) -> tuple[JointSpring, ...]:
-        """Those at joints."""
-        return self.of(JointSpring)
-
-    @cached_property
-    def forces(self) -> tuple[Force, ...]:
-        """The forces at points."""
-        return self.of(Force)
-
-    @cached_property
     def dry(self) -> dict[int, DryFriction]:
         """Friction that sticks, by joint: see `modes.py`."""
         return {x.joint: x for x in self.of(DryFriction)}
+
+    @cached_property
+    def sticks(self) -> tuple[int, ...]:
+        """The joints that something holds at rest."""
+        return tuple(x.at for x in self.elements if x.contact == STICKS and x.at is not None)
+
+    @cached_property
+    def steady_moments(self) -> tuple[tuple[int, float], ...]:
+        """The constant torques that the scene has, each with the link that it acts on, N m."""
+        each = (x.steady_moment for _, x in self.description.elements)
+        return tuple(x for x in each if x is not None)
 
     @cached_property
     def contacts(self) -> frozenset[str]:
@@ -267,6 +257,19 @@ class Mechanism:
         """The constants as dense numpy arrays (numpy is imported here)."""
         return _arrays(self)
 
+    @cached_property
+    def massless(self) -> tuple[int, ...]:
+        """The links of which the scene does not say m, r and I."""
+        links = self.description.links if isinstance(self.A, Inertias) else ()
+        return tuple(k for k, link in enumerate(links) if not link.has_mass)
+
+    def check_masses(self) -> None:
+        """Raise MassError if a link has no mass: what is asked for needs it."""
+        if self.massless:
+            k = self.massless[0]
+            place = self.description.listed.index(self.description.links[k])
+            raise MassError(f"links[{place}] ({self.link_names[k]})", where=self.source)
+
     def __repr__(self) -> str:
         from robodyn.tables.short_repr import named
 
@@ -284,17 +287,7 @@ class Mechanism:
         return mechanism_html(self)
 
     def __getstate__(self) -> dict[str, object]:
-        made: tuple[str, ...] = (
-            "arrays",
-            "above",
-            "lines",
-            "held",
-            "has_angles",
-            "inertias",
-            "signals",
-        )
-        made += ("damping", "springs", "spans", "joint_springs", "forces")
-        made += ("dry", "contacts", "parted", "bells", "spins")
+        made = self.__dict__.keys() - self.__dataclass_fields__.keys()  # on demand, and again
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 

@@ -11,16 +11,18 @@ The energy of an expression is x times the integral of F(x u) over u from 0 to 1
 
 from __future__ import annotations
 
-import ast
 import math
 from collections.abc import Mapping, Sequence
 from itertools import accumulate, pairwise
+from typing import Any
 
+from robodyn.elements.link_rows import LinkRows
+from robodyn.elements.program import Product, Slot, Step
 from robodyn.errors import InputError
 from robodyn.mechanics.expression_rows import ExpressionRows
-from robodyn.mechanics.link_rows import LinkRows
-from robodyn.mechanics.program import Product, Slot, Step
+from robodyn.scene.expressions import fold
 from robodyn.scene.scene import Law, Signal, Table
+from robodyn.scene.syntax import Node
 
 NODES = 40  # of the energy's rule, where F is no polynomial
 FLATTENED = 3  # u = s^3: what is not smooth where the spring is free is smooth in s
@@ -37,7 +39,7 @@ def signal_rows(
         lines = _Lines(rows, signal, own)
         return lines.value(), [(lines.zigzag(), lines.bend)]
     slot = _read(rows, signal, own)
-    smooth = not signal.names or _degree(ast.parse(signal.code, mode="eval").body) is not None
+    smooth = not signal.names or degree(signal.node) is not None
     return slot, [] if smooth else [(slot, 1.0)]
 
 
@@ -48,7 +50,7 @@ def stored_energy(rows: LinkRows, signal: Signal, x: Slot) -> Slot:
     program = rows.program
     terms = [
         (weight, _read(rows, signal, {"x": program.sum((u, x))}))
-        for u, weight in _rule(_degree(ast.parse(signal.code, mode="eval").body))
+        for u, weight in _rule(degree(signal.node))
     ]
     return program.add(Product(x, program.sum(*terms)))
 
@@ -58,31 +60,29 @@ def _read(rows: LinkRows, law: Law, own: Mapping[str, Slot]) -> Slot:
         return own[name] if name in own else rows.variable(name)
 
     reader = ExpressionRows(rows.program, named, lambda what: InputError(f"{law.text}: {what}"))
-    return reader.slot(reader.read(ast.parse(law.code, mode="eval").body))
+    return reader.slot(reader.read(law.node))
 
 
-def _degree(tree: ast.expr) -> int | None:
+def degree(tree: Node) -> int | None:
     """The degree of a polynomial in its variables; None for what is none."""
-    match tree:
-        case ast.Constant():
-            return 0
-        case ast.Name():
-            return 1
-        case ast.UnaryOp(operand=operand):
-            return _degree(operand)
-        case ast.BinOp(left=left, op=operation, right=right):
-            a, b = _degree(left), _degree(right)
-            if a is None or b is None:
-                return None
-            match operation, right:
-                case ((ast.Add() | ast.Sub()), _):
-                    return max(a, b)
-                case ast.Mult(), _:
-                    return a + b
-                case ast.Div(), _ if b == 0:
-                    return a
-                case ast.Pow(), ast.Constant(value=float() as power) if power.is_integer():
-                    return int(a * power) if power >= 0.0 else None
+    return fold(tree, lambda x: int(isinstance(x, str)), _degree)
+
+
+def _degree(node: tuple[Any, ...], parts: list[int | None]) -> int | None:
+    operation, a, b = node[0], parts[0], parts[-1]
+    if a is None or b is None:
+        return None
+    match operation:
+        case "neg":
+            return a
+        case "+" | "-":
+            return max(a, b)
+        case "*":
+            return a + b
+        case "/" if b == 0:
+            return a
+        case "**" if isinstance(node[2], float):
+            return int(a * node[2]) if node[2] >= 0.0 else None
     return None
 
 

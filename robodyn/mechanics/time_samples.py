@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
@@ -10,6 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
 
+from robodyn.mechanics.kinks import switch_number
+from robodyn.scene.expressions import fold
+from robodyn.scene.syntax import Node
 from robodyn.tables.arrays import Array
 
 Names = Mapping[str, Any]
@@ -42,36 +44,46 @@ def _defined(function: Callable[..., Any]) -> Callable[..., Any]:
     return result
 
 
-_OPERATORS: dict[type, Callable[..., Any]] = {
-    ast.Add: np.add,
-    ast.Sub: np.subtract,
-    ast.Mult: np.multiply,
-    ast.Div: _defined(np.divide),
-    ast.Mod: np.mod,
-    ast.Pow: _defined(np.power),
-    ast.USub: np.negative,
-    ast.UAdd: np.positive,
-    ast.Lt: np.less,
-    ast.LtE: np.less_equal,
-    ast.Gt: np.greater,
-    ast.GtE: np.greater_equal,
+def _compared(compare: Callable[..., Any]) -> Callable[..., Any]:
+    """The comparison; nan where one side is."""
+    return lambda a, b: np.where(np.isnan(a) | np.isnan(b), np.nan, compare(a, b))
+
+
+_SAME = ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "sqrt", "sign", "floor")
+FUNCTIONS: dict[str, Callable[..., Any]] = {  # of expressions, on arrays
+    **{name: getattr(np, name) for name in _SAME},
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "abs": np.abs,
+    "min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
+    "max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
+    "hypot": lambda *x: np.sqrt(sum(each**2 for each in x)),
+    "log": lambda x, *base: np.log(x) / np.log(*base) if base else np.log(x),
 }
-_OTHER: dict[str, Callable[..., Any]] = {
-    "_min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
-    "_max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
-    "_hypot": lambda *x: np.sqrt(sum(np.square(each) for each in x)),
-    "_log": _defined(lambda x, *base: np.log(x) / np.log(*base) if base else np.log(x)),
-    "_atan2": np.arctan2,
-    "_asin": np.arcsin,
-    "_acos": np.arccos,
-    "_atan": np.arctan,
-    "_pow": _defined(np.power),
-    "_min_at": lambda *x: _first(np.argmin, x),
-    "_max_at": lambda *x: _first(np.argmax, x),
-    "_turns": lambda a, b: np.rint((a - np.mod(a, b)) / b),
-    "_int": lambda x: x,
-    "_pick": lambda k, *x: np.select([k == i for i in range(len(x))], x, np.nan),
-    "_true": lambda x: np.where(np.isnan(x), np.nan, x != 0.0),
+_ARRAYS: dict[str, Callable[..., Any]] = {
+    "+": np.add,
+    "-": np.subtract,
+    "*": np.multiply,
+    "/": _defined(np.divide),
+    "%": np.mod,
+    "**": _defined(np.power),
+    "pow": _defined(np.power),
+    "neg": np.negative,
+    "<": _compared(np.less),
+    "<=": _compared(np.less_equal),
+    ">": _compared(np.greater),
+    ">=": _compared(np.greater_equal),
+    "if": lambda test, x, y: np.where(np.isnan(test), np.nan, np.where(test, x, y)),
+    **FUNCTIONS,
+    "log": _defined(FUNCTIONS["log"]),
+    "min_at": lambda *x: _first(np.argmin, x),
+    "max_at": lambda *x: _first(np.argmax, x),
+    "turns": lambda a, b: np.rint((a - np.mod(a, b)) / b),
+    "int": lambda x: x,
+    "pick": lambda k, *x: np.select([k == i for i in range(len(x))], x, np.nan),
+    "true": lambda x: np.where(np.isnan(x), np.nan, x != 0.0),
 }
 
 
@@ -81,43 +93,20 @@ def _first(which: Callable[..., Any], x: Sequence[Array]) -> Array:
     return np.where(np.isnan(values).any(axis=0), np.nan, which(values, axis=0))
 
 
-def call(name: str, *parts: ast.expr) -> ast.Call:
-    return ast.Call(ast.Name(name), list(parts), [])
-
-
-def parts_of(node: ast.expr) -> list[ast.expr]:
-    """The expressions that it is made of."""
-    if isinstance(node, ast.Call):
-        return node.args
-    inner = [] if isinstance(node, ast.Subscript) else ast.iter_child_nodes(node)
-    return [part for part in inner if isinstance(part, ast.expr)]
-
-
-def values_of(
-    node: ast.expr, names: Mapping[str, Any], memo: dict[int, Any] | None = None
-) -> Array:
+def values_of(node: Node, names: Names, memo: dict[int, Any] | None = None) -> Array:
     """An expression's values (as the shape of t); nan where it has none."""
-    memo = {} if memo is None else memo
-    if id(node) not in memo:
-        x = [values_of(part, names, memo) for part in parts_of(node)]
-        match node:
-            case ast.Constant(value=value):
-                result: Any = np.full_like(names["t"], value)
-            case ast.Name(id=name):
-                result = names[name] + 0.0 * names["t"]
-            case ast.Subscript(slice=ast.Constant(value=int() as k)):
-                result = names["_s"][k] + 0.0 * names["t"]
-            case ast.Compare(ops=[op]):
-                undefined = np.isnan(x[0]) | np.isnan(x[1])
-                result = np.where(undefined, np.nan, _OPERATORS[type(op)](*x))
-            case ast.IfExp():
-                result = np.where(np.isnan(x[0]), np.nan, np.where(x[0], x[1], x[2]))
-            case ast.UnaryOp(op=operation) | ast.BinOp(op=operation):
-                result = _OPERATORS[type(operation)](*x)
-            case ast.Call(func=ast.Name(id=name)):
-                result = (_OTHER.get(name) or getattr(np, name.removeprefix("_")))(*x)
-        memo[id(node)] = result
-    return memo[id(node)]  # type: ignore[no-any-return]
+    t = names["t"]
+
+    def leaf(x: float | str) -> Array:
+        if not isinstance(x, str):
+            return np.full_like(t, x)
+        k = switch_number(x)
+        return (names[x] if k is None else names["_s"][k]) + 0.0 * t  # type: ignore[no-any-return]
+
+    def apply(node: tuple[Any, ...], parts: list[Array]) -> Array:
+        return _ARRAYS[node[0]](*parts)  # type: ignore[no-any-return]
+
+    return fold(node, leaf, apply, memo)
 
 
 class Parts(Protocol):
@@ -127,9 +116,9 @@ class Parts(Protocol):
     """
 
     size: int
-    timely: list[ast.expr]
-    guards: list[ast.expr]
-    switches: list[ast.expr]
+    timely: list[Node]
+    guards: list[Node]
+    switches: list[Node]
 
 
 def samples_of(parts: Parts, t_end: float) -> Array | None:
@@ -161,7 +150,7 @@ def _sampled(given: Parts, count: int, t_end: float, every: bool) -> Array | Non
     # uneven ones: what is as fast as even samples would look slow
     t[1:-1] += np.random.default_rng(0).uniform(-UNEVEN, UNEVEN, count - 1) * (t_end / count)
     t = np.sort(t)
-    signs = [call("_sign", node) for node in parts]
+    signs = [("sign", node) for node in parts]
     for turn in range(ROUNDS):
         memo: dict[int, Any] = {}
         found = [t]
@@ -179,7 +168,7 @@ def _sampled(given: Parts, count: int, t_end: float, every: bool) -> Array | Non
     return t
 
 
-def _changes(node: ast.expr, t: Array, memo: dict[int, Any]) -> tuple[Array, bool]:
+def _changes(node: Node, t: Array, memo: dict[int, Any]) -> tuple[Array, bool]:
     """Times (pairs of neighbours) between which the whole numbers of a node change.
 
     And whether there are few enough that no others can hide.
@@ -206,7 +195,7 @@ def _code(values: Array) -> Array:
     return np.where(np.isnan(values), 0.5, values)
 
 
-def _extremes(node: ast.expr, t: Array, memo: dict[int, Any]) -> tuple[Array, bool]:
+def _extremes(node: Node, t: Array, memo: dict[int, Any]) -> tuple[Array, bool]:
     """Times at which a node is larger, or smaller, than beside them; whether there are few."""
     x = values_of(node, {"t": t}, memo)
     rise = np.diff(x)
@@ -227,7 +216,7 @@ def _extremes(node: ast.expr, t: Array, memo: dict[int, Any]) -> tuple[Array, bo
     return middle, True
 
 
-def switching_times(switches: Sequence[ast.expr], t: Array) -> list[float]:
+def switching_times(switches: Sequence[Node], t: Array) -> list[float]:
     """Of neighbours between which a switch changes one; of those within rounding the shortest."""
     memo: dict[int, Any] = {}
     finest = 2.0 * FINEST * (t[-1] - t[0])
@@ -244,7 +233,7 @@ def switching_times(switches: Sequence[ast.expr], t: Array) -> list[float]:
     return [min(group, key=lambda x: len(repr(x))) for group in groups]
 
 
-def holes(functions: Sequence[ast.expr], names: Names) -> list[float]:
+def holes(functions: Sequence[Node], names: Names) -> list[float]:
     """The times among names["t"] at which a function has no value, but has one beside them."""
     t, found = names["t"], set()
     for function in functions:
@@ -255,7 +244,7 @@ def holes(functions: Sequence[ast.expr], names: Names) -> list[float]:
 
 
 def leaf_ends(
-    functions: list[ast.expr], names: Names, edges: Array, samples: Array, small: float
+    functions: list[Node], names: Names, edges: Array, samples: Array, small: float
 ) -> tuple[Array, bool]:
     """The ends of the leaves: `edges`, and what lies between them; whether there are enough."""
     angles = (np.arange(DEGREE + 1) + 0.5) * (np.pi / (DEGREE + 1))

@@ -7,13 +7,15 @@ straight line stands for it on a stretch so short that no digit of its impulse i
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from robodyn.mechanics.time_samples import call, values_of
+from robodyn.mechanics.kinks import switch
+from robodyn.mechanics.time_samples import values_of
+from robodyn.scene.expressions import fold
+from robodyn.scene.syntax import Node
 from robodyn.tables.arrays import Array
 
 ULPS = np.array([0.0, 1.0, 2.0, 4.0, 16.0, 64.0, 256.0])  # an end is asked at and beside
@@ -34,7 +36,7 @@ class Line(NamedTuple):
     slope: float
 
 
-def lines_at_edges(held: ast.expr, edges: Array, switches: Array, samples: Array) -> list[Line]:
+def lines_at_edges(held: Node, edges: Array, switches: Array, samples: Array) -> list[Line]:
     """The lines beside those `edges` of pieces at which `held` has no value.
 
     `switches` (switches, pieces) tells how they stand; at the `samples` the run is looked at.
@@ -104,16 +106,17 @@ def cut(edges: Array, switches: Array, lines: Sequence[Sequence[Line]]) -> tuple
     return finer, np.array(columns)
 
 
-class WithLines(ast.NodeTransformer):
-    """Writes expressions again, those of `lines` (by identity) with the line of their switch."""
+def with_lines(torque: Node, lines: Mapping[int, int]) -> Node:
+    """The tree with lines for those of its operations whose id has one: by which switch."""
 
-    def __init__(self, lines: Mapping[int, int]) -> None:
-        self.lines = lines
+    def leaf(x: Node) -> Node:
+        return x
 
-    def visit(self, node: ast.AST) -> ast.AST:
-        k = self.lines.get(id(node))
+    def written(node: tuple[Any, ...], parts: list[Node]) -> Node:
+        found = node[0], *parts
+        k = lines.get(id(node))
         if k is None:
-            return self.generic_visit(node)
-        flag, first, slope = (ast.Subscript(ast.Name("_s"), ast.Constant(k + i)) for i in range(3))
-        line = ast.BinOp(first, ast.Add(), ast.BinOp(slope, ast.Mult(), ast.Name("t")))
-        return ast.IfExp(call("_int", flag), line, node)  # type: ignore[arg-type]
+            return found
+        return "if", ("int", switch(k)), ("+", switch(k + 1), ("*", switch(k + 2), "t")), found
+
+    return fold(torque, leaf, written)

@@ -9,10 +9,10 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 
+from robodyn.elements.program import Given, Slot
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.mechanics.program import Given, Slot
 
 
 def torque_slots(
@@ -33,22 +33,16 @@ def torque_slots(
     if actuation.control is not None:
         more = ", or --control-rate, whose torques are held from sample to sample"
         raise _refused("a controller that acts continuously", more)
-    import ast
-
     from robodyn.mechanics.expression_rows import ExpressionRows, Slotted
 
     reader = ExpressionRows(equations.program, equations.variable, _refused, held)
-    slots: list[Slot | None] = [None] * n
-    for line in actuation.lines:
-        match ast.parse(line).body:
-            case [ast.Assign(targets=[ast.Name(id="_s")])]:
-                pass
-            case [ast.Assign(targets=[ast.Name(id=name)], value=value)]:
-                torque = reader.read(value)
-                if isinstance(torque, Slotted) or torque:
-                    slots[int(name.removeprefix("tau"))] = reader.slot(torque)
-            case _:
-                raise _refused("a function of Python")
+    if not actuation.torques:
+        raise _refused("a function of Python")
+    slots: list[Slot | None] = []
+    for node in actuation.torques:
+        torque = reader.read(node)
+        acts = isinstance(torque, Slotted) or torque
+        slots.append(reader.slot(torque) if acts else None)
     return slots
 
 

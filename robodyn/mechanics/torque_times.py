@@ -14,7 +14,6 @@ kinks, as those of a table of torques are.
 
 from __future__ import annotations
 
-import ast
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,20 +25,19 @@ import numpy as np
 
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.kinks import Pieces
+from robodyn.mechanics.kinks import Pieces, switch
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.time_samples import (
-    call,
     holes,
     leaf_ends,
-    parts_of,
     samples_of,
     switching_times,
     values_of,
 )
-from robodyn.mechanics.torque_edges import WithLines, cut, lines_at_edges
-from robodyn.scene.expressions import SCOPE
+from robodyn.mechanics.torque_edges import cut, lines_at_edges, with_lines
+from robodyn.scene.expressions import COMPARISONS, fold
 from robodyn.scene.scene import Law, Table, signal_place
+from robodyn.scene.syntax import Node
 
 NEAR_END = 1e-15  # of the run: a switch nearer to its ends is none
 
@@ -86,7 +84,7 @@ def over_a_run(
     if actuation.pieces is not None or actuation.leaves or not math.isfinite(t_end) or not t_end:
         return actuation
     try:
-        found = _found(actuation.lines, tuple(map(float, state)), float(t_end), small)
+        found = _found(actuation.torques, tuple(map(float, state)), float(t_end), small)
     except (RecursionError, MemoryError):  # too deep an expression: as it is
         return actuation
     if found is None:
@@ -96,9 +94,15 @@ def over_a_run(
     if not found.values[0]:  # no switch
         return actuation
     pieces = Held(found.kinks, found.values)
-    scope = {**actuation.scope, "_piece": pieces.at, "_int": int, "_pick": _pick}
-    lines = ("_s = _piece(t)", *found.lines)
-    return replace(actuation, lines=lines, scope=scope, kinks=found.kinks, pieces=pieces)
+    held = Actuation.of(found.torques)
+    return replace(
+        actuation,
+        lines=("_s = _piece(t)", *held.lines),
+        torques=held.torques,
+        scope={**held.scope, "_piece": pieces.at, "_int": int, "_pick": _pick},
+        kinks=found.kinks,
+        pieces=pieces,
+    )
 
 
 def over_a_scene_run(
@@ -118,10 +122,10 @@ def over_a_scene_run(
         return actuation
     first, last = min(0.0, t_end), max(0.0, t_end)
     times: set[float] = set()
-    lines: list[str] = []
+    torques: list[Node] = []
     for signal in mechanism.signals:
         if isinstance(signal, Law) and "t" in signal.names:
-            lines.append(f"tau{len(lines)} = {signal.code}")
+            torques.append(signal.node)
         elif isinstance(signal, Table) and signal.over == "t":
             if signal.x[0] > first or signal.x[-1] < last:
                 span = f"{signal.x[0]:g} to {signal.x[-1]:g} s"
@@ -131,7 +135,7 @@ def over_a_scene_run(
                     place, where=mechanism.source, value=span, limit=f"{limit}{last:g} s"
                 )
             times.update(t for t in signal.x if first < t < last)
-    found = over_a_run(Actuation(None, tuple(lines), dict(SCOPE)), state, t_end, small)
+    found = over_a_run(Actuation.of(torques), state, t_end, small)
     leaves = {*actuation.leaves, *found.leaves}
     if actuation.control is not None:  # it takes kinks for samples
         leaves.update({abs(t) for t in times} | {0.0, abs(t_end)} if times else set())
@@ -149,9 +153,9 @@ def _pick(k: float, *values: float) -> float:
 
 
 class _Found(NamedTuple):
-    """Lines with switches held, when they switch and how they stand between, and the leaves."""
+    """Torques with switches held, when they switch and how they stand between, and the leaves."""
 
-    lines: tuple[str, ...]
+    torques: tuple[Node, ...]
     kinks: tuple[float, ...]
     values: list[tuple[float, ...]]
     leaves: tuple[float, ...]
@@ -160,21 +164,14 @@ class _Found(NamedTuple):
 
 @lru_cache(maxsize=16)
 def _found(
-    lines: tuple[str, ...], state: tuple[float, ...], t_end: float, small: float
+    torques: tuple[Node, ...], state: tuple[float, ...], t_end: float, small: float
 ) -> _Found | None:
     """What torques make of time from 0 to `t_end`.
 
-    None for lines that are no expressions, or do not depend on time.  Raises InputError for those
-    that switch too fast.
+    None for those that do not depend on time.  Raises InputError for those that switch too fast.
     """
     parts = _TimeParts()
-    torques: list[tuple[str, ast.expr]] = []
-    for line in lines:
-        match ast.parse(line).body:
-            case [ast.Assign(targets=[ast.Name(id=target)], value=value)]:
-                torques.append((target, parts.write(value)))
-            case _:
-                return None
+    written = [parts.write(torque) for torque in torques]
     if not parts.size:
         return None
     n, span = len(state) // 2, abs(t_end)
@@ -194,13 +191,13 @@ def _found(
         table = table.reshape(-1, len(middles))
         beside = {id(x): lines_at_edges(x, edges, table, samples) for x in parts.held}
         beside = {held: each for held, each in beside.items() if each}
-        rewrite = WithLines({held: len(table) + 3 * k for k, held in enumerate(beside)})
+        switches = {held: len(table) + 3 * k for k, held in enumerate(beside)}
         edges, table = cut(edges, table, list(beside.values()))
         leaves, enough = leaf_ends(parts.functions, names, edges, samples, small)
-    written = [f"{target} = {ast.unparse(rewrite.visit(torque))}" for target, torque in torques]
+    made = tuple(with_lines(torque, switches) for torque in written)
     values = [tuple(row) for row in table.T.tolist()] or [()] * (len(edges) - 1)
     ends = tuple(np.sort(np.abs(leaves)).tolist())
-    return _Found(tuple(written), tuple(edges[1:-1].tolist()), values, ends, enough)
+    return _Found(made, tuple(edges[1:-1].tolist()), values, ends, enough)
 
 
 class _TimeParts:
@@ -208,96 +205,83 @@ class _TimeParts:
 
     def __init__(self) -> None:
         self.size = 0  # how many parts
-        self.timely: list[ast.expr] = []  # whose zeros and extremes are sampled
-        self.guards: list[ast.expr] = []  # the same of those that decide switches
-        self.switches: list[ast.expr] = []  # whose values are whole numbers
-        self.functions: list[ast.expr] = []  # that must be resolved: torques, and of time alone
-        self.held: list[ast.expr] = []  # the largest parts of time alone, as they are written
+        self.timely: list[Node] = []  # whose zeros and extremes are sampled
+        self.guards: list[Node] = []  # the same of those that decide switches
+        self.switches: list[Node] = []  # whose values are whole numbers
+        self.functions: list[Node] = []  # that must be resolved: torques, and of time alone
+        self.held: list[Node] = []  # the largest parts of time alone, as they are written
 
-    def write(self, torque: ast.expr) -> ast.expr:
-        written, kind = self._write(torque)
+    def write(self, torque: Node) -> Node:
+        """The torque with its switches held."""
+        written, kind = fold(torque, _kind, self._write)
         if kind:
             self.functions.append(torque)
         if kind == 1:
             self.held.append(written)
         return written
 
-    def _write(self, node: ast.expr) -> tuple[ast.expr, int]:
-        """The node written, and what it depends on: 0 nothing, 1 time alone, 2 the state."""
-        if isinstance(node, ast.Name):
-            return node, 1 if node.id == "t" else 2
-        parts = parts_of(node)
-        found = [self._write(part) for part in parts]
+    def _write(self, node: tuple[Any, ...], found: list[tuple[Node, int]]) -> tuple[Node, int]:
+        """The operation written, and what it depends on (`_kind`)."""
+        operation, *parts = node
         written, kinds = [x for x, _ in found], [kind for _, kind in found]
-        kind = max(kinds, default=0)
-        if isinstance(node, ast.IfExp) and kinds[0] + isinstance(parts[0], ast.Compare) < 2:
-            written[0] = self._flag(call("_true", parts[0]))
+        kind = max(kinds)
+        if operation == "if" and kinds[0] + _compares(parts[0]) < 2:
+            written[0] = self._flag(("true", parts[0]))
         if kind == 1:
             self.size += 1
-            if not _linear(node, kinds):
-                (self.guards if _switches(node) else self.timely).extend(parts)
-            return self._held(node, parts, written), 1
+            if not _linear(operation, kinds):
+                bends = operation in ("%", "sign", "floor", "abs")
+                (self.guards if bends else self.timely).extend(parts)
+            return self._held(node, written), 1
         if kind == 2:
             for part, held, each in zip(parts, written, kinds, strict=True):
-                if each == 1 and not isinstance(part, ast.Name):
+                if each == 1 and type(part) is tuple:
                     self.functions.append(part)
                     self.held.append(held)
-        return _rebuilt(node, written), kind
+        return (operation, *written), kind
 
-    def _held(self, node: ast.expr, parts: list[ast.expr], x: list[ast.expr]) -> ast.expr:
+    def _held(self, node: tuple[Any, ...], x: list[Node]) -> Node:
         """A node of time alone from its written parts, as it is between two switching times."""
-        match node:
-            case ast.Compare():
-                self.guards.append(ast.BinOp(parts[0], ast.Sub(), parts[1]))
+        operation, *parts = node
+        match operation:
+            case "<" | "<=" | ">" | ">=":
+                self.guards.append(("-", *parts))
                 return self._flag(node)
-            case ast.BinOp(op=ast.Mod()):
-                turns = self._switch(call("_turns", *parts))
-                return ast.BinOp(x[0], ast.Sub(), ast.BinOp(x[1], ast.Mult(), turns))
-            case ast.Call(func=ast.Name(id="_sign" | "_floor")):
+            case "%":
+                return "-", x[0], ("*", x[1], self._switch(("turns", *parts)))
+            case "sign" | "floor":
                 return self._switch(node)
-            case ast.Call(func=ast.Name(id="_abs")):
-                return ast.BinOp(x[0], ast.Mult(), self._switch(call("_sign", *parts)))
-            case ast.Call(func=ast.Name(id="_min" | "_max" as name)):
-                for one, other in pairwise(parts):
-                    self.guards.append(ast.BinOp(one, ast.Sub(), other))
-                return call("_pick", self._switch(call(f"{name}_at", *parts)), *x)
-        return _rebuilt(node, x)
+            case "abs":
+                return "*", x[0], self._switch(("sign", *parts))
+            case "min" | "max":
+                self.guards += [("-", one, other) for one, other in pairwise(parts)]
+                return "pick", self._switch((f"{operation}_at", *parts)), *x
+        return operation, *x
 
-    def _flag(self, node: ast.expr) -> ast.expr:
-        return call("_int", self._switch(node))  # an error where it is undefined
+    def _flag(self, node: Node) -> Node:
+        return "int", self._switch(node)  # an error where it is undefined
 
-    def _switch(self, node: ast.expr) -> ast.expr:
+    def _switch(self, node: Node) -> str:
         self.switches.append(node)
-        return ast.Subscript(ast.Name("_s"), ast.Constant(len(self.switches) - 1))
+        return switch(len(self.switches) - 1)
 
 
-def _switches(node: ast.expr) -> bool:
-    """Whether a node jumps or bends where its parts pass some value."""
-    match node:
-        case ast.BinOp(op=ast.Mod()) | ast.Call(func=ast.Name(id="_sign" | "_floor" | "_abs")):
+def _kind(leaf: float | str) -> tuple[Node, int]:
+    """A leaf, and what it depends on: 0 nothing, 1 time alone, 2 the state."""
+    return leaf, 0 if not isinstance(leaf, str) else 1 if leaf == "t" else 2
+
+
+def _compares(node: Node) -> bool:
+    return type(node) is tuple and node[0] in COMPARISONS
+
+
+def _linear(operation: str, kinds: list[int]) -> bool:
+    """Whether an operation makes nothing narrower than its parts are."""
+    match operation:
+        case "neg" | "+" | "-":
             return True
-    return False
-
-
-def _linear(node: ast.expr, kinds: list[int]) -> bool:
-    """Whether a node makes nothing narrower than its parts are."""
-    match node:
-        case ast.UnaryOp() | ast.BinOp(op=ast.Add() | ast.Sub()):
-            return True
-        case ast.BinOp(op=ast.Mult()):
+        case "*":
             return 0 in kinds
-        case ast.BinOp(op=ast.Div()):
+        case "/":
             return kinds[1] == 0
     return False
-
-
-def _rebuilt(node: ast.expr, x: list[ast.expr]) -> ast.expr:
-    """The node with these for its parts."""
-    new = dict(zip(map(id, parts_of(node)), x, strict=True))
-    fields: dict[str, Any] = {
-        name: [new.get(id(part), part) for part in value]
-        if isinstance(value, list)
-        else new.get(id(value), value)
-        for name, value in ast.iter_fields(node)
-    }
-    return type(node)(**fields)

@@ -7,7 +7,6 @@ With the ratio N, the torque constant kt and the resistance R
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,6 +16,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.planar_model import Mechanism
+from robodyn.scene.syntax import Node
 
 
 def voltages(
@@ -51,13 +51,10 @@ def voltages(
 
         return replace(actuation.callback(mechanism, torques), remade=again)
 
-    def driving(nodes: list[ast.expr]) -> list[ast.expr]:
+    def driving(nodes: list[Node]) -> list[Node]:
         """Expressions of torques, of those of voltages."""
-        found: list[ast.expr] = []
-        for k, (a, b), node in zip(driven, laws, _as_many(mechanism, nodes, where), strict=True):
-            back = ast.BinOp(ast.Constant(b), ast.Mult(), ast.Name(f"qd{k + 1}"))
-            found.append(ast.BinOp(ast.Constant(a), ast.Mult(), ast.BinOp(node, ast.Sub(), back)))
-        return found
+        each = zip(driven, laws, _as_many(mechanism, nodes, where), strict=True)
+        return [("*", a, ("-", node, ("*", b, f"qd{k}"))) for k, (a, b), node in each]
 
     text = volt if isinstance(volt, str) else ", ".join(repr(float(x)) for x in volt)
     found = actuation.expressions(mechanism, text, where, driving, "V")

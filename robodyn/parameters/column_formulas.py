@@ -54,7 +54,8 @@ from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.mechanics.motors import motor_values
 from robodyn.mechanics.planar_model import ClosureRow
-from robodyn.scene.expressions import NO_BENDS, Written, check_smooth
+from robodyn.scene.expressions import NO_BENDS, check_smooth
+from robodyn.scene.quantities import Variables, expressions
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
@@ -327,7 +328,7 @@ class ColumnFormulas:
                 places[key] = changes[name] + numbers[name] if name in changes else numbers[name]
         known = "numbers such as " + (self.names or ("gravity",))[0] + ", columns such as tau1"
 
-        def rename(name: str) -> str | None:
+        def named(name: str) -> str | None:
             if name not in places and self.serves(name):
                 places[name] = self.column(name)
             return name if name in places else None
@@ -335,11 +336,11 @@ class ColumnFormulas:
         sides: list[Any] = []
         try:
             for side in _RELATION.split(written):
-                codes = Written(side, rename, known).codes
-                check_smooth(codes)
-                sides.append(evaluated(codes[0], places))
+                nodes = [x.node for x in expressions(side, Variables(named, known))]
+                check_smooth(nodes)
+                sides.append(evaluated(nodes[0], places))
             left, right = sides
-        except (ValueError, TypeError, NameError, ArithmeticError, AttributeError) as error:
+        except (ValueError, TypeError, KeyError, ArithmeticError, AttributeError) as error:
             told = str(error).replace(NO_BENDS, "which bends or jumps")
             raise InputError(where, value=shown(text), limit=f"has no meaning: {told}") from None
         return right - left if signs[0].startswith(">") else left - right, signs[0] == "=="

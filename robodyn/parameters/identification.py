@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn.dynamics.closed_form import point_motion
 from robodyn.dynamics.free_joints import balanced_joints
 from robodyn.elements.base import Element
 from robodyn.elements.keys import Declared
@@ -36,7 +37,7 @@ from robodyn.elements.springs import JointSpring
 from robodyn.engines.expression import Graph, slopes_by, substituted
 from robodyn.engines.planar_numbers import Planar
 from robodyn.errors import InputError
-from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.base_parameters import (
     EXCITED,
     base_parameters,
@@ -53,7 +54,7 @@ from robodyn.parameters.regression_matrix import (
     rows_at_rest,
     with_formulas,
 )
-from robodyn.scene.scene import Description
+from robodyn.scene.scene import Description, Link, Point
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
@@ -536,16 +537,38 @@ def changes(
         if name.startswith("links[") or name.endswith("]"):
             continue
         number = number_at(after, place)
+        if name.endswith(".I") and name not in known:
+            one, other = (_about_joint(x.links[int(place[1])]) for x in (before, after))
+            if one != other:
+                found[f"{name.removesuffix('I')}J"] = other
+            continue
         if not name.endswith(".r"):
             if number != number_at(before, place):
                 found[name] = number
             continue
-        r = after.links[int(place[1])].r
-        if r == before.links[int(place[1])].r:
+        k = int(place[1])
+        r = after.links[k].r
+        if r == before.links[k].r:
             continue
-        if f"{name}[0]" in known:
+        if f"{name.removesuffix('r')}centre[0]" in known:
+            x, y = _as_drawn(before, Point(k, r))
+            found |= {f"{name.removesuffix('r')}centre[{i}]": z for i, z in enumerate((x, y))}
+        elif f"{name}[0]" in known:
             found |= {f"{name}[0]": r.real, f"{name}[1]": r.imag}
         else:
             alone = abs(r.imag) <= ROUNDED * abs(r) and r.real >= 0.0
             found[name] = r.real if alone else (r.real, r.imag)
     return found
+
+
+def _about_joint(link: Link) -> float:
+    """J = I + m |r|^2 of a link, about its own joint."""
+    return link.I + link.m * (link.r.real * link.r.real + link.r.imag * link.r.imag)
+
+
+def _as_drawn(description: Description, point: Point) -> tuple[float, float]:
+    """Position of a point, m, in the pose of a scene's `start`."""
+    mechanism = build(description)
+    pose = np.array(description.start, float)
+    (z,) = point_motion(mechanism, [mechanism.tree.point(point)], pose)[0]
+    return float(z[0]), float(z[1])

@@ -117,7 +117,7 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
         if isinstance(friction, DryFriction):
             friction = friction._replace(static=values.get(f"fs{i}", friction.torque))
         motor = motor and _with_linear(motor, i, values)
-        links.append(link._replace(damping=values[f"d{i}"], friction=friction, motor=motor))
+        links.append(link._replace(friction=friction, motor=motor))
     lists = {
         name: tuple(_with_linear(x, i, values) for i, x in enumerate(getattr(base, name), start=1))
         for name in LISTS
@@ -126,8 +126,10 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
     own = Bodies(m, [Planar(x, y) for x, y in zip(mx, my, strict=True)], J)  # type: ignore[misc]
     scene = base._replace(links=tuple(links), **lists)
     made = constants(with_formulas(scene), own)
-    more = (x for x in mechanism.added if not isinstance(x, JointDamper))  # d_k has all dampers
-    made = replace(made, elements=(*made.elements, *more))
+    # d_k is all damping of a joint, also what other elements bring
+    kept = [x for x in (*made.elements, *mechanism.added) if not isinstance(x, JointDamper)]
+    kept += [JointDamper(k, values[f"d{k + 1}"]) for k in range(mechanism.n)]
+    made = replace(made, elements=tuple(kept))
     if mechanism.mode is not None:
         made = in_mode(made, mechanism.mode)
     return replace(made, actuated=mechanism.actuated, rows=mechanism.rows)
@@ -196,7 +198,7 @@ def rows_at_rest(
     rates = np.abs(together(mechanism, named)["qd"])
     slow = rates <= (RESTS * rates.max(axis=0, initial=0.0) if rest is None else rest)
     found = np.zeros((len(rates), len(joints)), bool)
-    for k in mechanism.dry:
+    for k in mechanism.sticks:
         for i, joint in enumerate(joints):
             if joint == k or k not in joints:
                 found[:, i] |= slow[:, k] & slow[:, joint]

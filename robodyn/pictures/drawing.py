@@ -21,11 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.named_points import NamedPoint
 from robodyn.dynamics.placed import Placed, placed
+from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.errors import RobodynError
 from robodyn.loops.assembly import assembly_plan, attempt
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Point
+from robodyn.scene.welds import Welded
 from robodyn.tables.arrays import Array, Complex
 
 ARC = 15  # points of half a circle
@@ -262,10 +264,10 @@ def bodies(
         else:
             way = way.leaving(link_points(mechanism, way.link, marked), w)
         ways.append(way)
-    for spring in mechanism.springs:
+    for spring in mechanism.of(PointSpring):
         ends = tree.point(spring.first), tree.point(spring.second)
         yield _spring(bool(spring.stiffness or spring.law), *ends, poses, w)
-    for coil in mechanism.joint_springs:
+    for coil in mechanism.of(JointSpring):
         if (k := coil.joint) in mechanism.slides:
             slid = tree.point(Point(k, 0j))
             yield _spring(bool(coil.stiffness or coil.law), mechanism.pivots[k], slid, poses, w)
@@ -333,7 +335,15 @@ def link_points(mechanism: Mechanism, k: int, marked: Sequence[Point] = ()) -> C
     found = [0j, complex(mechanism.description.links[k].l), *_attached(mechanism, k)]
     found += [point.at for _, point in mechanism.description.points if point.link == k]
     found += [point.at for point in marked if point.link == k]
+    found += [point.at for point in _welded(mechanism) if point.link == k]
     return np.array(list(dict.fromkeys(found)))
+
+
+def _welded(mechanism: Mechanism) -> list[Point]:
+    """Joints and tips of welds, on the links that they are part of."""
+    welded = Welded(mechanism.description)
+    ends = enumerate(mechanism.description.welds, start=mechanism.n)
+    return [welded.point(Point(k, at)) for k, weld in ends for at in (0j, weld.l + 0j)]
 
 
 def _attached(mechanism: Mechanism, k: int) -> list[complex]:
@@ -350,7 +360,7 @@ def _joined(mechanism: Mechanism) -> list[Point]:
 
 
 def _spring_ends(mechanism: Mechanism) -> list[Point]:
-    return [end for spring in mechanism.springs for end in (spring.first, spring.second)]
+    return [end for spring in mechanism.of(PointSpring) for end in (spring.first, spring.second)]
 
 
 def _link(
@@ -368,14 +378,15 @@ def _link(
             yield from on_link(way, w)
     if link.payload and link.l not in sliding:
         yield Shape("payload", link.l + circle(1.5 * w))
-    yield Shape("centre", link.r + circle(0.8 * w))
-    for begin in (0.0, np.pi):  # two dark quarters
-        arc: Complex = 0.8 * w * np.exp(1j * np.linspace(begin, begin + np.pi / 2, 9))
-        yield Shape("quarter", link.r + np.append(0j, arc))
+    if link.has_mass:
+        yield Shape("centre", link.r + circle(0.8 * w))
+        for begin in (0.0, np.pi):  # two dark quarters
+            arc: Complex = 0.8 * w * np.exp(1j * np.linspace(begin, begin + np.pi / 2, 9))
+            yield Shape("quarter", link.r + np.append(0j, arc))
     for end in _spring_ends(mechanism):
         if end.link == k:
             yield Shape("tip", end.at + circle(0.3 * w))
-    if not link.slides and any(spring.joint == k for spring in mechanism.joint_springs):
+    if not link.slides and any(spring.joint == k for spring in mechanism.of(JointSpring)):
         angle = np.linspace(0.0, 4.5 * np.pi, 60)
         spiral: Complex = w * (1.15 + 0.07 * angle) * np.exp(1j * angle)
         yield Shape("spring", spiral, False)

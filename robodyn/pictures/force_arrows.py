@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +81,7 @@ def forces(
         add("pin", f"f{c + 1}", tree.point(description.closures[c].first), force)
     springs = (f"s{k + 1}" for k, x in enumerate(description.springs) if x.at is None)
     loads = (f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, LoadForce))
-    names = {PointSpring: springs, LoadForce: loads}
+    names: dict[type, Iterator[str]] = {PointSpring: springs, LoadForce: loads}
     rows = rows_of(parts.acting, mechanism)
     if rows.acting:
         acting = rows.planar("forces", q, qd, 0.0).tolist()

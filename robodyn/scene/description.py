@@ -15,10 +15,11 @@ from robodyn.elements.values import FRAMES
 from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
 from robodyn.scene.point_values import PointReader
-from robodyn.scene.quantities import in_unit, parse_coupling
+from robodyn.scene.quantities import parse_coupling
 from robodyn.scene.scene import (
     BRANCHES,
     JOINTS,
+    Body,
     Closure,
     Coupling,
     Description,
@@ -66,6 +67,7 @@ def from_tree(
             drawing = Drawing(root, reader)
         description = reader.scene(drawing.explicit() if drawing else root, source)
         if drawing and not reader.faults:
+            description = description._replace(pins=tuple(drawing.shared()))
             drawing.check(description)
         if not reader.faults:
             return description._replace(written=Written(root, (), text, reader.tables))
@@ -87,6 +89,8 @@ class _Reader(PointReader, SignalReader):
         super().__init__()
         self.tables = dict(tables or {})
         self.closures = 0  # how many were read
+        self.order: list[int] = []  # places in the file, of links and then of welds
+        self.entry = -1  # of the links, the one that is read
 
     # -- the scene ---------------------------------------------------------------------------
 
@@ -95,14 +99,14 @@ class _Reader(PointReader, SignalReader):
         entries = listed.items if isinstance(listed, Sequence) else []
         if isinstance(listed, Sequence) and not entries:
             self.fault("links", listed, "must name at least one link", "[]")
-        self.count, self.source = len(entries), source
+        self.source = source
         self.survey(entries)
         named = next((node for key, node in root.pairs if key.text == "points"), None)
         if named is not None:
             self.name_points(named, "points")
         own = {"source": source, "name": Path(source).stem}
         described: Description = self.record("scene", root, "", **own)
-        self.cycles(described.links, entries)
+        self.cycles(described, entries)
         words: Any = described.branches
         if words is None or isinstance(words, str):
             free = words is None and described.start
@@ -126,6 +130,8 @@ class _Reader(PointReader, SignalReader):
             return None
         angles: list[float | None] = [None] * self.count
         for name, value in self.keys(node, place, [], list(self.index), "link").items():
+            if self.has_no_joint(name, value, f"{place}.{name}"):
+                continue
             if name in self.index:
                 unit = "m" if self.index[name] in self.slides else "rad"
                 key = Key("number", "", unit)
@@ -136,23 +142,33 @@ class _Reader(PointReader, SignalReader):
 
     def survey(self, entries: list[Node]) -> None:
         """Names and lengths first: `from` may name a point of a link further down the file."""
-        for i, entry in enumerate(entries):
-            given = dict(_scalars(entry))
-            if "joint" in given and given["joint"].text == JOINTS[1]:
-                self.slides.add(i)
+        given = [dict(_scalars(entry)) for entry in entries]
+        joints = [x["joint"].text if "joint" in x else JOINTS[0] for x in given]
+        moving = [i for i, joint in enumerate(joints) if joint != JOINTS[2]]
+        welds = [i for i, joint in enumerate(joints) if joint == JOINTS[2]]
+        self.count, self.order = len(moving), [*moving, *welds]
+        for k, i in enumerate(self.order):
+            if joints[i] == JOINTS[1]:
+                self.slides.add(k)
+            entry = entries[i]
             if isinstance(entry, Mapping):
-                self.survey_link(i, {key.text: value for key, value in reversed(entry.pairs)})
-            name = given.get("name")
-            if name and (earlier := self.index.setdefault(name.text, i)) != i:
-                limit = f"is the name of links[{earlier}] too; names must differ"
+                self.survey_link(k, {key.text: value for key, value in reversed(entry.pairs)})
+        for i, k in sorted((i, k) for k, i in enumerate(self.order)):
+            name = given[i].get("name")
+            if name and (earlier := self.index.setdefault(name.text, k)) != k:
+                limit = f"is the name of links[{self.order[earlier]}] too; names must differ"
                 self.fault(f"links[{i}].name", name, limit, name.text)
 
-    def link(self, node: Node, place: str) -> Link:
+    def link(self, node: Node, place: str) -> Body:
         given = dict(_scalars(node))
         name = given.get("name")
         place = place if name is None else f"{place} ({name.text})"
-        self.joint += 1
-        above = self.tip(self.joint - 1) if self.joint else Point(None, 0j)
+        self.entry += 1
+        k, before = (self.order.index(i) for i in (self.entry, max(0, self.entry - 1)))
+        above = self.tip(before) if self.entry else Point(None, 0j)
+        if k >= self.count:
+            return self.record("weld", node, place, hangs_from=above)  # type: ignore[no-any-return]
+        self.joint = k
         link: Link = self.record("link", node, place, hangs_from=above)
         slides = "joint" in given and given["joint"].text == JOINTS[1]
         if slides and link.axis is None:
@@ -163,20 +179,22 @@ class _Reader(PointReader, SignalReader):
             self.fault(f"{place}.axis", node, limit)
         return link
 
-    def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
+    def cycles(self, described: Description, entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""
         grounded: set[int] = set()
-        for start in range(len(links)):
+        bodies = described.bodies
+        for start in range(len(bodies)):
             path: dict[int, None] = {}
             link: int | None = start
             while link is not None and link not in grounded and link not in path:
                 path[link] = None
-                link = links[link].hangs_from.link
+                link = bodies[link].hangs_from.link
             if link in path:
                 cycle = list(path)
-                names = [links[k].name for k in [*cycle[cycle.index(link) :], link]]
-                place = f"links[{link}] ({links[link].name}).from"
-                self.fault(place, entries[link], f"hangs from itself: {' -> '.join(names)}")
+                names = [bodies[k].name for k in [*cycle[cycle.index(link) :], link]]
+                i = self.order[link]
+                place = f"links[{i}] ({bodies[link].name}).from"
+                self.fault(place, entries[i], f"hangs from itself: {' -> '.join(names)}")
             grounded.update(path)
 
     # -- closures and directions -------------------------------------------------------------
@@ -221,22 +239,14 @@ class _Reader(PointReader, SignalReader):
 
     def coupling(self, node: Node, place: str, count: int) -> Coupling | None:
         text = self.name(node, place)
+        units = ["m" if k in self.slides else "rad" for k in range(count)]
         try:
-            joint, value = parse_coupling(text)
-            named = joint, *value.joints
-            if unknown := [k for k in named if not 1 <= k <= count]:
-                raise ValueError(f"names q{unknown[0]}; the joints are q1 to q{count}")
-            if joint in value.joints:
-                raise ValueError(f"has q{joint} on both sides")
-            units = {k: "m" if k - 1 in self.slides else "rad" for k in named}
-            own = units[joint]
-            ratios = {k: in_unit(x, f"{own}/{units[k]}") for k, x in value.joints.items()}
-            constant = in_unit(value._replace(joints={}), own)
+            joint, ratios, constant = parse_coupling(text, units)
         except ValueError as error:
             if text:  # else it is told that it is no name
                 self.fault(place, node, str(error), self.shown(node))
             return None
-        return Coupling(joint - 1, tuple((k - 1, x) for k, x in ratios.items() if x), constant)
+        return Coupling(joint, tuple((k, x) for k, x in ratios.items() if x), constant)
 
 
 def _scalars(node: Node) -> Iterator[tuple[str, Scalar]]:

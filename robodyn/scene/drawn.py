@@ -17,14 +17,13 @@ from collections.abc import Iterator
 from collections.abc import Mapping as Mapped
 from collections.abc import Sequence as Listed
 from dataclasses import dataclass
-from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from robodyn.scene.grammar import FORMS
 from robodyn.scene.point_names import Places
-from robodyn.scene.scene import Coupling, Description
+from robodyn.scene.scene import Coupling, Description, Point
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.tables.arrays import Array
 
@@ -206,7 +205,7 @@ class Drawing:
             self._check_pins(bar, faulty)
 
     def _check_pins(self, bar: Bar, faulty: set[str]) -> None:
-        """Faults of the pins of one link; those in `faulty` are nowhere."""
+        """Add the faults of the pins of one link; the places of those in `faulty` are not known."""
         node, place, reader = bar.given.get("pins", bar.node), f"{bar.place}.pins", self.reader
         count = len(bar.pins)
         bar.pins = [name for name in bar.pins if self._is_pin(name, node, place)]
@@ -215,11 +214,16 @@ class Drawing:
             reader.fault(place, node, f"{limit}; one alone is for a link that slides (`along`)")
         elif isinstance(bar.given.get("pins"), Sequence) and not count:
             reader.fault(place, node, "needs at least one pin")
-        for first, second in combinations([x for x in bar.pins if x not in faulty], 2):
-            apart = abs(self.z[first] - self.z[second])
-            if apart <= SAME * self.extent or not apart:
-                limit = f"has {first} and {second} at one place: leave one of them out"
-                reader.fault(place, node, limit)
+        across = sorted((x for x in bar.pins if x not in faulty), key=lambda x: self.z[x].real)
+        for k, first in enumerate(across):
+            for second in across[k + 1 :]:
+                apart = self.z[second] - self.z[first]
+                if apart.real > SAME * self.extent:
+                    break
+                if abs(apart) <= SAME * self.extent:
+                    one, other = sorted((first, second), key=bar.pins.index)
+                    limit = f"has {one} and {other} at one place: leave one of them out"
+                    reader.fault(place, node, limit)
 
     def _is_pin(self, name: str, node: Node, place: str) -> bool:
         if name in self.z:
@@ -274,7 +278,7 @@ class Drawing:
             elif link is not None and name in self.bars[link].pins:
                 limit = f"is a pin of {on} itself: a slot holds a pin of another link"
                 reader.fault(f"{place}.pin", found["pin"], limit, name)
-            elif name in self.fixed or (name in self.z and not self.holders[name]):
+            elif name in self.z and not (self.holders[name] and self._moves(name)):
                 limit = "must be a pin of a link that moves"
                 reader.fault(f"{place}.pin", found["pin"], limit, name)
         return Line(name, along, link) if len(reader.faults) == faults else None
@@ -282,7 +286,7 @@ class Drawing:
     # -- the tree and the loops ----------------------------------------------------------------
 
     def _hang(self) -> None:
-        """What each link hangs from, by its first pin."""
+        """Find the parent of each link, by its first pin."""
         for k, bar in enumerate(self.bars):
             if bar.along is None:
                 continue
@@ -313,22 +317,27 @@ class Drawing:
                     bar.above = partner
 
     def _pinned(self, pin: str) -> list[int]:
-        """The links that a pin joins: without the one that it slides along."""
+        """Links that a pin joins, without the one that it slides along."""
         carrier = self.carrier.get(pin)
         return [k for k in self.holders[pin] if pin not in self.carrier or k != carrier]
 
+    def _moves(self, pin: str) -> bool:
+        """Return whether a pin is not on the ground, or goes along with a link that slides."""
+        slides = (bar for bar in self.bars if bar.along is not None)
+        return pin not in self.fixed or any(bar.pins[:1] == [pin] for bar in slides)
+
     def _is_fixed(self, pin: str) -> bool:
-        """Whether a pin is one of the ground, and goes along with nothing."""
+        """Return whether a pin is on the ground, and is not the origin of a link that slides."""
         return pin in self.fixed and pin not in self.slide_of
 
     def _partner(self, pin: str, k: int) -> int | None:
-        """What this pin joins link k to: the ground (None), a link above, or nothing (-1)."""
+        """Return what this pin joins link k to: the ground (None), a link above, nothing (-1)."""
         if self._is_fixed(pin):
             return None
         return next((i for i in self._pinned(pin) if i < k), -1)
 
     def _unheld(self, k: int, pin: str) -> None:
-        """The fault of a link that begins with a pin on nothing above."""
+        """Add the fault of link k, whose first pin is on nothing above."""
         bar = self.bars[k]
         below = [self.bars[i].name for i in self.holders[pin] if i > k]
         begins = f"begins with {pin}, "
@@ -348,7 +357,7 @@ class Drawing:
         self.reader.fault(f"{bar.place}.pins", bar.given["pins"], limit)
 
     def _close(self) -> None:
-        """The loops, and the pins that are on nothing."""
+        """List the loops; add a fault for each pin that is on no link."""
         for k, bar in enumerate(self.bars):
             # a link that slides meets what has its first pin, but for what it slides on
             further = bar.pins if bar.along is not None else bar.pins[1:]
@@ -365,14 +374,14 @@ class Drawing:
                     self.joined.append(Joined(k, None, pin, line.along))
         for line in self.slots:
             self.joined.append(Joined(self._pinned(line.pin)[0], line.on, line.pin, line.along))
-        anchors = {name for _, _, name in self._ends()}
+        anchors = set(self._ends())
         for pin in self.z:
             if not self.holders[pin] and not (pin in self.fixed and pin in anchors):
                 limit = "is on no link: name it in the pins of one, or leave it out"
                 self.reader.fault(f"pins.{pin}", Scalar(pin, False, self.lines[pin]), limit)
 
     def _frames(self) -> None:
-        """Where the links are in the drawing."""
+        """Find the frames of the links in the drawing."""
         for bar in self.bars:
             bar.origin = self.z[bar.pins[0]]
             if bar.along is not None:
@@ -383,16 +392,13 @@ class Drawing:
 
     # -- springs, loads and points by pins -----------------------------------------------------
 
-    def _ends(self) -> Iterator[tuple[str, Node, str]]:
-        """The pins that springs, loads and points name: list or mapping, node, name."""
-        for key, inner in (("springs", "between"), ("loads", "point")):
-            listed = self.given.get(key)
-            for entry in listed.items if isinstance(listed, Sequence) else []:
-                for name, node in entry.pairs if isinstance(entry, Mapping) else []:
-                    if name.text == inner:
-                        for item in node.items if isinstance(node, Sequence) else [node]:
-                            if isinstance(item, Scalar):
-                                yield key, item, item.text
+    def _ends(self) -> Iterator[str]:
+        """Names of the ends of springs."""
+        springs = self.given.get("springs")
+        for entry in springs.items if isinstance(springs, Sequence) else []:
+            for key, ends in entry.pairs if isinstance(entry, Mapping) else []:
+                if key.text == "between" and isinstance(ends, Sequence):
+                    yield from (end.text for end in ends.items if isinstance(end, Scalar))
 
     def _named(self, node: Node, moving: bool = False) -> Node:
         """A point, with a pin as a place of its link, or of the ground.
@@ -439,9 +445,19 @@ class Drawing:
                 line = self.lines[pin]
                 place = _place(self.bars[links[0]], self.z[pin], line)
                 pairs.append((Scalar(pin, False, line), place))
-        if given is not None:
-            pairs += [(key, self._named(value, moving=True)) for key, value in given.pairs]
+        for key, value in given.pairs if given is not None else []:
+            if key.text in self.z:
+                self.reader.fault(f"points.{key.text}", key, "is the name of a pin")
+            else:
+                pairs.append((key, self._named(value, moving=True)))
         return Mapping(pairs, 1) if pairs else None
+
+    def shared(self) -> Iterator[tuple[str, Point]]:
+        """The pins that move and are on several links, each on the first that has it."""
+        for pin, links in self.holders.items():
+            if len(links) > 1 and not self._is_fixed(pin):
+                k = self._pinned(pin)[0]
+                yield pin, Point(k, self.bars[k].at(self.z[pin]))
 
     # -- the explicit form ---------------------------------------------------------------------
 
@@ -524,7 +540,7 @@ class Drawing:
     # -- whether it moves, and in one way ------------------------------------------------------
 
     def check(self, description: Description) -> None:
-        """Faults of a drawing without mobility, or whose branch cannot be read.
+        """Add a fault if the drawing cannot move, or if its branch cannot be read.
 
         `description` is that of the explicit form.
         """
@@ -571,18 +587,18 @@ class Drawing:
         self.reader.fault(bar.place, bar.node, limit)
 
     def _elsewhere(self) -> dict[str, complex]:
-        """The pins a little off, in no proportion to one another."""
+        """Pins moved a little, in no proportion to one another: a generic drawing of this kind."""
         way = cmath.rect(APART * self.extent, 1.0)
         return {pin: z + way * cmath.rect(1.0, k * k) for k, (pin, z) in enumerate(self.z.items())}
 
     def _path(self, k: int | None) -> Iterator[int]:
-        """A link, and those that carry it."""
+        """Link k and the links that carry it, down to the ground."""
         while k is not None:
             yield k
             k = self.bars[k].above
 
     def _psi(self, z: Mapped[str, complex]) -> list[Array]:
-        """Psi of each closure with its pins there: rows over the joints, by the extent."""
+        """Psi of each closure with pins at z: rows (1 or 2, n), lengths divided by the extent."""
         found = []
         for first, second, pin, along in self.joined:
             row = np.zeros(len(self.bars), complex)

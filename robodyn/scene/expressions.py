@@ -1,191 +1,263 @@
-"""Expressions that people write, "2 N m*sin(3*t)", rewritten as Python that can do nothing else.
+"""Expressions as trees of numbers and names, and their folds: over numbers, and over text.
 
-They are parsed and written again from a white list of syntax and names, so that nothing but
-arithmetic can run.
+Every reader of an expression folds its tree (see `syntax.py`) over what it makes of one: numbers,
+arrays, rows, text, dimensions.  There is one walk, and nothing but arithmetic in a tree.
 """
 
 from __future__ import annotations
 
-import ast
 import math
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from typing import Any, TypeVar
 
-from robodyn.scene.expression_units import Measure, Measuring, marked
-from robodyn.scene.syntax import ARGUMENTS, CONSTANTS, FUNCTIONS
-from robodyn.scene.units import Dimension
+from robodyn.scene.syntax import FUNCTIONS, Node, NotAllowedError
+from robodyn.scene.units import Quantity, scaled
 
-# math.pow: a root of a negative number is outside its domain, not complex
+T = TypeVar("T")
+
+COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+OPERATIONS: dict[str, Callable[..., Any]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "%": operator.mod,
+    "**": operator.pow,
+    "pow": math.pow,  # a root of a negative number is outside its domain, not complex
+    "neg": operator.neg,
+    "if": lambda test, body, other: body if test else other,
+    **COMPARISONS,
+}
+# what code of a tree needs
 SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
 SCOPE["_pow"] = math.pow
 # what no power series in time expands where it bends or jumps
 BENDS = ("abs", "min", "max", "sign", "floor", "atan2")
-_BENDING: dict[type, str] = {ast.Compare: "a comparison", ast.IfExp: "`if`", ast.Mod: "%"}
+_BENDING = {**dict.fromkeys(COMPARISONS, "a comparison"), "if": "`if`", "%": "%"}
+_BENDING |= {name: f"{name}()" for name in BENDS}
 NO_BENDS = "which bends or jumps: expressions of a scene are smooth; write a table"
+TOO_LARGE = "a number that is too large"
 SMOOTH = tuple(name for name in FUNCTIONS if name not in BENDS)
-MAX_LENGTH = 2000  # characters of one expression
-MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
-
-_OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod)
-_COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
-
-Rename = Callable[[str], str | None]  # a variable as code has it; None: it is none
 
 
-Dimensions = Callable[[str], Dimension | None]  # of the names that code has
-Change = Callable[[list[ast.expr]], list[ast.expr]]  # of expressions into others
+class ExpressionError(ValueError):
+    """What is wrong with an operation of a tree, and which it is."""
+
+    def __init__(self, what: str, node: Node) -> None:
+        super().__init__(what)
+        self.node = node
 
 
-class NotAllowedError(ValueError):
-    """What an expression must not have."""
+def fold(
+    node: Node,
+    leaf: Callable[[Any], T],
+    apply: Callable[[tuple[Any, ...], list[T]], T],
+    known: MutableMapping[int, T] | None = None,
+) -> T:
+    """What a tree is: `leaf` of its numbers, quantities and names, `apply` of the rest.
 
-
-class Written:
-    """Comma-separated expressions as Python code over variables renamed, and the names used.
-
-    `known` tells which variables there are, `dimensions` what they are in; `change` makes others of
-    the expressions first.  `measures` has what each is in, where units tell.  Raises
-    NotAllowedError for anything but arithmetic with units that fit, comparisons, `a if b else c`,
-    the functions above, pi and e; ValueError for what is no Python.
+    `apply` takes an operation (a node) and what its parts are.  `known` keeps what operations are,
+    by their ids, from one fold to the next: a part that two trees share is looked at once.
     """
-
-    def __init__(
-        self,
-        text: str,
-        rename: Rename,
-        known: str,
-        change: Change | None = None,
-        dimensions: Dimensions | None = None,
-    ) -> None:
-        self.names: set[str] = set()  # as they are written
-        self.measures: list[Measure | None] = []
-        self._rename, self._known, self._text = rename, known, text
-        if len(text) > MAX_LENGTH:
-            raise NotAllowedError(f"more than {MAX_LENGTH} characters")
-        try:
-            self._marked = marked(text, lambda name: rename(name) is not None)
-            nodes = self._marked.nodes
-            if self._marked.quantities:
-                self.measures = [self._measure(node, dimensions) for node in nodes]
-            self.texts = [self._segment(node) for node in nodes]
-            nodes = nodes if change is None else change(list(nodes))
-            self.codes = [ast.unparse(self._write(node)) for node in nodes]
-            for code in self.codes:
-                compile(code, "<expression>", "eval")  # Python has limits of its own
-        except NotAllowedError:
-            raise
-        except ArithmeticError:
-            raise ValueError("a number is too large") from None
-        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise ValueError(getattr(error, "msg", None) or str(error)) from None
-
-    def _no(self, node: ast.expr, what: str) -> NotAllowedError:
-        """What is not allowed, and where it stands."""
-        at = self._marked.places[min(getattr(node, "col_offset", 0), len(self._marked.places) - 1)]
-        return NotAllowedError(f"{what}, at character {at + 1}" if at else what)
-
-    def _measure(self, node: ast.expr, dimensions: Dimensions | None) -> Measure | None:
-        def of(name: str) -> Dimension | None:
-            own = self._rename(name)
-            return None if own is None or dimensions is None else dimensions(own)
-
-        try:
-            return Measuring(self._marked.quantities, of).of(node)
-        except ValueError as error:
-            what, where = error.args
-            raise self._no(where, what) from None
-
-    def _write(self, node: ast.expr) -> ast.expr:
-        match node:
-            case ast.Constant(value=bool()):
-                pass
-            case ast.Constant(value=int() | float() as value) if math.isfinite(_float(value)):
-                return ast.Constant(_float(value))
-            case ast.Name(id=name) if name in self._marked.quantities:
-                return ast.Constant(self._marked.quantities[name].total)
-            case ast.Name(id=name):
-                return self._name(node)
-            case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
-                return ast.UnaryOp(op, self._write(operand))
-            case ast.BinOp(left=left, op=op, right=right) if isinstance(op, _OPERATORS):
-                sides = [self._write(left), self._write(right)]
-                if not isinstance(op, ast.Pow):
-                    return ast.BinOp(sides[0], op, sides[1])
-                if _exponent(right) > MAX_POWER:
-                    raise self._no(right, f"an exponent above {MAX_POWER:g}")
-                if _exponent(right).is_integer():
-                    return ast.BinOp(sides[0], op, sides[1])
-                return ast.Call(ast.Name("_pow"), sides, [])
-            case ast.Compare(left=left, ops=[op], comparators=[right]) if isinstance(
-                op, _COMPARISONS
-            ):
-                return ast.Compare(self._write(left), [op], [self._write(right)])
-            case ast.IfExp(test=test, body=body, orelse=orelse):
-                return ast.IfExp(self._write(test), self._write(body), self._write(orelse))
-            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
-                least, most = ARGUMENTS.get(name, (1, 1))
-                if not least <= len(args) <= most:
-                    raise self._no(node, f"{len(args)} arguments of {name}")
-                return ast.Call(ast.Name(f"_{name}"), [self._write(x) for x in args], [])
-            case ast.Call(func=ast.Name(id=name)):
-                raise self._no(node, f"function {name}; known: {', '.join(FUNCTIONS)}")
-        raise self._no(node, f"`{self._segment(node)[:80]}`")
-
-    def _segment(self, node: ast.expr) -> str:
-        """An expression as it is written."""
-        begin, end = (self._marked.places[x] for x in (node.col_offset, node.end_col_offset or -1))
-        return self._text[begin:end].strip()
-
-    def _name(self, node: ast.Name) -> ast.expr:
-        name = node.id
-        if name in CONSTANTS:
-            return ast.Constant(CONSTANTS[name])
-        own = self._rename(name)
-        if own is None:
-            raise self._no(node, f"name {name}; known: {self._known}, pi, e")
-        self.names.add(own)
-        return ast.Name(own)
+    if type(node) is not tuple:
+        return leaf(node)
+    if known is not None and id(node) in known:
+        return known[id(node)]
+    parts = []
+    for part in node[1:]:
+        parts.append(fold(part, leaf, apply, known))
+    found = apply(node, parts)
+    if known is not None:
+        known[id(node)] = found
+    return found
 
 
-def state_names(n: int) -> tuple[Rename, str]:
-    """t, q1.., qd1.. of n joints as t, q0.., qd0.., and how they are told."""
-
-    def rename(name: str) -> str | None:
-        kind = name.rstrip("0123456789")
-        number = name[len(kind) :]
-        if name == "t":
-            return name
-        known = kind in ("q", "qd") and number.isdigit() and 1 <= int(number) <= n
-        return f"{kind}{int(number) - 1}" if known else None
-
-    return rename, f"t, q1..q{n}, qd1..qd{n}"
+def walk(node: Node) -> Iterator[Node]:
+    """Yield every node of a tree."""
+    waiting = [node]
+    while waiting:
+        yield (found := waiting.pop())
+        if type(found) is tuple:
+            waiting += reversed(found[1:])
 
 
-def check_smooth(codes: Sequence[str]) -> None:
+def names_of(node: Node) -> frozenset[str]:
+    """The variables of a tree."""
+    return frozenset(x for x in walk(node) if isinstance(x, str))
+
+
+def changed(
+    node: Node,
+    change: Callable[[tuple[Any, ...]], Node],
+    leaf: Callable[[Any], Node] = lambda leaf: leaf,
+) -> Node:
+    """The tree with its leaves changed, and its operations after their parts."""
+    return fold(node, leaf, lambda old, parts: change((old[0], *parts)))
+
+
+def without_units(node: Node) -> Node:
+    """The tree with numbers in SI units for quantities."""
+    return changed(node, lambda x: x, lambda x: x.total if isinstance(x, Quantity) else x)
+
+
+def value_in(
+    node: Node,
+    values: Mapping[str, Any],
+    operations: Mapping[str, Callable[..., Any]] = OPERATIONS,
+) -> Any:
+    """What a tree without units is of these values; KeyError for an operation that is none."""
+    return fold(
+        node,
+        lambda x: values[x] if isinstance(x, str) else x,
+        lambda old, parts: operations[old[0]](*parts),
+    )
+
+
+def check_smooth(nodes: Sequence[Node]) -> None:
     """Raise NotAllowedError unless this is one expression, which neither bends nor jumps."""
-    if len(codes) != 1:
+    if len(nodes) != 1:
         raise NotAllowedError("a comma: it is one expression")
-    for node in ast.walk(ast.parse(codes[0], mode="eval")):
-        what = _BENDING.get(type(node))
-        if isinstance(node, ast.Name) and node.id[1:] in BENDS:
-            what = f"{node.id[1:]}()"
-        if what:
-            raise NotAllowedError(f"{what}, {NO_BENDS}")
+    for node in walk(nodes[0]):
+        if type(node) is tuple and node[0] in _BENDING:
+            raise NotAllowedError(f"{_BENDING[node[0]]}, {NO_BENDS}")
 
 
-def value_of(code: str) -> float:
-    """The number that code without variables is; ArithmeticError or ValueError for none."""
-    return float(eval(code, {"__builtins__": {}, **SCOPE}))
+# -- numbers -----------------------------------------------------------------------------------
+
+_Scaled = tuple[float, int]  # a number, and a power of ten: `(200 + 150) mm` is the float 0.35
 
 
-def _float(value: float) -> float:
+def number_of(node: Node) -> float | None:
+    """The number that a tree is, in SI units; None for one with variables.
+
+    Raises ExpressionError for a part without variables that has no number, and for a division by 0.
+    """
+    found = fold(node, _number, _calculated)
+    if found is None:
+        return None
     try:
-        return float(value)
+        return float(scaled(*found))
     except OverflowError:
-        return math.inf
+        raise ExpressionError(TOO_LARGE, node) from None
 
 
-def _exponent(node: ast.expr) -> float:
-    while isinstance(node, ast.UnaryOp):
-        node = node.operand
-    value = getattr(node, "value", None)  # of a constant
-    return _float(value) if isinstance(value, int | float) else 0.5  # may be any: no whole number
+def _number(leaf: float | str | Quantity) -> _Scaled | None:
+    if isinstance(leaf, Quantity):
+        if math.isinf(leaf.total):
+            raise ExpressionError(TOO_LARGE, leaf)
+        return leaf.number, leaf.ten
+    return None if isinstance(leaf, str) else (leaf, 0)
+
+
+def _calculated(node: tuple[Any, ...], parts: list[_Scaled | None]) -> _Scaled | None:
+    numbers = [x for x in parts if x is not None]
+    operation = node[0]
+    try:
+        if len(numbers) == len(parts):
+            return _operated(operation, numbers)
+        if operation in "/%" and parts[1] and not parts[1][0]:
+            raise ZeroDivisionError
+    except ZeroDivisionError:
+        raise ExpressionError("a division by zero", node) from None
+    except OverflowError:
+        raise ExpressionError(TOO_LARGE, node) from None
+    except ValueError:
+        what = "a root of a negative number" if operation == "pow" else ""
+        told = what or f"{operation} of a number that has none"
+        raise ExpressionError(told, node) from None
+    return None
+
+
+def _operated(operation: str, parts: list[_Scaled]) -> _Scaled:
+    (a, i), (b, j) = parts[0], parts[-1]
+    match operation:
+        case "*":
+            return a * b, i + j
+        case "/":
+            return a / b, i - j
+        case "neg":
+            return -a, i
+        case "+" | "-" if i == j:
+            return OPERATIONS[operation](a, b), i
+        case "**" if i:
+            k = scaled(b, j)
+            return a**k, int(i * k)
+    totals = [scaled(*part) for part in parts]
+    return (OPERATIONS.get(operation) or FUNCTIONS[operation])(*totals), 0
+
+
+def linear(node: Node) -> dict[str, float]:
+    """The sum of multiples of names that a tree is: their coefficients, that of "" the constant.
+
+    Raises ValueError for what is none, ArithmeticError where a coefficient is none.
+    """
+    return fold(node, lambda x: {x: 1.0} if isinstance(x, str) else {"": x}, _linear)
+
+
+def _linear(node: tuple[Any, ...], parts: list[dict[str, float]]) -> dict[str, float]:
+    operation, a, b = node[0], parts[0], parts[-1]
+    numbers = [part.get("", 0.0) for part in parts]
+    plain = [set(part) <= {""} for part in parts]
+    if all(plain):
+        return {"": value_in((operation, *numbers), {}, {**OPERATIONS, **FUNCTIONS})}
+    match operation:
+        case "+":
+            return {name: a.get(name, 0.0) + b.get(name, 0.0) for name in {**a, **b}}
+        case "-":
+            return {name: a.get(name, 0.0) - b.get(name, 0.0) for name in {**a, **b}}
+        case "neg":
+            return {name: -x for name, x in a.items()}
+        case "*" if any(plain):
+            factor, other = (numbers[0], b) if plain[0] else (numbers[1], a)
+            return {name: factor * x for name, x in other.items()}
+        case "/" if plain[1]:
+            return {name: x / numbers[1] for name, x in a.items()}
+    raise ValueError("is no sum of multiples of joints")
+
+
+# -- code --------------------------------------------------------------------------------------
+
+# What binds the operations of Python: from a choice to what needs no parentheses.
+_CHOICE, _COMPARED, _SUM, _PRODUCT, _SIGNED, _POWER, _ATOM = range(7)
+_BINDS = {**dict.fromkeys(COMPARISONS, _COMPARED), "+": _SUM, "-": _SUM}
+_BINDS |= {"*": _PRODUCT, "/": _PRODUCT, "%": _PRODUCT}
+_Bound = tuple[str, int]
+
+
+def code_of(node: Node) -> str:
+    """A tree without units as Python, its functions by names that begin with _ (`SCOPE`)."""
+    return fold(node, _leaf_code, _code)[0]
+
+
+def _leaf_code(leaf: float | str) -> _Bound:
+    if isinstance(leaf, str):
+        return leaf, _ATOM
+    text = repr(float(leaf))
+    return text, _ATOM if text[0].isdigit() else _SIGNED
+
+
+def _code(node: tuple[Any, ...], parts: list[_Bound]) -> _Bound:
+    def within(part: _Bound, least: int) -> str:
+        return part[0] if part[1] >= least else f"({part[0]})"
+
+    operation = node[0]
+    if operation in _BINDS:
+        binds = _BINDS[operation]
+        first = binds + (binds == _COMPARED)  # a < b < c is another thing
+        text = f"{within(parts[0], first)} {operation} {within(parts[1], binds + 1)}"
+        return text, binds
+    match operation:
+        case "neg":
+            return f"-{within(parts[0], _SIGNED)}", _SIGNED
+        case "**":
+            return f"{within(parts[0], _ATOM)} ** {within(parts[1], _POWER)}", _POWER
+        case "if":
+            test, body, other = (within(part, _COMPARED) for part in parts)
+            return f"{body} if {test} else {other}", _CHOICE
+    return f"_{operation}({', '.join(text for text, _ in parts)})", _ATOM

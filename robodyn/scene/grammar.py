@@ -13,16 +13,17 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterable
 
 from robodyn.elements import kinds
-from robodyn.elements.keys import NEEDED, ONES, Declared, Key, Way
+from robodyn.elements.keys import NEEDED, ONES, TOGETHER, Declared, Key, Way
 from robodyn.elements.values import FRAMES, Point, Table
 from robodyn.scene.drawn_keys import DrawnLink, DrawnScene, GroundLine, Slot
-from robodyn.scene.scene import BRANCHES, JOINTS, Closure, Description, Line, Link, Motor
+from robodyn.scene.scene import BRANCHES, JOINTS, Closure, Description, Line, Link, Motor, Weld
 
 
 class Form:
     """A way to write a record as a mapping.
 
-    `names` are those of its keys, by fields; a file must have exactly one key of each group `one`.
+    `names` are those of its keys, by fields; a file must have exactly one key of each group `one`,
+    and of the groups `together` one of each, or none of all.
     """
 
     def __init__(self, made: type[Declared], way: Way) -> None:
@@ -36,8 +37,10 @@ class Form:
             for key in self.keys.values()
             if not key.needed
         }
-        groups = (tuple(name for name, key in self.keys.items() if key.told == one) for one in ONES)
-        self.one = tuple(filter(None, groups))
+        groups = [tuple(name for name, key in self.keys.items() if key.told == one) for one in ONES]
+        self.one = tuple(filter(None, groups[:1]))
+        alone = [(name,) for name, key in self.keys.items() if key.told == TOGETHER]
+        self.together = (*alone, *filter(None, groups[1:])) if alone else ()
         self.has_joint = "joint" in made._fields and "joint" not in self.names
         self.sided = [x.name for x in made.keys.values() if isinstance(x.name, tuple)]
 
@@ -63,6 +66,7 @@ OR_VECTOR = {"gravity": "number", "centre": "amount"}  # a number of this kind, 
 OTHERS: tuple[type[Declared], ...] = (
     Description,
     Link,
+    Weld,
     Motor,
     Point,
     Closure,

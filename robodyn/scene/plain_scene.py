@@ -17,7 +17,8 @@ from robodyn.scene.scene import Closure, Coupling, Description
 
 def plain_scene(description: Description) -> dict[str, Any]:
     """The mapping of a scene file, as JSON has it."""
-    return _Writer(description).mapping(description)
+    scene = description.apart or description
+    return _Writer(scene).mapping(scene)
 
 
 class _Writer:
@@ -25,6 +26,7 @@ class _Writer:
 
     def __init__(self, description: Description) -> None:
         self.links = description.links
+        self.bodies = description.bodies
 
     def mapping(self, record: Declared, joint: int | None = None) -> dict[str, Any]:
         """The mapping of a record; of what stands at a joint, that joint's keys."""
@@ -44,7 +46,8 @@ class _Writer:
         if key.listed:
             one, each = key._replace(listed=False), enumerate(value)
             if key.kind == "link":
-                return [self.mapping(link, k) for k, link in each]
+                joints = {link.name: k for k, link in enumerate(self.links)}
+                return [self.mapping(link, joints.get(link.name)) for _, link in each]
             return [self.value(one, x) for _, x in each]
         if key.kind in NUMBERS:
             return value
@@ -72,7 +75,9 @@ class _Writer:
     # -- names and points ----------------------------------------------------------------------
 
     def link_name(self, link: int) -> str:
-        return self.links[link].name
+        return self.bodies[link].name
+
+    joint_name = link_name
 
     def joints(self, joints: tuple[int, ...]) -> list[str]:
         return [self.links[k].name for k in joints]
@@ -84,8 +89,11 @@ class _Writer:
         names = (link.name for link in self.links)
         return {name: x for name, x in zip(names, angles, strict=True) if x is not None}
 
-    def point(self, point: Point) -> dict[str, Any] | list[float]:
-        return self.vector(point.at) if point.link is None else self.mapping(point)
+    def point(self, point: Point) -> str | dict[str, Any] | list[float]:
+        if point.link is None:
+            return self.vector(point.at)
+        link = self.bodies[point.link]
+        return link.name if point.at == link.l else self.mapping(point)
 
     moving_point = point
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from robodyn.errors import InputError
 from robodyn.scene.quantities import parse_vector
 from robodyn.scene.scene import Description, Point
+from robodyn.scene.welds import Welded
 from robodyn.tables.csv_fields import shown
 
 PARTS = ("joint", "tip", "centre")
@@ -20,16 +21,26 @@ _NAME = r"[A-Za-z][\w-]{0,63}"
 
 
 class Places:
-    """The links by their names, where their tips and centres are in their frames, m, and points."""
+    """The links by their names, where their tips and centres are in their frames, m, and points.
+
+    `count` is that of the links with numbers, which welds have not; `whole` makes a point of a weld
+    one of the link that it is part of.
+    """
 
     def __init__(
         self,
         links: Mapping[str, int],
         tip: Callable[[int], complex],
         centre: Callable[[int], complex],
+        count: Callable[[], int] | None = None,
         points: dict[str, Point] | None = None,
+        whole: Callable[[Point], Point] = lambda point: point,
+        has_mass: Callable[[int], bool] = lambda k: True,
     ) -> None:
-        self.links, self.tip, self.centre, self.points = links, tip, centre, points or {}
+        self.has_mass = has_mass
+        self.links, self.tip, self.centre = links, tip, centre
+        self.count = count or (lambda: len(links))
+        self.points, self.whole = points or {}, whole
 
     def point(self, text: str) -> Point | None:
         """The point that is written, None for a name that is not known.
@@ -37,16 +48,20 @@ class Places:
         Raises ValueError where what follows an @ is no place.
         """
         if text in self.links:
-            return Point(self.links[text], self.tip(self.links[text]))
+            return self.whole(Point(self.links[text], self.tip(self.links[text])))
         if text in self.points:
             return self.points[text]
         link, at, offset = text.rpartition("@")
         if at and link in self.links:
-            return Point(self.links[link], _vector(offset, link))
+            return self.whole(Point(self.links[link], _vector(offset, link)))
         part = re.fullmatch(_PART, text)
-        if part is None or not 1 <= int(part[2]) <= len(self.links):
+        if part is None or not 1 <= int(part[2]) <= self.count():
             return None
         k = int(part[2]) - 1
+        if part[1] == "centre" and not self.has_mass(k):
+            raise ValueError(
+                f"is a centre of gravity, which link {k + 1} has not: it has no mass m"
+            )
         return Point(k, {"joint": lambda _: 0j, "tip": self.tip, "centre": self.centre}[part[1]](k))
 
     def not_free(self, name: str) -> str:
@@ -60,12 +75,15 @@ class Places:
 
 def places_of(description: Description) -> Places:
     """The places of a scene."""
-    links = description.links
+    bodies = description.bodies
     return Places(
-        {link.name: k for k, link in enumerate(links)},
-        lambda k: links[k].l + 0j,
-        lambda k: links[k].r,
-        dict(description.points),
+        {body.name: k for k, body in enumerate(bodies)},
+        lambda k: bodies[k].l + 0j,
+        lambda k: bodies[k].r,
+        lambda: len(description.links),
+        dict(description.pins + description.points),
+        Welded(description).point,
+        lambda k: bodies[k].has_mass,
     )
 
 

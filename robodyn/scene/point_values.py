@@ -21,6 +21,7 @@ class PointReader(ValueReader):
     missing: ClassVar[dict[str, Any]] = {
         **ValueReader.missing,
         "link_name": 0,
+        "joint_name": 0,
         "moving_point": Point(0, 0j),
         "pair": (Point(None, 0j),) * 2,
     }
@@ -31,7 +32,10 @@ class PointReader(ValueReader):
         self.lengths: dict[int, float] = {}
         self.centres: dict[int, complex] = {}
         self.places = Places(
-            self.index, lambda k: self.tip(k).at, lambda k: self.centres.get(k, 0j)
+            self.index,
+            lambda k: self.tip(k).at,
+            lambda k: self.centres.get(k, 0j),
+            lambda: self.count,
         )
 
     def survey_link(self, i: int, given: dict[str, Node]) -> None:
@@ -97,10 +101,22 @@ class PointReader(ValueReader):
             self.fault(place, node, f"names no link{self.nearest(name, list(self.index))}", name)
         return self.index.get(name)
 
+    def joint_name(self, node: Node, place: str) -> int | None:
+        """The joint of the link of this name."""
+        link = self.link_name(node, place)
+        return None if self.has_no_joint(self.shown(node), node, place) else link
+
+    def has_no_joint(self, name: str, node: Node, place: str) -> bool:
+        """Whether a link is a weld, which is a fault where its joint is named."""
+        welded = self.index.get(name, 0) >= self.count > 0
+        if welded:
+            self.fault(place, node, "is fixed to what it hangs from: it has no joint", name)
+        return welded
+
     def joints(self, node: Node, place: str) -> tuple[int, ...]:
         found: set[int] = set()
         for i, item in enumerate(self.items(node, place)):
-            link = self.link_name(item, f"{place}[{i}]")
+            link = self.joint_name(item, f"{place}[{i}]")
             if link in found:
                 self.fault(f"{place}[{i}]", item, "is named twice", self.shown(item))
             elif link is not None:

@@ -1,21 +1,50 @@
-"""Values as people write them, everywhere in one grammar: arithmetic with units.
+"""Values and expressions as people write them, everywhere in one language: arithmetic with units.
 
 `1e-3`, `30deg`, `30 °`, `-pi/2+0.6`, `sqrt(2)/2`, `350 mm`, `1/12`, `9.81 m/s^2`, `60rpm`; a
-blank between a number and a unit is a product.  A number without a unit is in that of its place.
+blank between a number and a unit is a product.  A value is an expression without variables; a
+number without a unit is in that of its place.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Container, Mapping, Sequence
+from typing import NamedTuple
 
 from robodyn.errors import InputError
-from robodyn.scene.syntax import FUNCTIONS, PLAIN_NUMBER, plain_text, tokens_of
-from robodyn.scene.unit_arithmetic import CONSTANTS, Value, finite, read_value
-from robodyn.scene.units import PLAIN, UNITS, Dimension, fits, shown_dimension
+from robodyn.scene.dimensions import (
+    Dimensions,
+    Measured,
+    dimension_of,
+    measured,
+    misfit,
+)
+from robodyn.scene.expressions import (
+    TOO_LARGE,
+    ExpressionError,
+    linear,
+    names_of,
+    number_of,
+    without_units,
+)
+from robodyn.scene.syntax import (
+    CONSTANTS,
+    FUNCTIONS,
+    MISSING,
+    PLAIN_NUMBER,
+    VALUE_CONSTANTS,
+    Node,
+    NotAllowedError,
+    Variable,
+    parsed,
+    plain_text,
+    tokens_of,
+)
+from robodyn.scene.units import UNITS, Dimension
 from robodyn.tables.csv_fields import shown
 
+_JOINT = re.compile(r"q(\d{1,18})", re.ASCII)
 # of values, by the unit of their place
 EXAMPLES = {
     "": "1.5 or -2e-3",
@@ -28,14 +57,126 @@ EXAMPLES = {
 }
 
 
+class Variables(NamedTuple):
+    """The variables of an expression: as a tree has them, as they are told, what they are in."""
+
+    named: Variable = lambda name: None
+    known: str = ""
+    of: Dimensions = lambda name: None
+
+
+class Expression(NamedTuple):
+    """An expression: its text, its tree as it is written, and what it is in, if a unit tells."""
+
+    text: str
+    written: Node
+    measure: Measured = None
+    value: float = math.nan  # in SI units, of one without variables
+
+    @property
+    def plain(self) -> bool:
+        """Whether no unit gives it a dimension."""
+        return self.measure is None or not self.measure.of
+
+    @property
+    def node(self) -> Node:
+        """The tree, with numbers in SI units."""
+        return without_units(self.written)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The variables that it has, as its tree names them."""
+        return names_of(self.written)
+
+
+def state_variables(n: int, slides: Container[int] = ()) -> Variables:
+    """t, q1.., qd1.. of n joints as t, q0.., qd0..; some of them slide."""
+
+    def named(name: str) -> str | None:
+        kind = name.rstrip("0123456789")
+        number = name[len(kind) :]
+        if name == "t":
+            return name
+        known = kind in ("q", "qd") and number.isdigit() and 1 <= int(number) <= n
+        return f"{kind}{int(number) - 1}" if known else None
+
+    def of(name: str) -> Dimension:
+        kind = name.rstrip("0123456789")
+        length = kind != name and int(name[len(kind) :]) in slides
+        units = {"t": "s", "q": "m" if length else "rad", "qd": "m/s" if length else "rad/s"}
+        return dimension_of(units[kind])
+
+    return Variables(named, f"t, q1..q{n}, qd1..qd{n}", of)
+
+
+def expressions(
+    text: str, variables: Variables, constants: Mapping[str, float] = CONSTANTS
+) -> list[Expression]:
+    """The comma-separated expressions of a text.
+
+    Raises NotAllowedError for anything but arithmetic with units that fit, comparisons,
+    `a if b else c`, functions and constants, and for numbers that are none, such as 1/0;
+    ValueError for what is no expression.
+    """
+    try:
+        found = parsed(text, variables.named, variables.known, constants)
+        made = []
+        for own, node in zip(found.texts, found.nodes, strict=True):
+            measure = measured(node, variables.of) if found.measured else None
+            value = number_of(node)
+            made.append(Expression(own, node, measure, math.nan if value is None else value))
+        return made
+    except ExpressionError as error:
+        at = found.places[id(error.node)] if type(error.node) is tuple else 0
+        raise NotAllowedError(f"{error}, at character {at + 1}" if at else str(error)) from None
+    except SyntaxError as error:
+        raise ValueError(str(error)) from None
+    except ArithmeticError:
+        raise ValueError(TOO_LARGE) from None
+
+
 def parse_quantity(text: str, unit: str = "") -> float:
     """The finite number that `text` writes, in the unit of its place; ValueError with the reason.
 
     `unit` is such as `kg m²` or `N m s/rad`; of plain numbers, which may have none, it is empty.
     """
     if PLAIN_NUMBER.fullmatch(text):
-        return finite(float(text))
-    return in_unit(read_value(text), unit)
+        return _finite(float(text))
+    found = read_value(text)
+    if limit := misfit(found.measure, unit):
+        raise ValueError(limit)
+    return found.value
+
+
+def read_value(text: str) -> Expression:
+    """The expression whose value is finite; ValueError with the reason where it is none."""
+    found = _one(text, Variables())
+    _finite(found.value)
+    return found
+
+
+def _one(text: str, variables: Variables) -> Expression:
+    """The one expression of a value's text."""
+    if text.strip().lstrip("+-.").lower() in ("nan", "inf", "infinity"):
+        raise ValueError("must be a finite number")
+    if not text.strip():
+        raise ValueError("is not a number")
+    try:
+        found = expressions(text, variables, VALUE_CONSTANTS)
+    except ValueError as error:
+        reason = str(error)
+        told = "something is missing at its end" if reason == MISSING else reason
+        raise ValueError(f"is not a number: {told}") from None
+    if len(found) != 1:
+        raise ValueError("is not a number: a comma")
+    return found[0]
+
+
+def _finite(value: float) -> float:
+    """The value; ValueError where a number was too large for a float."""
+    if not math.isfinite(value):
+        raise ValueError("is too large for a number")
+    return value
 
 
 def value_from(text: str, unit: str, option: str, example: str = "") -> float:
@@ -52,33 +193,35 @@ def is_plain(text: str) -> bool:
     return PLAIN_NUMBER.fullmatch(text) is not None
 
 
-def in_unit(value: Value, unit: str) -> float:
-    """A value in the unit of its place; ValueError if it has another dimension."""
-    if value.joints:
-        raise ValueError("is not a number: it has a joint")
-    place = dimension_of(unit)
-    if not fits(value.of, place):
-        wanted = f"in {unit}" if unit else "a plain number"
-        raise ValueError(f"must be {wanted}, not in {shown_dimension(value.of)}")
-    return finite(value.total)
+def parse_coupling(text: str, units: Sequence[str]) -> tuple[int, dict[int, float], float]:
+    """`q3 = -2 q1 + 0.1` as 2, {0: -2.0} and 0.1: the joint, its multiples of others, a constant.
 
-
-@lru_cache
-def dimension_of(unit: str) -> Dimension:
-    """The dimension of a unit in words."""
-    return read_value(unit).of if unit else PLAIN
-
-
-def parse_coupling(text: str) -> tuple[int, Value]:
-    """`q3 = -2 q1 + 0.1` as 3 and -2 q1 + 0.1; ValueError with the reason if it is no equation."""
+    `units` are those of the joints, rad or m.  Raises ValueError with the reason if it is none.
+    """
     left, equals, right = text.partition("=")
-    match = re.fullmatch(r"\s*q(\d{1,18})\s*", left, re.ASCII)
+    match = _JOINT.fullmatch(left.strip())
     if match is None or not equals or "=" in right:
         raise ValueError("must be an equation such as q3 = -2 q1 + 0.1")
+    joint, n = int(match[1]) - 1, len(units)
+
+    def of(name: str) -> Dimension | None:
+        k = int(name[1:])
+        return dimension_of(units[k - 1]) if 1 <= k <= n else None
+
     try:
-        return int(match[1]), read_value(right, joints=True)
-    except ValueError as error:
+        found = _one(right, Variables(lambda x: x if _JOINT.fullmatch(x) else None, "", of))
+        parts = {name: _finite(x) for name, x in linear(found.node).items()}
+    except (ValueError, ArithmeticError) as error:
         raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {right.strip()} {error}") from None
+    constant = parts.pop("", 0.0)
+    ratios = {int(name[1:]) - 1: ratio for name, ratio in parts.items()}
+    if unknown := [k + 1 for k in (joint, *ratios) if not 0 <= k < n]:
+        raise ValueError(f"names q{unknown[0]}; the joints are q1 to q{n}")
+    if joint in ratios:
+        raise ValueError(f"has q{joint + 1} on both sides")
+    if limit := misfit(found.measure, units[joint]):
+        raise ValueError(limit)
+    return joint, ratios, constant
 
 
 def parse_vector(
@@ -146,7 +289,7 @@ def _at_blanks(part: str) -> list[str]:
             continue
         sign = token.text in ("+", "-") and after is not None and not after.apart
         name = token.kind == "name" and token.text not in UNITS
-        if name and before.kind == "number" and token.text in (*CONSTANTS, *FUNCTIONS):
+        if name and before.kind == "number" and token.text in (*VALUE_CONSTANTS, *FUNCTIONS):
             both = f"{before.text}*{token.text} or {before.text},{token.text}"
             raise ValueError(f"is one value or two: write {both}")
         opens = token.text == "(" and before.text not in FUNCTIONS

@@ -9,9 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from robodyn.errors import InputError
 from robodyn.scene import yaml_tree
@@ -52,7 +49,7 @@ def rewritten(text: str, source: str, values: Mapping[str, float | Sequence[floa
     values = {old.own_name(name): value for name, value in values.items()}
     if clash := old.clash(values):
         raise InputError(" and ".join(clash), where=source, limit="are one number: give it once")
-    nodes = _Nodes(text, old.root)
+    nodes = _Nodes(text, source, old.root)
     changes = []
     for name, value in values.items():
         change = nodes.change(*old.place(name), _written(value))
@@ -73,24 +70,24 @@ def _written(value: float | Sequence[float]) -> str:
 
 
 class _Nodes:
-    """Where the values of a text stand: PyYAML's nodes, beside those of the strict reader."""
+    """Where the values of a text stand: its nodes, beside those of a tree without aliases."""
 
-    def __init__(self, text: str, root: yaml_tree.Node) -> None:
+    def __init__(self, text: str, source: str, root: yaml_tree.Node) -> None:
         self.text = text
-        self._found: dict[int, yaml.Node] = {}
+        self._found: dict[int, yaml_tree.Node] = {}
         self._seen: Counter[int] = Counter()  # how often each is used: an alias is its anchor's
-        composed = yaml.compose(text, Loader=yaml.SafeLoader)
-        assert composed is not None
-        self._pair(root, composed)
+        parsed = yaml_tree.parse(text, source)
+        assert parsed is not None
+        self._pair(root, parsed)
 
-    def _pair(self, own: yaml_tree.Node, node: yaml.Node) -> None:
+    def _pair(self, own: yaml_tree.Node, node: yaml_tree.Node) -> None:
         self._found[id(own)] = node
         self._seen[id(node)] += 1
-        if isinstance(own, yaml_tree.Sequence):
-            for item, other in zip(own.items, node.value, strict=True):
+        if isinstance(own, yaml_tree.Sequence) and isinstance(node, yaml_tree.Sequence):
+            for item, other in zip(own.items, node.items, strict=True):
                 self._pair(item, other)
-        elif isinstance(own, yaml_tree.Mapping):
-            for (_, value), (_, other) in zip(own.pairs, node.value, strict=True):
+        elif isinstance(own, yaml_tree.Mapping) and isinstance(node, yaml_tree.Mapping):
+            for (_, value), (_, other) in zip(own.pairs, node.pairs, strict=True):
                 self._pair(value, other)
 
     def change(
@@ -102,40 +99,34 @@ class _Nodes:
     ) -> Change | None:
         """The change that puts `new` in this place; None where it is no place of its own."""
         if node is None:
-            return self._addition(self._found[id(around)], f"{at}: {new}")
+            mapping = self._found[id(around)]
+            assert isinstance(mapping, yaml_tree.Mapping)
+            return self._addition(mapping, f"{at}: {new}")
         found = self._found[id(node)]
-        if self._seen[id(found)] > 1 or not _inline(found):
+        if self._seen[id(found)] > 1 or not found.inline:
             return None
-        begin: int = found.start_mark.index
-        return begin, found.end_mark.index, new
+        return found.begin, found.end, new
 
-    def _addition(self, mapping: Any, new: str) -> Change | None:
+    def _addition(self, mapping: yaml_tree.Mapping, new: str) -> Change | None:
         """The change that adds a pair after the last that ends on a line of its own."""
         if self._seen[id(mapping)] > 1:
             return None
-        if mapping.flow_style:
-            if not mapping.value:
-                end: int = mapping.end_mark.index - 1
+        if mapping.inline:
+            if not mapping.pairs:
+                end = mapping.end - 1
                 return end, end, new
-            last = mapping.value[-1][1]
-            end = last.end_mark.index
-            return None if self._seen[id(last)] > 1 else (end, end, f", {new}")
-        first = mapping.value[0][0].start_mark
-        own = [x for _, x in mapping.value if self._seen[id(x)] == 1 and _inline(x)]
+            last = mapping.pairs[-1][1]
+            return None if self._seen[id(last)] > 1 else (last.end, last.end, f", {new}")
+        first = mapping.pairs[0][0].begin
+        column = first - (self.text.rfind("\n", 0, first) + 1)
+        own = [x for _, x in mapping.pairs if self._seen[id(x)] == 1 and x.inline]
         if not own:  # before the first, as "- name: .." may begin
-            return first.index, first.index, new + "\n" + " " * first.column
-        end = own[-1].end_mark.index
+            return first, first, new + "\n" + " " * column
+        end = own[-1].end
         line = self.text.find("\n", end)
         end = len(self.text) if line < 0 else line - (self.text[line - 1] == "\r")
         newline = "\r\n" if "\r\n" in self.text else "\n"
-        return end, end, newline + " " * first.column + new
-
-
-def _inline(node: Any) -> bool:
-    """Whether it ends where its last character is, as a block does not."""
-    if isinstance(node, yaml.ScalarNode):
-        return node.style not in ("|", ">")
-    return bool(node.flow_style)
+        return end, end, newline + " " * column + new
 
 
 def _check(

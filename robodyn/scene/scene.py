@@ -7,11 +7,11 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from robodyn.elements.base import Element
 from robodyn.elements.joints import DryFriction, SmoothFriction, Stops
-from robodyn.elements.keys import Declared, Way, at_joints, key
+from robodyn.elements.keys import TOGETHER, Declared, Way, at_joints, key
 from robodyn.elements.values import Law as Law
 from robodyn.elements.values import Point as Point
 from robodyn.elements.values import Signal as Signal
@@ -20,8 +20,9 @@ from robodyn.elements.values import Tables as Tables
 from robodyn.elements.values import told as told
 
 BRANCHES = ("open", "crossed")
-JOINTS = ("revolute", "prismatic")
+MASS = ("m", "r", "I")  # what a link has of its own, or has not, all three
 ROUNDING = 4e-16  # part of J that m r^2 may miss it by in a point mass
+JOINTS = ("revolute", "prismatic", "fixed")
 
 
 class Motor(Declared):
@@ -80,15 +81,17 @@ class Motor(Declared):
             yield missing[0], f"is missing: {other} needs it beside itself", None
 
 
-class Link(Declared):
-    """A rigid link, how it hangs, and what stands at its own joint.
-
-    A link on a prismatic joint has an `axis`: the unit vector along which it slides, and along
-    which its own x axis lies, in the frame of what it hangs from.
-    """
+class Body(Declared):
+    """A rigid body and the point that it hangs from: a link, or a weld."""
 
     name: str = key("name", "any text; no two links share one")
-    m: float = key("amount", "mass", unit="kg", symbol="m: mass of {}")
+    m: float = key(
+        "amount",
+        "mass; m, r and I may be left out of a link together",
+        unit="kg",
+        told=TOGETHER,
+        symbol="m: mass of {}",
+    )
     l: float = key(
         "amount",
         "length from the link's own joint to its tip",
@@ -99,6 +102,7 @@ class Link(Declared):
         "centre",
         "centre of gravity: a point [x, y] of the link, or its distance along it",
         unit="m",
+        told=TOGETHER,
         symbol="r: centre of gravity of {}",
         hint="; write [x, y] for a centre of gravity behind or beside the link",
     )
@@ -127,6 +131,39 @@ class Link(Declared):
         default=0.0,
         symbol="mp: payload at the tip of {}",
     )
+
+    has_mass: bool = True  # whether its file says m, r and I
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> Self:
+        values.pop("joint")
+        J = values.pop("J")
+        has_mass = J is not None or any(values[name] is not None for name in MASS)
+        values |= {name: values[name] or 0.0 for name in MASS}
+        values["r"] = r = complex(values["r"])
+        if J is not None:
+            least = values["m"] * (r.real * r.real + r.imag * r.imag)
+            values["I"] = 0.0 if abs(J - least) <= ROUNDING * J else J - least
+        return cls(**values, has_mass=has_mass)
+
+    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        if self.I < 0.0:  # of J less that of the mass
+            least = self.m * (self.r.real * self.r.real + self.r.imag * self.r.imag)
+            limit = f"must be at least m r^2 = {least:.6g} kg m^2: it is about the link's own joint"
+            yield "J", limit, f"{self.I + least:g}"
+
+    def to_keys(self) -> dict[str, Any]:
+        return super().to_keys() | ({} if self.has_mass else dict.fromkeys(MASS))
+
+
+class Link(Body):
+    """A rigid link, how it hangs, and what stands at its own joint.
+
+    A link on a prismatic joint has an `axis`: the unit vector along which it slides, and along
+    which its own x axis lies, in the frame of what it hangs from.  A link that hangs from a weld
+    has the `turn` of the weld's frame, once the weld is part of what carries it.
+    """
+
     joint: ClassVar[Any] = key(
         "joint_kind", ("of its own joint", "prismatic"), told=(JOINTS[0], "")
     )
@@ -150,6 +187,7 @@ class Link(Declared):
     motor: Motor | None = key(
         ("motor", "slide_motor"), "motor and gear at its own joint", default=None
     )
+    turn: complex = 1.0 + 0j
 
     ways: ClassVar[tuple[Way, ...]] = (
         Way(
@@ -166,22 +204,6 @@ class Link(Declared):
         ),
     )
 
-    @classmethod
-    def from_keys(cls, values: dict[str, Any]) -> Link:
-        del values["joint"]
-        J, r, m = values.pop("J"), complex(values["r"]), values["m"]
-        values |= {"r": r, "I": values["I"] or 0.0}
-        if J is not None:
-            least = m * (r.real * r.real + r.imag * r.imag)
-            values["I"] = 0.0 if abs(J - least) <= ROUNDING * J else J - least
-        return cls(**values)
-
-    def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
-        if self.I < 0.0:  # of J less that of the mass
-            least = self.m * (self.r.real * self.r.real + self.r.imag * self.r.imag)
-            limit = f"must be at least m r^2 = {least:.6g} kg m^2: it is about the link's own joint"
-            yield "J", limit, f"{self.I + least:g}"
-
     def to_keys(self) -> dict[str, Any]:
         return super().to_keys() | {"joint": JOINTS[self.slides]}
 
@@ -189,6 +211,26 @@ class Link(Declared):
     def slides(self) -> bool:
         """Whether its joint is prismatic."""
         return self.axis is not None
+
+
+class Weld(Body):
+    """A link without a joint: it is part of what it hangs from.  It has no coordinate.
+
+    `place` is its place among the links of the file.
+    """
+
+    joint: ClassVar[Any] = key("joint_kind", "fixed", told="")
+    angle: float = key(
+        "angle", "from the x axis of what it hangs from to its own", unit="rad", default=0.0
+    )
+    place: int = -1
+
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way("weld", "weld", "A link without a joint, part of what it hangs from."),
+    )
+
+    def to_keys(self) -> dict[str, Any]:
+        return super().to_keys() | {"joint": JOINTS[2]}
 
 
 class Line(Declared):
@@ -288,7 +330,8 @@ class Written:
 class Description(Declared):
     """What a scene file says; `source` is the file's name for messages.
 
-    `branches` has a word for each closure, or none where the `start` picks them.
+    `branches` has a word for each closure, or none where the `start` picks them.  Points of weld w
+    have the link n + w, n the number of links that move.
     """
 
     source: str
@@ -337,6 +380,9 @@ class Description(Declared):
         "names of points of links, {P: {link: coupler, at: [0.5, 0.2]}, Q: rocker}",
         default=(),
     )
+    pins: tuple[tuple[str, Point], ...] = ()  # of several links of a drawing, by their names
+    welds: tuple[Weld, ...] = ()
+    apart: Any = None  # the scene whose welds are parts of its links here
     written: Written = Written()
 
     ways: ClassVar[tuple[Way, ...]] = (
@@ -348,7 +394,26 @@ class Description(Declared):
         gravity = values["gravity"]
         if not isinstance(gravity, complex):
             gravity = -1j * gravity
-        return cls(**values | {"gravity": gravity})
+        each = values["links"]
+        welds = [x._replace(place=i) for i, x in enumerate(each) if isinstance(x, Weld)]
+        links = tuple(x for x in each if isinstance(x, Link))
+        return cls(**values | {"gravity": gravity, "links": links, "welds": tuple(welds)})
+
+    def to_keys(self) -> dict[str, Any]:
+        return super().to_keys() | {"links": self.listed}
+
+    @property
+    def listed(self) -> tuple[Body, ...]:
+        """Links and welds in the order of the file."""
+        each: list[Body] = [*self.links]
+        for weld in self.welds:
+            each.insert(weld.place, weld)
+        return tuple(each)
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """Links, and behind them welds: what the link of a `Point` counts."""
+        return (*self.links, *self.welds)
 
     def begin(self, joints: Sequence[int]) -> tuple[float, ...]:
         """The values of joints in the `start`, rad or m; empty unless it tells all joints."""

@@ -18,8 +18,7 @@ from robodyn.scene.grammar import (
     WORDS,
     Form,
 )
-from robodyn.scene.syntax import CONSTANTS, FUNCTIONS
-from robodyn.scene.unit_arithmetic import CONSTANTS as OF_VALUES
+from robodyn.scene.syntax import CONSTANTS, FUNCTIONS, VALUE_CONSTANTS
 from robodyn.scene.units import UNITS
 
 Schema = dict[str, Any]
@@ -68,6 +67,8 @@ def _other_kinds() -> dict[str, Schema]:
     return {
         "name": {"type": any_name, "pattern": r"\S"},
         "link_name": _ref("name"),
+        "joint_name": _ref("name"),
+        "link": _any("prismatic_link", "revolute_link", "weld"),
         "joints": {**_list("name"), "uniqueItems": True},
         "quantity": {"type": "string", "pattern": _quantity()},
         "vector": {**pair, "items": _ref("number")},
@@ -100,11 +101,10 @@ def _expression(variables: str) -> str:
 
 def _quantity() -> str:
     """The pattern of arithmetic with units: which letters and words it has."""
-    words = "|".join(_longest_first({*FUNCTIONS, *OF_VALUES, *UNITS}))
+    words = "|".join(_longest_first({*FUNCTIONS, *VALUE_CONSTANTS, *UNITS, "if", "else"}))
     plain = r"\s*[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?\s*$"  # quoted, it is none
-    return (
-        rf"^(?!{plain})(?:[\s0-9.+*/(),^{LETTERS}-]|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
-    )
+    signs = rf"[\s0-9.+*/%<>=(),^{LETTERS}-]"
+    return rf"^(?!{plain})(?:{signs}|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
 
 
 def _longest_first(words: set[str]) -> list[str]:
@@ -119,8 +119,13 @@ def _mapping(form: Form) -> Schema:
         "required": form.needed,
         "additionalProperties": False,
     }
-    if form.one:
-        schema["allOf"] = [{"oneOf": [{"required": [name]} for name in one]} for one in form.one]
+    ones: list[Schema] = [{"oneOf": [{"required": [name]} for name in one]} for one in form.one]
+    if form.together:
+        none = [{"required": [name]} for group in form.together for name in group]
+        all_of = [{"oneOf": [{"required": [name]} for name in one]} for one in form.together]
+        ones.append({"anyOf": [{"not": {"anyOf": none}}, {"allOf": all_of}]})
+    if ones:
+        schema["allOf"] = ones
     return schema
 
 

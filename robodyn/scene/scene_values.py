@@ -18,9 +18,8 @@ from robodyn.elements.keys import Key
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
 from robodyn.scene.grammar import BY_JOINT, NUMBERS, OR_VECTOR, form_of
-from robodyn.scene.quantities import parse_quantity
+from robodyn.scene.quantities import parse_quantity, read_value
 from robodyn.scene.scene import Description, Tables, Written
-from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 from robodyn.scene.yaml_values import nearest
 
@@ -109,7 +108,7 @@ class SceneValues:
         places = dict(_numbers(_Place(self.root, ""), self.root, "", "scene"))
         for name, place in list(places.items()):
             if match := _OF_LINK.match(name):
-                named = f"links.{self.base.links[int(match[1])].name}.{name[match.end() :]}"
+                named = f"links.{self.base.listed[int(match[1])].name}.{name[match.end() :]}"
                 places.setdefault(named, place)
         return places
 

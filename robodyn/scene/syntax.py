@@ -1,4 +1,4 @@
-"""The syntax of values and expressions: a text as Python's tree, in which units are names.
+"""The syntax of values and expressions: a text as a tree, in which units are quantities.
 
 `350 mm`, `2 N m*sin(3 rad/s*t)`, `10 x + 5 x^3` and `20 mm (1 - cos(q1))` become Python by a pass
 over their tokens, which writes the products that people leave out:
@@ -6,7 +6,11 @@ over their tokens, which writes the products that people leave out:
     350 mm  is  350@__mm        10 x  is  10*x        mm (1 - x)  is  __mm*(1 - x)
 
 @ binds as * does, and tells that a unit stands behind a number.  A unit is a name that begins with
-`__`.  Nothing is run: `unit_arithmetic`, `expression_units` and `expressions` fold the tree.
+`__`.  Python parses that; from a white list of what it finds the tree is made, and nothing is run.
+
+A node of the tree is a number, a `Quantity`, the name of a variable, or (operation, node, ...).
+Operations are + - * / % < <= > >= neg, the functions below, `if` (condition, node, other), and two
+powers: ** to a whole number, pow to any, which is no complex number.
 """
 
 from __future__ import annotations
@@ -14,11 +18,15 @@ from __future__ import annotations
 import ast
 import math
 import re
-import warnings
-from collections.abc import Callable, Container, Sequence
-from typing import NamedTuple
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-from robodyn.scene.units import ALIASES, UNITS
+from robodyn.scene.units import ALIASES, PLAIN, UNITS, Quantity, joined, raised
+
+Node = float | str | Quantity | tuple[Any, ...]
+Variable = Callable[[str], str | None]  # a variable as the tree has it; None: it is none
 
 # Digits can be told in one way only: a pattern with two takes time by the square of their number.
 NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
@@ -30,11 +38,16 @@ _TOKEN = re.compile(
 )
 _LETTERS = {"π": "pi", "²": "^2", "³": "^3", "·": "*", "−": "-", "×": "*", **ALIASES}
 _TRANSLATED = str.maketrans(_LETTERS)
-_WORDS = {"if", "else", "and", "or", "not", "is", "lambda", "for"}  # of Python
-MARK = "__"  # begins the name of a unit in the tree
+_WORDS = ("if", "else")  # of Python
+_REFUSED = ("and", "or", "not", "is", "lambda", "for")
+MARK = "__"  # begins the name of a unit in Python
 MISSING = "an expression is missing at the end"
 _BETWEEN = re.compile(r"[<>]=?(?!>)|[*/%]+|[,)]")  # what stands behind an expression
-CONSTANTS = {"pi": math.pi, "e": math.e}
+LONGEST, DEEPEST = 2000, 300  # characters of a text, operations within one another
+LARGEST = sys.float_info.max
+MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
+VALUE_CONSTANTS = {"pi": math.pi}  # without e, which a slip such as e-4 would be
+CONSTANTS = {**VALUE_CONSTANTS, "e": math.e}
 _NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
 
 
@@ -78,12 +91,21 @@ class Token(NamedTuple):
     apart: bool
 
 
-class Tree(NamedTuple):
-    """Expressions, the line that Python reads, and the place in the text of each of its letters."""
+class NotAllowedError(ValueError):
+    """What an expression must not have."""
 
-    nodes: Sequence[ast.expr]
-    line: str
-    places: list[int]
+
+class Parsed(NamedTuple):
+    """The comma-separated expressions of a text, and how each is written.
+
+    `measured` tells whether any of them has a unit; `places` has, by the id of an operation, the
+    number of its first character in the text.
+    """
+
+    nodes: tuple[Node, ...]
+    texts: tuple[str, ...]
+    measured: bool
+    places: dict[int, int]
 
 
 def plain_text(text: str) -> str:
@@ -111,28 +133,24 @@ def tokens_of(text: str) -> list[Token]:
 
 def parsed(
     text: str,
-    variable: Callable[[str], bool],
-    functions: Container[str],
-    tokens: list[Token] | None = None,
-) -> Tree:
-    """The comma-separated expressions in a text; SyntaxError, with the place, where it has none.
+    variable: Variable = lambda name: None,
+    known: str = "",
+    constants: Mapping[str, float] = VALUE_CONSTANTS,
+) -> Parsed:
+    """The comma-separated expressions of a text, their variables renamed by `variable`.
 
-    `variable` tells the names that are variables, and no units where no number is before them.
+    `known` tells people which variables there are.  Raises NotAllowedError for what is no
+    arithmetic or beyond its limits, SyntaxError, with the place, for what is no expression.
     """
-    tokens = tokens_of(text) if tokens is None else tokens
-    line, places = _python(tokens, variable, functions)
+    if len(text) > LONGEST:
+        raise NotAllowedError(f"more than {LONGEST} characters")
+    tokens = tokens_of(text)
+    line, places = _python(tokens, variable)
     places.append(len(text))
     if not line or line.endswith(","):
         raise SyntaxError(MISSING)
-    if not line.isascii():  # Python would take other scripts' letters for our own
-        raise SyntaxError("a character is not ASCII")
     try:
-        if any(x.kind == "other" or x.text in _WORDS for x in tokens):
-            with warnings.catch_warnings():  # what Python warns of it will not take one day
-                warnings.simplefilter("error")
-                tree = ast.parse(line, mode="eval").body
-        else:
-            tree = ast.parse(line, mode="eval").body
+        tree = ast.parse(line, mode="eval").body
     except SyntaxError as error:
         at = (error.offset or 0) - 1
         if not 0 <= at < len(line):
@@ -140,19 +158,154 @@ def parsed(
         sign = _BETWEEN.match(line, at) if error.msg == "invalid syntax" else None
         what = f"an expression is missing before {sign[0]}" if sign else error.msg
         raise SyntaxError(f"{what} at character {places[at] + 1}") from None
-    return Tree(tree.elts if isinstance(tree, ast.Tuple) else [tree], line, places)
+    except (RecursionError, MemoryError, ValueError):
+        raise SyntaxError("expressions are too deep within one another") from None
+    making = _Making(text, line, places, variable, known, constants)
+    each = tree.elts if isinstance(tree, ast.Tuple) else [tree]
+    nodes = tuple(making.of(x, DEEPEST) for x in each)
+    return Parsed(nodes, tuple(map(making.segment, each)), MARK in line, making.found)
 
 
-def unit_of(node: ast.expr) -> str:
-    """The unit that a node of the tree names; nothing where it names none."""
-    if isinstance(node, ast.Name) and node.id.startswith(MARK):
-        return node.id[len(MARK) :]
-    return ""
+@dataclass
+class _Making:
+    """Makes the tree; each unit goes to the number before it: in 2 x*3 mm/s to the 3."""
+
+    text: str
+    line: str
+    places: list[int]
+    variable: Variable
+    known: str
+    constants: Mapping[str, float]
+    found: dict[int, int] = field(default_factory=dict)
+
+    def of(self, node: ast.expr, depth: int) -> Node:
+        """An expression that may have so many operations within one another."""
+        if not depth:
+            raise NotAllowedError(f"more than {DEEPEST} operations within one another")
+        match node:
+            case ast.Constant(value=float() | int() as x) if type(x) is not bool:
+                if x > LARGEST:
+                    raise self.no(node, f"`{self.segment(node)[:80]}`, too large for a number")
+                return float(x)
+            case ast.Name(id=name):
+                return self.name(name, node)
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return self.made(node, "neg", self.of(operand, depth - 1))
+            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+                return self.of(operand, depth - 1)
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+                return self.operated(node, self.of(left, depth - 1), self.of(right, depth - 1))
+            case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _OPERATORS:
+                sides = self.of(left, depth - 1), self.of(right, depth - 1)
+                return self.made(node, _OPERATORS[type(op)], *sides)
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                return self.made(node, "if", *(self.of(x, depth - 1) for x in (test, body, orelse)))
+            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
+                least, most = ARGUMENTS.get(name, (1, 1))
+                if not least <= len(args) <= most:
+                    wanted = f"{least}" if least == most else f"{least} to {most}"
+                    raise self.no(node, f"{len(args)} arguments of {name}, which takes {wanted}")
+                return self.made(node, name, *(self.of(x, depth - 1) for x in args))
+            case ast.Call(func=ast.Name(id=name)):
+                raise self.unknown(name, "function", ", ".join(FUNCTIONS), node)
+        raise self.no(node, f"`{self.segment(node)[:80]}`")
+
+    def name(self, name: str, node: ast.expr) -> Node:
+        if name.startswith(MARK):
+            return UNITS[name[len(MARK) :]]
+        if name in self.constants:
+            return self.constants[name]
+        if name in FUNCTIONS:
+            raise self.no(node, f"{name} without parentheses")
+        own = self.variable(name)
+        if own is None:
+            raise self.unknown(name, "name", f"{self.known}, {', '.join(self.constants)}", node)
+        return own
+
+    def operated(self, node: ast.BinOp, left: Node, right: Node) -> Node:
+        """An operation on two nodes; a unit behind a number, or a unit, belongs to that."""
+        operation = _OPERATORS[type(node.op)]
+        if operation == "**":
+            power = _constant(right)
+            if abs(power) > MAX_POWER:
+                raise self.no(node.right, f"an exponent above {MAX_POWER:g}")
+            if isinstance(left, Quantity) and left.unit and power.is_integer():
+                return raised(left, power)
+            return self.made(node, "**" if power.is_integer() else "pow", left, right)
+        joins = operation == "@"
+        if isinstance(right, Quantity) and right.unit and operation in "@*/":
+            end = node.left.end_col_offset or 0
+            apart = ")" in self.line[end - 1 : node.right.col_offset]
+            number = joins or type(left) is float
+            sign = -1 if operation == "/" else 1
+            found = None if apart else self.joined(left, right, sign, number)
+            if found is not None:
+                return found
+        return self.made(node, "*" if joins else operation, left, right)
+
+    def joined(self, node: Node, unit: Quantity, sign: int, number: bool) -> Node | None:
+        """A node with a unit at its last factor, if this has one already, or is a `number`."""
+        if isinstance(node, Quantity):
+            return joined(node, unit, sign)
+        if isinstance(node, float):
+            return joined(Quantity(node, 0, PLAIN), unit, sign) if number else None
+        if isinstance(node, str) or node[0] not in ("neg", "*", "%"):
+            return None
+        last = self.joined(node[-1], unit, sign, number)
+        if last is None:
+            return None
+        found = (*node[:-1], last)
+        self.found[id(found)] = self.found[id(node)]
+        return found
+
+    def made(self, node: ast.expr, *parts: Node) -> Node:
+        self.found[id(parts)] = self.places[node.col_offset]
+        return parts
+
+    def segment(self, node: ast.expr) -> str:
+        """An expression as it is written."""
+        begin, end = (self.places[x] for x in (node.col_offset, node.end_col_offset or -1))
+        return self.text[begin:end].strip()
+
+    def no(self, node: ast.expr, what: str) -> NotAllowedError:
+        """What is not allowed, and where it stands."""
+        at = self.places[node.col_offset]
+        return NotAllowedError(f"{what}, at character {at + 1}" if at else what)
+
+    def unknown(self, name: str, what: str, known: str, node: ast.expr) -> NotAllowedError:
+        if self.known:
+            return self.no(node, f"{what} {name}; known: {known}")
+        from robodyn.scene.yaml_values import nearest  # only a fault pays for it
+
+        close = nearest(name, [*UNITS, *FUNCTIONS, *self.constants]).partition("; known")[0]
+        at = self.places[node.col_offset]
+        place = f" at character {at + 1}" if at else ""
+        return NotAllowedError(f"{name} is no unit or function{close}{place}")
 
 
-def _python(
-    tokens: list[Token], variable: Callable[[str], bool], functions: Container[str]
-) -> tuple[str, list[int]]:
+_OPERATORS: dict[type, str] = {
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.MatMult: "@",
+    ast.Div: "/",
+    ast.Mod: "%",
+    ast.Pow: "**",
+    ast.Lt: "<",
+    ast.LtE: "<=",
+    ast.Gt: ">",
+    ast.GtE: ">=",
+}
+
+
+def _constant(exponent: Node) -> float:
+    """The number that an exponent is; else 0.5, as it may be any: no whole number."""
+    if type(exponent) is tuple and exponent[0] == "neg":
+        return -_constant(exponent[1])
+    return exponent if isinstance(exponent, float) else 0.5
+
+
+def _python(tokens: list[Token], variable: Variable) -> tuple[str, list[int]]:
     """The tokens as Python with all products written, and the place of each letter."""
     pieces: list[str] = []
     places: list[int] = []
@@ -165,17 +318,17 @@ def _python(
         glue, begun, unit = "", ended, False
         opens = k + 1 < count and tokens[k + 1].text == "("
         if kind == "name":
+            if word in _REFUSED:
+                raise NotAllowedError(f"`{word}`, at character {at + 1}")
             if word.startswith(MARK):
                 raise SyntaxError(f"no name begins with {MARK}, at character {at + 1}")
-            unit = word in UNITS and not (opens and word in functions)
-            unit = unit and (ended or joined or not variable(word))
+            unit = word in UNITS and not (opens and word in FUNCTIONS)
+            unit = unit and (ended or joined or variable(word) is None)
             if word == "in" and ended and before.kind == "name" and not in_unit:
                 unit = before.text in CONSTANTS  # else it is the word of Python
             if word in _WORDS:
                 ended = False
             elif ended:
-                if word in functions and not unit:
-                    raise _missing(token)
                 # what is in parentheses, and a power, are no number that a unit belongs to
                 glue = "@" if unit and before.text != ")" else "*"
             if word not in _WORDS:
@@ -197,8 +350,8 @@ def _python(
                     raise _missing(token)
                 glue = "*"
             ended = False
-        elif word == "@":
-            raise SyntaxError(f"invalid syntax at character {at + 1}")
+        elif kind == "other":
+            raise SyntaxError(f"{word!r} at character {at + 1}")
         else:
             ended = word == ")"
             word = "**" if word == "^" else word

@@ -39,21 +39,46 @@ _SIZES: tuple[tuple[Dimension, str, Mapping[str, float]], ...] = (
 _PREFIXES = {"k": 3, "c": -2, "m": -3, "u": -6}
 
 
-class Unit(NamedTuple):
-    """size 10^ten in SI units; ten apart, so that `350 mm` is the float 0.35."""
+class Quantity(NamedTuple):
+    """number 10^ten in SI units; ten apart, so that `350 mm` is the float 0.35."""
 
-    size: float
+    number: float
     ten: int
     of: Dimension
+    unit: bool = False  # whether it is a unit without a number
+
+    @property
+    def total(self) -> float:
+        """The number in SI units."""
+        return scaled(self.number, self.ten)
 
 
-def _units() -> Iterator[tuple[str, Unit]]:
+def scaled(number: float, ten: int) -> float:
+    """number 10^ten; OverflowError where it is too large."""
+    return number * 10.0**ten if ten >= 0 else number / 10.0**-ten
+
+
+def joined(a: Quantity, b: Quantity, sign: int) -> Quantity:
+    """a b, or a/b where `sign` is -1."""
+    number = a.number * b.number if sign > 0 else a.number / b.number
+    return Quantity(number, a.ten + sign * b.ten, times(a.of, b.of, sign))
+
+
+def raised(unit: Quantity, power: float) -> Quantity:
+    """A unit to a whole power, which is one."""
+    number = math.pow(unit.number, power)
+    return Quantity(number, int(unit.ten * power), times(PLAIN, unit.of, power), True)
+
+
+def _units() -> Iterator[tuple[str, Quantity]]:
     for of, prefixed, sizes in _SIZES:
         names = prefixed.split()
         for name in names:
-            yield name, Unit(1.0, _PREFIXES[name[0]] if name[1:] in names else 0, of)
+            ten = _PREFIXES[name[0]] if name[1:] in names else 0
+            yield name, Quantity(1.0, ten, of, True)
         for name, size in sizes.items():
-            yield name, Unit(1.0, -3, of) if size == 1e-3 else Unit(size, 0, of)
+            small = size == 1e-3
+            yield name, Quantity(1.0 if small else size, -3 * small, of, True)
 
 
 UNITS = dict(_units())

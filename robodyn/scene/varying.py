@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 
 from robodyn.elements.keys import Key
-from robodyn.scene.quantities import dimension_of
+from robodyn.scene.dimensions import dimension_of, misfit
+from robodyn.scene.expressions import check_smooth, number_of
+from robodyn.scene.quantities import Variables, expressions, read_value, state_variables
 from robodyn.scene.scene import Law, Signal, Table, Tables
-from robodyn.scene.unit_arithmetic import read_value
+from robodyn.scene.syntax import NotAllowedError
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import ValueReader
 
-SPRING = {"x": "x", "v": "v"}.get
+SPRING = {
+    unit: Variables(
+        {"x": "x", "v": "v"}.get,
+        "x, v",
+        {"x": dimension_of(x), "v": dimension_of(f"{x}/s")}.get,
+    )
+    for unit, x in (("N m", "rad"), ("N", "m"))
+}
 
 
 class SignalReader(ValueReader):
@@ -21,7 +29,6 @@ class SignalReader(ValueReader):
     def __init__(self) -> None:
         super().__init__()
         self.source = ""
-        self.count = 0  # of links
         self.tables: Tables = {}
 
     def law(self, node: Node, place: str, unit: str) -> Law | None:
@@ -45,11 +52,9 @@ class SignalReader(ValueReader):
         law = self.expression(node, place, unit)
         if law is None or law.names:
             return law or 0.0
-        from robodyn.scene.expressions import value_of
-
-        with suppress(ArithmeticError, ValueError):
-            if math.isfinite(value := value_of(law.code)):
-                return value
+        value = number_of(law.node)
+        if value is not None and math.isfinite(value):
+            return value
         self.fault(place, node, "must be a finite number", self.shown(node))
         return 0.0
 
@@ -65,14 +70,11 @@ class SignalReader(ValueReader):
 
     def load_table(self, node: Node, place: str) -> Table | None:
         """A table over t or a joint."""
-        from robodyn.scene.expressions import state_names
-
         faults, (_, values) = len(self.faults), self.form("varying", node, place)
         if len(self.faults) > faults:
             return None
         over = values["over"]
-        rename, _ = state_names(self.count)
-        own = rename(over)
+        own = state_variables(self.count).named(over)
         if own is None or own.startswith("qd"):
             limit = f"must be t, or a joint: q1 to q{self.count}"
             self.fault(f"{place}.over", node, limit, over)
@@ -96,30 +98,20 @@ class SignalReader(ValueReader):
     def expression(
         self, node: Scalar, place: str, unit: str, of_spring: bool = False
     ) -> Law | None:
-        """A smooth expression in the state, or of a spring in x and v; None, and a fault, for none.
-
-        Scenes without expressions start without what reads them.
-        """
-        from robodyn.scene import expressions
-        from robodyn.scene.expression_units import misfit, state_dimension
-
-        rename, known = (SPRING, "x, v") if of_spring else expressions.state_names(self.count)
-        dimensions = state_dimension(self.slides)
-        if of_spring:
-            x = "rad" if unit == "N m" else "m"
-            dimensions = {"x": dimension_of(x), "v": dimension_of(f"{x}/s")}.get
+        """A smooth expression in the state, or of a spring in x and v; None, and a fault."""
+        known = SPRING[unit] if of_spring else state_variables(self.count, self.slides)
         try:
-            written = expressions.Written(node.text, rename, known, None, dimensions)
-            expressions.check_smooth(written.codes)
-            limit = next(filter(None, (misfit(x, unit) for x in written.measures)), "")
-        except expressions.NotAllowedError as error:
+            found = expressions(node.text, known)
+            check_smooth([x.node for x in found])
+            limit = misfit(found[0].measure, unit)
+        except NotAllowedError as error:
             limit = f"has {error}"
         except ValueError as error:
             limit = f"must be an expression: {error}"
         if limit:
             self.fault(place, node, limit, self.shown(node))
             return None
-        return Law(node.text.strip(), written.codes[0], frozenset(written.names))
+        return Law(node.text.strip(), found[0].node, found[0].names)
 
 
 def _meant_as_number(node: Scalar) -> bool:

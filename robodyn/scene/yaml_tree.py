@@ -1,35 +1,52 @@
 """YAML text -> a plain tree that keeps what a strict reader needs: the text as written and lines.
 
 PyYAML's constructors read `1e-3` as a string and `yes` as True, keep the last of two equal keys
-and build Python objects from tags.  Here the parser's events are taken instead: a scalar stays the
-text that it is, a mapping keeps every pair, a tag is a fault, and aliases cannot blow up.
+and build Python objects from tags.  Here its nodes are taken instead: a scalar stays the text that
+it is, a mapping keeps every pair, a tag is a fault, and aliases cannot blow up.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import yaml
+from yaml import ScalarNode, SequenceNode
 
 from robodyn.errors import DescriptionError, Fault
 from robodyn.tables.input_file import MOST_BYTES
 
 MAX_DEPTH = 40
 MAX_NODES = 300_000  # with aliases counted as often as they are used
+# What nests no deeper than a composer may go: so few open brackets, and lines indented no further.
+BRACKETS = 500
+_INDENTED = re.compile(r"^[ \t?-]{200}", re.MULTILINE)
 _TOO_DEEP = f"nests deeper than {MAX_DEPTH} levels"
 
 
 class Scalar:
-    """One scalar: its text, whether it is quoted, its line."""
+    """One scalar: its text, whether it is quoted, its line.
 
+    It stands from the character `begin` to `end`; it is `inline` if it ends where its last
+    character is, as a block does not.
+    """
+
+    __slots__ = ("begin", "end", "inline", "line", "quoted", "text")
     size = 1
 
-    def __init__(self, text: str, quoted: bool, line: int) -> None:
+    def __init__(
+        self, text: str, quoted: bool, line: int, begin: int = 0, end: int = 0, inline: bool = False
+    ) -> None:
         self.text, self.quoted, self.line = text, quoted, line
+        self.begin, self.end, self.inline = begin, end, inline
 
 
 class Sequence:
-    """A list of nodes."""
+    """A list of nodes; `size` counts values, those of aliases too."""
+
+    begin = end = 0
+    inline = False
 
     def __init__(self, items: list[Node], line: int, size: int = 1) -> None:
         self.items, self.line, self.size = items, line, size
@@ -38,16 +55,33 @@ class Sequence:
 class Mapping:
     """Pairs of a key and a node, in the order of the file, equal keys kept."""
 
+    begin = end = 0
+    inline = False
+
     def __init__(self, pairs: list[tuple[Scalar, Node]], line: int, size: int = 1) -> None:
         self.pairs, self.line, self.size = pairs, line, size
 
 
 Node = Scalar | Sequence | Mapping
 
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml where PyYAML was built with it
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Composes nodes, by libyaml where PyYAML was built with it; none but written tags."""
+
+    def resolve(self, kind: Any, value: Any, implicit: Any) -> str:
+        """No tag: what a scalar means is for its place to say."""
+        return ""
+
+    def descend_resolver(self, current_node: Any, current_index: Any) -> None:
+        """See `resolve`."""
+
+    def ascend_resolver(self) -> None:
+        """See `resolve`."""
+
+
 _KINDS = ("str", "int", "float", "bool", "null", "seq", "map")
-# ! is what the parser reports for a quoted scalar
-_STANDARD_TAGS = {"!", *(f"tag:yaml.org,2002:{kind}" for kind in _KINDS)}
+_STANDARD_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in _KINDS}
+_BLOCKS = ("|", ">")
 
 
 def read_text(path: Path) -> str:
@@ -80,92 +114,112 @@ def read_text(path: Path) -> str:
 def parse(text: str, source: str) -> Node | None:
     """The one document of `text` as a tree, None if it is empty; DescriptionError if it is none."""
     try:
-        return _Composer(source).compose(text)
+        _guard(text, source)
+        root = yaml.compose(text, Loader=_Loader)
+        return None if root is None else _Making(text, source).root(root)
+    except RecursionError:
+        raise DescriptionError(source, [Fault("", _TOO_DEEP)]) from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         reason = getattr(error, "problem", None) or str(error).splitlines()[0]
         line = None if mark is None else mark.line + 1
+        limit = f"is not YAML: {reason}"
+        if reason == "but found another document":
+            limit = "holds more than one YAML document"
+        elif mark is not None and reason == "found undefined alias":
+            limit = f"alias *{_anchor(text, mark.index)} has no anchor before it"
         # PyYAML 6.0.4 scans 1024 characters ahead and has a limit of its own on what it finds there
-        limit = _TOO_DEEP if "nesting depth" in reason else f"is not YAML: {reason}"
+        limit = _TOO_DEEP if "nesting depth" in reason else limit
         at_fault = "".join(text.splitlines()[line - 1 : line]) if line else ""
         if "\t" in at_fault[: len(at_fault) - len(at_fault.lstrip())]:
             limit = "is indented by a tab: YAML takes spaces"
         raise DescriptionError(source, [Fault("", limit, line=line)]) from None
 
 
-class _Composer:
-    """Builds the tree from the parser's events, within the limits above."""
+def _guard(text: str, source: str) -> None:
+    """Raise DescriptionError for what nests too deep, before anything is composed of it.
 
-    def __init__(self, source: str) -> None:
-        self.source = source
-        self.anchors: dict[str, Node] = {}
-        self.open: list[Sequence | Mapping] = []  # the collections around the present event
-        self.keys: list[Scalar | None] = []  # the key that waits for its value, one a collection
-        self.root: Node | None = None
-        self.documents = 0
+    The composer calls itself at each level: 200,000 open brackets end the process.  The parser
+    does not, but takes as long again: it is asked where the text may be that deep.
+    """
+    if len(text) > MOST_BYTES:
+        raise DescriptionError(source, [Fault("", f"is larger than {MOST_BYTES // 2**20} MiB")])
+    if text.count("[") + text.count("{") <= BRACKETS and not _INDENTED.search(text):
+        return
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth > MAX_DEPTH:
+                line = 1 if event.start_mark is None else event.start_mark.line + 1
+                raise DescriptionError(source, [Fault("", _TOO_DEEP, line=line)])
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
 
-    def compose(self, text: str) -> Node | None:
-        for event in yaml.parse(text, Loader=_Loader):
-            line = 1 if event.start_mark is None else event.start_mark.line + 1
-            if isinstance(event, yaml.DocumentStartEvent):
-                self.documents += 1
-                if self.documents > 1:
-                    raise self._fault("holds more than one YAML document", line)
-            elif isinstance(event, yaml.AliasEvent):
-                node = self.anchors.get(event.anchor or "")
-                if node is None:
-                    raise self._fault(f"alias *{event.anchor} has no anchor before it", line)
-                if any(node is collection for collection in self.open):
-                    raise self._fault(f"alias *{event.anchor} stands inside its own anchor", line)
-                self._place(node, line)
-            elif isinstance(event, yaml.NodeEvent):
-                tag = getattr(event, "tag", None)
-                if tag is not None and tag not in _STANDARD_TAGS:
-                    shown = tag.replace("tag:yaml.org,2002:", "!!")
-                    raise self._fault(f"tag {shown} is refused: a scene is plain data", line)
-                node = self._node(event, line)
-                if event.anchor is not None:
-                    self.anchors[event.anchor] = node
-                if isinstance(node, Scalar):
-                    self._place(node, line)
-                else:
-                    self.open.append(node)
-                    self.keys.append(None)
-                    if len(self.open) > MAX_DEPTH:
-                        raise self._fault(_TOO_DEEP, line)
-            elif isinstance(event, yaml.CollectionEndEvent):
-                self.keys.pop()
-                self._place(self.open.pop(), line)
-        if isinstance(self.root, Scalar) and not self.root.text and not self.root.quoted:
-            return None
-        return self.root
 
-    @staticmethod
-    def _node(event: yaml.NodeEvent, line: int) -> Node:
-        if isinstance(event, yaml.ScalarEvent):
-            return Scalar(event.value, bool(event.style), line)
-        if isinstance(event, yaml.SequenceStartEvent):
-            return Sequence([], line)
-        return Mapping([], line)
+def _anchor(text: str, at: int) -> str:
+    """The name of the anchor or alias at a place of a text."""
+    found = re.match(r"[&*]([^\s,\[\]{}]*)", text[at : at + 100])
+    return found[1] if found else ""
 
-    def _place(self, node: Node, line: int) -> None:
-        """Put a finished node into the collection around it."""
-        if not self.open:
-            self.root = node
-            return
-        around = self.open[-1]
-        around.size += node.size
-        if around.size > MAX_NODES:
-            raise self._fault(f"expands to more than {MAX_NODES} values (aliases counted)", line)
-        if isinstance(around, Sequence):
-            around.items.append(node)
-        elif (key := self.keys[-1]) is not None:
-            around.pairs.append((key, node))
-            self.keys[-1] = None
-        elif isinstance(node, Scalar):
-            self.keys[-1] = node
+
+class _Making:
+    """Makes the tree of PyYAML's nodes, within the limits above."""
+
+    def __init__(self, text: str, source: str) -> None:
+        self.text, self.source = text, source
+        self.made: dict[int, Node] = {}  # collections, by the ids of their nodes
+        self.open: set[int] = set()  # those around the present node
+
+    def root(self, node: Any) -> Node | None:
+        """The tree of a document; None if it is empty."""
+        found = self.of(node)
+        return found if not isinstance(found, Scalar) or found.text or found.quoted else None
+
+    def of(self, node: Any) -> Node:
+        """The tree of a node; an alias has that of its anchor."""
+        key = id(node)
+        if key in self.made:
+            return self.made[key]
+        begin, end = node.start_mark, node.end_mark
+        if node.tag and node.tag not in _STANDARD_TAGS:
+            shown = node.tag.replace("tag:yaml.org,2002:", "!!")
+            raise self.fault(f"tag {shown} is refused: a scene is plain data", node)
+        line = begin.line + 1
+        if type(node) is ScalarNode:
+            style = node.style
+            at = begin.index, end.index
+            scalar = Scalar(node.value, bool(style), line, *at, style not in _BLOCKS)
+            self.made[key] = scalar
+            return scalar
+        if key in self.open:
+            name = _anchor(self.text, begin.index)
+            raise self.fault(f"alias *{name} stands inside its own anchor", node)
+        if len(self.open) >= MAX_DEPTH:
+            raise self.fault(_TOO_DEEP, node)
+        self.open.add(key)
+        found: Sequence | Mapping
+        if type(node) is SequenceNode:
+            items = [self.of(item) for item in node.value]
+            found = Sequence(items, line, 1 + sum([item.size for item in items]))
         else:
-            raise self._fault("a key must be a plain name", line)
+            pairs = [(self.key(name), self.of(value)) for name, value in node.value]
+            found = Mapping(pairs, line, 1 + sum([value.size for _, value in pairs]))
+        if found.size > MAX_NODES:
+            limit = f"expands to more than {MAX_NODES} values (aliases counted)"
+            raise self.fault(limit, node)
+        found.begin, found.end, found.inline = begin.index, end.index, bool(node.flow_style)
+        self.open.remove(key)
+        self.made[key] = found
+        return found
 
-    def _fault(self, reason: str, line: int) -> DescriptionError:
-        return DescriptionError(self.source, [Fault("", reason, line=line)])
+    def key(self, node: Any) -> Scalar:
+        """The key of a pair."""
+        found = self.of(node)
+        if not isinstance(found, Scalar):
+            raise self.fault("a key must be a plain name", node)
+        return found
+
+    def fault(self, reason: str, node: Any) -> DescriptionError:
+        """The error that a node is."""
+        return DescriptionError(self.source, [Fault("", reason, line=node.start_mark.line + 1)])

@@ -47,6 +47,7 @@ class ValueReader:
     def __init__(self) -> None:
         self.faults: list[Fault] = []
         self.compared = 0
+        self.count = 0  # of links that move: welds come behind them
         self.slides: set[int] = set()  # joints
         self.joint = -1  # of the link that is read
 
@@ -111,10 +112,14 @@ class ValueReader:
         form = form_of(kind, given)
         found = self.keys(node, place, form.needed, form.optional, beside=(kind, given))
         prefix = f"{place}." if place else ""
-        for one in form.one:
+        names = [name for group in form.together for name in group]
+        some = not found.keys().isdisjoint(names)
+        for one in (*form.one, *(form.together if some else ())):
             given_one = [name for name in one if name in found]
             if not given_one and isinstance(node, Mapping):
-                self.fault(prefix + one[0], node, "is missing")
+                all_or_none = ", ".join(group[0] for group in form.together)
+                other = one in form.together and f": give {all_or_none}, or none of them"
+                self.fault(prefix + one[0], node, f"is missing{other or ''}")
             for other in given_one[1:]:
                 self.fault(prefix + other, found[other], f"stands beside {given_one[0]}; give one")
         values: dict[str, Any] = dict(form.absent)

@@ -28,7 +28,7 @@ from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed, loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.scene.quantities import dimension_of
+from robodyn.scene.dimensions import dimension_of
 from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues
 from robodyn.simulation.report import Outcome, Report
@@ -99,7 +99,8 @@ class Numbers:
         if others := [name for name in names if name not in self.starts]:
             self.values = SceneValues(mechanism.description.written, where)
             self.values.check(others)
-            if make(self.values.base).description != mechanism.description:
+            made = make(self.values.base).description
+            if made != mechanism.description or mechanism.added:
                 limit = "cannot differentiate by it: the mechanism is not that of its scene file"
                 raise InputError(", ".join(others), where=where, limit=limit)
 

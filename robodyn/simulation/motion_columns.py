@@ -107,7 +107,8 @@ def check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) 
             return
     except (ArithmeticError, ValueError):
         pass
-    limit = f"{_not_finite(actuation, mechanism.n, t, y)} is not finite at t = {t:g} s"
+    place = f"{actuation.where}: " if actuation.where else ""
+    limit = f"{place}{_not_finite(actuation, mechanism.n, t, y)} is not finite at t = {t:g} s"
     raise RobodynError("cannot start", where=mechanism.source, limit=limit)
 
 

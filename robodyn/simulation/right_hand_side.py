@@ -121,7 +121,9 @@ def _projecting(
     beside, torques = solved, None
     if actuation.constants is None:
         names = ", ".join([*(f"tau{k}" for k in range(mechanism.n)), *actuation.own("zd")])
-        steady = Actuation(None, (f"{names}, = _held",), {"_held": held}, states=actuation.states)
+        steady = Actuation(
+            None, (f"{names}, = _held",), (), {"_held": held}, states=actuation.states
+        )
         beside = solving(steady)
         torques = actuation.function(mechanism.n)
 

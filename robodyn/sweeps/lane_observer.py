@@ -15,7 +15,7 @@ near that one step of Newton's does for most.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -67,7 +67,7 @@ class _Kept(Items):
     def widen(self, low: str, high: str, value: Word, mask: Word) -> None:
         """Take a value into its extremes."""
         for name, how in ((low, "olt"), (high, "ogt")):
-            _widened(self.k, self.scene.at(self.k, self.block, name), value, mask, how)
+            _widened(self.k, self.scene.at(self.k, self.block, name), [value], mask, how)
 
 
 class LaneObserver(Observer):
@@ -110,7 +110,7 @@ class LaneObserver(Observer):
         work = get("to_work") if self.scene.work else k.number(0.0)
         off = k.intrinsic("fabs", k.subtract(k.subtract(E, work), get("start")))
         for name, value in (("KE", KE), ("off", off)):
-            _widened(k, self.scene.at(k, block, name), value, take, "ogt")
+            _widened(k, self.scene.at(k, block, name), [value], take, "ogt")
         if self.extremes:  # the states at the ends are closed, the series so to the tolerance
             for m, name in enumerate(self.scene.state[: 2 * n]):
                 items.widen(f"low{m}", f"high{m}", get(f"to_{name}"), take)
@@ -247,14 +247,13 @@ class LaneObserver(Observer):
         k.store(q, k.at(given, HEAD.index("start"), k.numbers))
         for kind, bound in zip((ANGLE, RATE), bounds, strict=True):
             values = [part[1] if kind else k.add(q, part[0]) for part in parts]
+            beyond = self._beyond(k, bound, x)
             low, high = (
                 k.at(scene.at(k, block, f"{name}{kind * n}"), j, k.numbers)
                 for name in ("low", "high")
             )
-            for value in values[1:]:
-                _widened(k, low, value, always, "olt")
-                _widened(k, high, value, always, "ogt")
-            beyond = self._beyond(k, bound, x)
+            _widened(k, low, values[1:], always, "olt")
+            _widened(k, high, values[1:], always, "ogt")
             least, most = k.add(k.load(low), beyond), k.subtract(k.load(high), beyond)
             for part in range(QUARTERS):
                 before, now = parts[part][kind + 1], parts[part + 1][kind + 1]
@@ -346,11 +345,12 @@ class LaneObserver(Observer):
         k.done()
 
 
-def _widened(k: Kernel, place: Word, value: Word, mask: Word, how: str) -> None:
-    """The item at a place, or the value where that is beyond it."""
-    now = k.load(place)
-    beyond = k.both(mask, k.compare(how, value, now))
-    k.store(k.select(beyond, value, now), place)
+def _widened(k: Kernel, place: Word, values: Sequence[Word], mask: Word, how: str) -> None:
+    """The item at a place, or what of the values is most beyond it."""
+    before = now = k.load(place)
+    for value in values:
+        now = k.select(k.compare(how, value, now), value, now)
+    k.store(k.select(mask, now, before), place)
 
 
 class Notes:
@@ -458,26 +458,25 @@ def turns(
     place, found, left = np.empty_like(begin), np.empty_like(begin), np.arange(len(begin))
     with np.errstate(all="ignore"):
         low, high, width, sign = begin, end, end - begin, np.sign(first)
-        bow = 6.0 * rise / width - 3.0 * (first + last)
+        bow, least = 6.0 * rise / width - 3.0 * (first + last), FLAT * np.abs(width)
         steep = last - first + bow
-        x = steep - sign * np.sqrt(steep * steep + 4.0 * bow * first)
-        x = begin - 2.0 * first / x * width
-        x = np.where((x - begin) * (x - end) <= 0.0, x, 0.5 * (begin + end))
+        part = -2.0 * first / (steep - sign * np.sqrt(steep * steep + 4.0 * bow * first))
+        x = begin + np.where((part >= 0.0) & (part <= 1.0), part, 0.5) * width
         for _ in range(NEWTON):
             value, slope, bend = with_bend(series, x)
-            same = slope * sign > 0.0
-            low, high, step = np.where(same, x, low), np.where(same, high, x), -slope / bend
-            newton = x + step
-            inside = (newton - low) * (newton - high) <= 0.0
-            found[left] = np.where(inside, value + 0.5 * slope * step, value)
-            x = np.where(inside, newton, 0.5 * (low + high))
-            place[left] = x
-            (far,) = np.nonzero(~(inside & (np.abs(step) <= FLAT * np.abs(width))))
+            step = -slope / bend
+            place[left], found[left] = x + step, value + 0.5 * slope * step
+            (far,) = np.nonzero(~(np.abs(step) <= least))
             if not len(far):
                 break
-            if len(far) < len(x):
-                series, left = series.take(far, axis=1), left[far]
-                x, low, high, sign, width = (each[far] for each in (x, low, high, sign, width))
+            series, left = series.take(far, axis=1), left[far]
+            kept = x, low, high, sign, least, value, slope, step
+            x, low, high, sign, least, value, slope, step = (each[far] for each in kept)
+            place[left], found[left] = x, value  # where the steps should never end
+            same, newton = slope * sign > 0.0, x + step
+            low, high = np.where(same, x, low), np.where(same, high, x)
+            inside = (newton - low) * (newton - high) <= 0.0
+            x = np.where(inside, newton, 0.5 * (low + high))
     return place, found
 
 

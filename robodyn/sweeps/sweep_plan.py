@@ -256,6 +256,8 @@ def check(plan: Plan) -> Mechanism:
         for value in axis.ends:
             build(plan.values.replaced({axis.name: value}))
     assembly_plan(mechanism if plan.track else with_independent(mechanism))
+    if plan.kind == "motion":
+        mechanism.check_masses()
     if plan.kind == "motion" and mechanism.timed:
         with suppress(InputError):  # of a table that ends too early: motions tell it
             loads, at_rest = as_actuation(mechanism, None), np.zeros(2 * mechanism.n)

@@ -16,9 +16,8 @@ from robodyn.errors import InputError, named_options, nearest_first
 from robodyn.events.functions import named_events
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.scene.quantities import value_from
+from robodyn.scene.quantities import read_value, value_from
 from robodyn.scene.scene_values import SceneValues
-from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.settings import DEFAULT_DURATION, DEFAULT_POINTS, Settings
 from robodyn.simulation.simulation import UNTIL
@@ -279,11 +278,11 @@ def _unknown(mechanism: Mechanism, joints: list[str], scene: SceneValues, name: 
 def _count(text: str) -> int | None:
     """How many values a grid has; None for a step, which has a unit or a decimal point."""
     try:
-        value = read_value(text)
+        found = read_value(text)
     except ValueError:
         return None
-    whole = not value.of and "." not in text and value.total.is_integer()
-    return int(value.total) if whole and value.total >= 0.0 else None
+    whole = found.plain and "." not in text and found.value.is_integer()
+    return int(found.value) if whole and found.value >= 0.0 else None
 
 
 @dataclass

@@ -128,9 +128,8 @@ def check_starts(motion: ReferenceMotion, limits: Limits) -> None:
     acceleration of its own.
     """
     mechanism, most, x = motion.mechanism, limits.tau, 1.0 / motion.duration
-    dry, driven = mechanism.dry, list(mechanism.actuated)
-    rubbing = set(dry)
-    if most is None or not dry:
+    rubbing, driven = set(mechanism.sticks), list(mechanism.actuated)
+    if most is None or not rubbing:
         return
     u, piece = motion.path.grid()
     rates = motion.path.evaluate(u, piece)[1]

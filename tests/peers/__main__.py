@@ -98,14 +98,14 @@ def making_ready(engines: dict[str, ModuleType]) -> Iterator[Row]:
         problem = case(reference, time)
         if reference == MOTIONS[0][0]:
             start = perf_counter()
-            taylor(problem, "compiled", 1e-9)()
-            what = "compiled engine, the first in a process"
-            yield Row("ready", what, "robodyn compiled", math.nan, "ms", milliseconds(start))
+            taylor(problem, 1e-9)()
+            what = "series in machine code, the first in a process"
+            yield Row("ready", what, "robodyn", math.nan, "ms", milliseconds(start))
         if "heyoka" in engines:
             for tolerance in (1e-6, 1e-15):
                 anew, cached = engines["heyoka"].ready_seconds(problem, tolerance)
                 start = perf_counter()
-                taylor(problem, "compiled", tolerance)
+                taylor(problem, tolerance)
                 ours = milliseconds(start)
                 what = f"{reference}, ready for {tolerance:g}"
                 yield Row("ready", what, "heyoka, compiled anew", 1e3 * anew, "ms", ours)
@@ -119,10 +119,7 @@ def milliseconds(start: float) -> float:
 def motions(engines: dict[str, ModuleType]) -> Iterator[Row]:
     for reference, time in MOTIONS:
         problem = case(reference, time)
-        curves = {
-            f"robodyn {name}": Curve(problem, [taylor(problem, name, x) for x in TOLERANCES])
-            for name in ("compiled", "python")
-        }
+        curves = {"robodyn": Curve(problem, [taylor(problem, x) for x in TOLERANCES])}
         for name, engine in engines.items():
             try:
                 found = engine.runs(problem, TOLERANCES) if hasattr(engine, "runs") else {}
@@ -134,9 +131,9 @@ def motions(engines: dict[str, ModuleType]) -> Iterator[Row]:
         for _ in range(REPEATS):
             for curve in curves.values():
                 curve.turn()
-        compiled = curves.pop("robodyn compiled")
+        own = curves.pop("robodyn")
         for target in TARGETS:
-            ours = 1e3 * compiled.time(target)
+            ours = 1e3 * own.time(target)
             for name, curve in curves.items():
                 theirs = 1e3 * curve.time(target)
                 reached = np.isfinite(theirs)
@@ -151,7 +148,7 @@ def motions(engines: dict[str, ModuleType]) -> Iterator[Row]:
                     bound=BOUND if reached and name.startswith("heyoka") else None,
                 )
         for name, curve in curves.items():
-            best, ours = float(np.nanmin(curve.errors)), float(np.nanmin(compiled.errors))
+            best, ours = float(np.nanmin(curve.errors)), float(np.nanmin(own.errors))
             yield Row("motion", f"{problem.name}, error reached", name, best, "", ours)
 
 

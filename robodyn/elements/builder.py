@@ -1,22 +1,19 @@
-"""The builder: what elements write their rows with, and what gathers what they do.
+"""The builder: what elements write their rows with.
 
-A force f at a point that has the coefficients c_k gives F_k -= conj(c_k) f.  A joint's torque is
-tau - D qd and what the elements there give.  A new kind of either is a class in `elements`.
+A force f at a point that has the coefficients c_k gives F_k -= conj(c_k) f.
+`equations_of_motion.py` gathers what they write.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
 
-from robodyn.elements.base import Element, PlanarPoint, PointForce
-from robodyn.mechanics.link_rows import LinkRows
-from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import (
+from robodyn.elements.link_rows import LinkRows, Links, PlanarPoint
+from robodyn.elements.program import (
     Coefficient,
     Derivative,
     Function,
-    Given,
     Inner,
     PlanarCoefficient,
     Power,
@@ -26,11 +23,28 @@ from robodyn.mechanics.program import (
     Scaled,
     Sum,
 )
-from robodyn.mechanics.program import Slot as Slot
-from robodyn.scene.scene import Law, Signal, Table
+from robodyn.elements.program import Slot as Slot
+from robodyn.elements.values import Signal
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]
+
+
+Grip = tuple[PlanarPoint, int | None]  # a point, and the link (None: the ground) that it is of
+
+
+class PointForce(NamedTuple):
+    """A force of an element at a point, N: `unit` times the planar slot `force`, or `unit` itself.
+
+    What feels the opposite, if anything does, is `back`.
+    """
+
+    element: Any  # whose force it is
+    unit: complex
+    force: Slot | None
+    at: Grip
+    back: Grip | None = None
+    square: Slot | None = None  # of the distance that gives its direction
 
 
 class LinkMoment(NamedTuple):
@@ -40,7 +54,11 @@ class LinkMoment(NamedTuple):
     torque: Slot
 
 
-class Builder(LinkRows):
+class NoDirection(ZeroDivisionError):
+    """The ends of the element of this name coincide at every state."""
+
+
+class Builder(LinkRows, ABC):
     """What acts, of each force once.
 
     `torques` (n) are all that acts at each joint, None where nothing does; `forces` and `couples`
@@ -48,14 +66,12 @@ class Builder(LinkRows):
     `power` what changes the energy, with `work` alone.
     """
 
-    def __init__(self, mechanism: Mechanism) -> None:
+    def __init__(self, mechanism: Links) -> None:
         super().__init__(mechanism)
         self.work = False
         self.torques: list[Slot | None] = [None] * mechanism.n
         self.forces: list[PointForce] = []
         self.couples: list[LinkMoment] = []
-        self.tables: list[tuple[Table, Slot]] = []  # and what they are over
-        self.laws: list[tuple[Law, Slot]] = []  # and what they are
         self.F: list[list[PlanarTerm]] = [[] for _ in self.x]
         self.constants = [-weight.conjugate() for weight in mechanism.weights]
         self.moments: list[list[Term]] = [[] for _ in self.x]
@@ -114,27 +130,13 @@ class Builder(LinkRows):
         """x'."""
         return self.program.add(Derivative(x))
 
-    def stored(self, law: Signal, x: Slot) -> Slot:
-        """The energy of a spring at its extension x."""
-        from robodyn.mechanics.signal_rows import stored_energy  # only scenes with laws import it
-
-        return stored_energy(self, law, x)
-
+    @abstractmethod
     def signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
         """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
-        from robodyn.mechanics.signal_rows import signal_rows
 
-        if isinstance(signal, Table):
-            self.tables.append((signal, self.variable(signal.over) if x is None else x))
-        own = {} if x is None else {"x": x, "v": self.rate(x)}
-        slot, watched = signal_rows(self, signal, own)
-        if isinstance(signal, Law):
-            self.laws.append((signal, slot))
-        for each, scale in watched:
-            self.bends(each, arm * scale)
-            if isinstance(signal, Table):
-                self.program.named.setdefault("lines", []).append(each)
-        return slot
+    @abstractmethod
+    def stored(self, law: Signal, x: Slot) -> Slot:
+        """The energy of a spring at its extension x."""
 
     # what elements do
 
@@ -190,48 +192,3 @@ class Builder(LinkRows):
         for along in ((1.0, 0.0), (0.0, -1.0)):
             part = self.program.add(RealPart(self.planar_sum((along, slot))))
             self.bends(part, arm)
-
-    # what gathers them
-
-    def energies(self) -> Iterator[Term]:
-        """What the elements hold."""
-        for element in self.mechanism.elements:
-            yield from element.energy(self)
-
-    def kinetic_energies(self) -> Iterator[Term]:
-        """What moves in them."""
-        for element in self.mechanism.elements:
-            yield from element.kinetic(self)
-
-    def _scene_forces(self) -> None:
-        on_links = (x for x in self.mechanism.elements if x.at is None and x.acts)
-        for element in sorted(on_links, key=lambda x: x.rank):
-            element.rows(self)
-
-    def _joints(self, torques: Sequence[Slot | None], steady: bool) -> None:
-        """Torques at the joints: what a link gets its parent gives."""
-        here: list[list[Element]] = [[] for _ in torques]
-        for element in self.mechanism.elements:
-            if element.at is not None:
-                here[element.at].append(element)
-        for j, tau in enumerate(torques):
-            if tau is not None:
-                self.torque(j, 1.0, tau, spends=not steady)
-                if not isinstance(self.program.rows[tau], Given):
-                    self.bends(tau, 1.0)
-            if self.mechanism.damping[j]:
-                self.torque(j, self.number(-self.mechanism.damping[j]), self.v(j))
-            for element in sorted(here[j], key=lambda x: x.rank):
-                element.rows(self)
-            acting, constant = self._acting[j], self._constant[j]
-            if acting or constant:
-                self.torques[j] = self.sum(*acting, constant=self.number(constant))
-
-    def _spun(self) -> None:
-        """What rotors do, beside all that acts at their joints."""
-        for k, d, inertia, ratio, bend in self._rotors:
-            before = self.torques[k]
-            own: list[Term] = [] if before is None else [(1.0, before)]
-            self.torques[k] = self.sum(*own, (self.number(-inertia * ratio), bend))
-            if d is not None:
-                self.moments[d].append((self.number(inertia), bend))

@@ -1,9 +1,11 @@
-"""The rows of where the links of a mechanism are, and of how they move."""
+"""Points of a mechanism, and the rows of where its links are, and of how they move."""
 
 from __future__ import annotations
 
-from robodyn.mechanics.planar_model import Mechanism, PlanarPoint
-from robodyn.mechanics.program import (
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from robodyn.elements.program import (
     Anchored,
     Derivative,
     Given,
@@ -16,6 +18,50 @@ from robodyn.mechanics.program import (
     Slot,
     Turn,
 )
+from robodyn.elements.values import Point
+from robodyn.tables.records import Record
+
+
+class PlanarPoint(Record):
+    """A point `constant + sum_k coefficient_k X_k` of the mechanism, m."""
+
+    constant: complex
+    terms: Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
+
+    @property
+    def reach(self) -> float:
+        """How far it may be from the origin at most, m: the arm of a force there."""
+        return abs(self.constant) + sum(abs(c) for _, c in self.terms)
+
+
+class Tree(Protocol):
+    """What elements ask of the links of a scene, see `link_tree.Tree`."""
+
+    @property
+    def frames(self) -> Sequence[int | None]: ...
+    def turned(self, k: int, at: complex) -> complex: ...
+    def point(self, point: Point) -> PlanarPoint: ...
+    def difference(self, first: Point, second: Point) -> PlanarPoint: ...
+
+
+class Links(Protocol):
+    """What rows read of a mechanism, see `planar_model.Mechanism`."""
+
+    @property
+    def n(self) -> int: ...
+    @property
+    def parent(self) -> tuple[int | None, ...]: ...
+    @property
+    def above(self) -> tuple[int | None, ...]: ...
+    @property
+    def slides(self) -> tuple[int, ...]: ...
+    @property
+    def frames(self) -> tuple[int | None, ...]: ...
+    @property
+    def tree(self) -> Tree: ...
+    @property
+    def weights(self) -> tuple[complex, ...]: ...
+    def name_of(self, element: Any) -> str: ...
 
 
 class LinkRows:
@@ -24,7 +70,9 @@ class LinkRows:
     `x` are the coordinates' own slots: E of a link that turns, s of one that slides.
     """
 
-    def __init__(self, mechanism: Mechanism) -> None:
+    mechanism: Links
+
+    def __init__(self, mechanism: Links) -> None:
         self.mechanism, self.program = mechanism, Program()
         program = self.program
         slides = set(mechanism.slides)

@@ -1,0 +1,139 @@
+"""Links without masses: kinematics are those with masses; what needs a mass says which has none."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import ROOT
+from jsonschema import Draft202012Validator
+
+import robodyn as api
+from random_mechanisms import mechanism
+from robodyn.errors import MassError
+from robodyn.scene.scene_schema import scene_schema
+
+MASSES = re.compile(r"m: [0-9.]+, *(l: [0-9.]+), *r: (?:[0-9.]+|\[[^\]]*\]), *I: [0-9.e-]+")
+MODELS = ("four-bar", "five-bar", "stephenson-six-bar", "3r", "hoeken")
+
+
+def without(name: str) -> str:
+    """A scene of the examples without masses."""
+    text = (ROOT / f"robots/{name}.yaml").read_text(encoding="utf-8")
+    text = re.sub(r"\s*#.*", "", text)
+    text = re.sub(r"(?m)^  - \{name: ([^,]+), +", r"  - {name: \1, ", text)
+    text, count = MASSES.subn(r"\1", text)
+    assert count
+    return text
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_kinematics_are_those_with_masses(name: str) -> None:
+    light, whole = mechanism(without(name)), api.load(name)
+    rng = np.random.default_rng(3)
+    actuated = 1.0 + 0.1 * rng.uniform(-1, 1, len(whole.actuated))
+    if whole.rows:
+        q, other = (api.assemble(x, actuated) for x in (light, whole))
+        assert np.array_equal(q, other)
+        qd = api.loop_velocities(light, q, actuated)
+        assert np.array_equal(qd, api.loop_velocities(whole, q, actuated))
+        assert np.array_equal(api.closure_jacobian(light, q), api.closure_jacobian(whole, q))
+    else:
+        q, qd = rng.uniform(-1, 1, (2, whole.n))
+    for one, other in zip(*(api.points(x, q, qd)[1:] for x in (light, whole)), strict=True):
+        assert np.array_equal(one, other)
+    assert light.massless == tuple(range(light.n))
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda m: api.mass_matrix(m, np.ones(3)),
+        lambda m: api.coriolis_matrix(m, np.ones(3), np.ones(3)),
+        lambda m: api.gravity_vector(m, np.ones(3)),
+        lambda m: api.kinetic_energy(m, np.ones(3), np.ones(3)),
+        lambda m: api.potential_energy(m, np.ones(3)),
+        lambda m: api.inverse_dynamics(m, np.ones(3), np.ones(3), np.ones(3)),
+        lambda m: api.forward_dynamics(m, np.ones(3), np.ones(3), np.ones(3)),
+        lambda m: api.simulate(m, np.ones(3), np.zeros(3), 1.0),
+        lambda m: api.simulate(m, np.ones(3), np.zeros(3), 1.0, method="taylor"),
+        lambda m: api.reactions(m, np.ones(3), np.ones(3), np.ones(3), []),
+        lambda m: api.equilibria(m),
+        lambda m: api.regressor(m, np.ones((1, 3)), np.ones((1, 3)), np.ones((1, 3))),
+    ],
+)
+def test_what_needs_a_mass_names_the_link(ask) -> None:
+    text = without("3r")
+    with pytest.raises(MassError, match=r"links\[0\] \(upper arm\): has no mass m"):
+        ask(mechanism(text))
+    one = (ROOT / "robots/3r.yaml").read_text(encoding="utf-8")
+    one = re.sub(
+        r"(name: hand), +m: [0-9.]+, +(l: [0-9.]+), r: [0-9.]+, I: [0-9.]+", r"\1, \2", one
+    )
+    with pytest.raises(MassError, match=r"links\[2\] \(hand\): has no mass m"):
+        ask(mechanism(one))
+
+
+COMMANDS = {
+    "torque": ["--q", "1"],
+    "accel": ["--q", "1"],
+    "energy": ["--q", "1"],
+    "reactions": ["--q", "1"],
+    "simulate": ["--q", "1", "--time", "1"],
+    "linearize": ["--q", "1"],
+    "equilibrium": [],
+    "bench": ["--q", "1"],
+    "regressor": ["--q", "1"],
+    "export": ["--q", "1", "--format", "mjcf"],
+    "sweep": ["--q", "1", "--vary", "links.crank.l=0.3:0.36:3", "--result", "max(q3)"],
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_that_need_a_mass_say_so(robodyn, tmp_path: Path, command: str) -> None:
+    file = tmp_path / "light.yaml"
+    file.write_text(without("four-bar"), encoding="utf-8")
+    result = robodyn(command, str(file), *COMMANDS[command])
+    assert result.code == 2
+    assert f"links[0] (crank): has no mass m, which {command} needs" in result.err
+
+
+def test_commands_that_need_none(robodyn, tmp_path: Path) -> None:
+    file = tmp_path / "light.yaml"
+    file.write_text(without("four-bar"), encoding="utf-8")
+    for command in (
+        ["assemble", "--q", "1"],
+        ["assemble", "--q", "1", "--range"],
+        ["points", "--q", "1", "--qd", "2"],
+        ["check"],
+        ["trajectory", "--from", "1", "--to", "2", "--time", "1"],
+        ["draw", "--q", "1", "-o", str(tmp_path / "x.svg")],
+    ):
+        result = robodyn(command[0], str(file), *command[1:])
+        assert result.code == 0, (command, result.err)
+    header = robodyn("assemble", str(file), "--q", "1").out.splitlines()[0]
+    assert "centre" not in header
+    found = robodyn("terms", str(file), "--q", "1", "--qd", "2").json
+    assert set(found) == {"q", "qd", "Psi", "Psidot_qd", "gap"}
+    told = robodyn("equations", str(file)).out
+    assert "gap = 0    Psi qd = 0" in told
+    assert " M" not in told.split("q1")[0]
+    refused = robodyn("points", str(file), "--q", "1", "--of", "centre2")
+    assert refused.code == 2
+    assert "which link 2 has not: it has no mass m" in refused.err
+
+
+def test_some_of_the_three_are_not_enough(robodyn, tmp_path: Path) -> None:
+    file = tmp_path / "light.yaml"
+    file.write_text("links: [{name: a, l: 1, m: 1}]\n", encoding="utf-8")
+    result = robodyn("check", str(file))
+    assert result.code == 2
+    assert "links[0] (a).r: is missing: give m, r, I, or none of them" in result.err
+    assert "links[0] (a).I: is missing" in result.err
+    schema = Draft202012Validator(scene_schema())
+    for given, fits in (("", True), ("m: 1", False), ("m: 1, r: 0, I: 1", True), ("r: 0", False)):
+        scene = yaml.safe_load(f"links: [{{name: a, l: 1{', ' * bool(given)}{given}}}]")
+        assert schema.is_valid(scene) is fits, given
