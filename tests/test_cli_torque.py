@@ -16,6 +16,8 @@ import oracles
 Run = Callable[..., Outcome]
 DEG = math.pi / 180
 
+ARM = "robots/2r.yaml"
+
 
 def text(vector: object) -> str:
     return ",".join(repr(float(x)) for x in np.ravel(vector))
@@ -494,6 +496,20 @@ def test_a_change_point_in_a_batch(robodyn: Run) -> None:
     assert float(of_torque["min"]) == min(float(row["tau1"]) for row in failed.rows if row["tau1"])
     whole = ("torque", "robots/parallelogram.yaml", "-", "--fluctuation", "0.1")
     assert robodyn(*whole, stdin=stdin).fails(1, "line 4", "change point").out == ""
+
+
+def test_columns_of_a_log_get_the_names_that_are_looked_for(robodyn: Run) -> None:
+    log = "time,pos1,pos2,qd2,vel,tau1\n0,1,2,0,3,7\n1,1.5,2,0,3,8\n"
+    read = ("--read", "t=time,q1=pos1,q2=pos2,qd1=vel,measured=tau1", "--qdd", "0,0")
+    found = robodyn("torque", ARM, "-", *read, stdin=log)
+    plain = robodyn("torque", ARM, "-", stdin="q1,q2,qd1,qd2\n1,2,3,0\n1.5,2,3,0\n").succeeds()
+    assert found.succeeds().out.splitlines()[0] == "t,q1,q2,qd2,qd1,measured,tau1,tau2"
+    for name in ("tau1", "tau2", "qd1"):
+        assert found.column(name) == plain.column(name)
+    assert found.column("measured") == [7.0, 8.0]
+    turned = robodyn("torque", ARM, "-", "--read", "q1_deg=a", stdin="a,q2\n180,0\n").succeeds()
+    known = robodyn("torque", ARM, "--q", "180deg,0").succeeds().row
+    assert turned.column("tau1") == [known["tau1"]]
 
 
 def test_too_few_actuators_name_the_free_joint(robodyn: Run, scene: Callable[[str], Path]) -> None:

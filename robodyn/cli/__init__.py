@@ -79,7 +79,7 @@ _OPTIONS = {
     },
 }
 _OPTIONS["fit"] = {"State": "--q --qd --qdd --tau --force", "Output": "--degrees --format --out"}
-_OTHERS = {"State": "--q --qd --qdd --tau --force", "Output": _OUTPUT}
+_OTHERS = {"State": "--q --qd --qdd --tau --force --read", "Output": _OUTPUT}
 OWN = "Options"  # of a command, which stand first; typer's word, too
 IMPLIED = {"--harmonics": "10"}  # whole numbers that may be left out behind their option
 _NUMBER = "(?i)[+-]?([0-9][0-9.]*(e[+-]?[0-9]+)?|nan|inf)"  # right or not

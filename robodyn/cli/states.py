@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from robodyn.cli.options import Differentiate, Q, Qd, States, Unwrap
+from robodyn.cli.options import Differentiate, Q, Qd, Read, States, Unwrap
 from robodyn.cli.output import (
     RowOptions,
     Summary,
@@ -33,6 +33,7 @@ from robodyn.errors import (
     SignalError,
     SingularPoseError,
     at_place,
+    named_options,
     overflow,
 )
 from robodyn.mechanics.mechanism import Mechanism
@@ -77,8 +78,21 @@ class TableOptions(StateOptions, RowOptions):
     """A state by options, or a table of states, and what becomes of its rows."""
 
     states: States = None
+    read: Read = None
     differentiate: Differentiate = False
     unwrap: Unwrap = False
+
+    @property
+    def renamed(self) -> dict[str, str]:
+        """The names that --read gives to columns of the table, by the names that they have."""
+        found: dict[str, str] = {}
+        for pair in [] if self.read is None else self.read.split(","):
+            new, equals, old = (part.strip() for part in pair.partition("="))
+            if not (new and equals and old) or old in found or new in found.values():
+                limit = "write NEW=OLD, each name once, such as q1=pos1,qd1=vel1"
+                raise InputError("--read", value=shown(pair) or "''", limit=limit)
+            found[old] = new
+        return found
 
     def write_one(
         self,
@@ -347,6 +361,8 @@ def evaluate(
     if options.states is None:
         if options.differentiate:
             raise InputError("--differentiate", limit="needs STATES with t: rows to go through")
+        if options.read is not None:
+            raise InputError("--read", value=shown(options.read), limit="needs STATES")
         work = task([])
         with remarks():
             used = work.taken(mechanism, [])
@@ -364,7 +380,8 @@ def evaluate(
 
     units = scene_units(mechanism)
     with open_input(options.states) as (stream, name):
-        reader = Reader(stream, name, units)
+        with named_options(["read"]):
+            reader = Reader(stream, name, units, renamed=options.renamed)
         work = task(reader.header)
         there = next((x for x in work.columns if adds and x in reader.header), None)
         if there is not None:

@@ -181,8 +181,9 @@ def _places(state: State) -> Array:
     points = [*mechanism.pivots, *mechanism.tips, *mechanism.centres]
     position, velocity, _ = point_motion(mechanism, points, state.q, state.qd)
     both = np.concatenate([position, velocity], axis=-1).reshape(len(state.q), 3, mechanism.n, 4)
-    both[:, 2, list(mechanism.massless)] = np.nan  # without a mass there is no centre of it
-    return np.swapaxes(both, 1, 2).reshape(len(state.q), -1)
+    there = np.ones((mechanism.n, 3), bool)
+    there[list(mechanism.massless), 2] = False  # which have no centre of gravity
+    return np.swapaxes(both, 1, 2)[:, there].reshape(len(state.q), -1)
 
 
 # -- the registry ----------------------------------------------------------------------------------
@@ -328,9 +329,7 @@ _DECLARED = (
     Family("PE", "PE", "J", "the potential energy", lambda s: s.energies[1][:, None]),
     Family("energy", "energy", "J", "their sum", lambda s: np.add(*s.energies)[:, None]),
     Family("gap", "gap", "m", "how far the loops are open", _gap),
-    Family(
-        "places", _PARTS, _PART_UNITS, "the joint, tip and centre of each link", _places, gaps=True
-    ),
+    Family("places", _PARTS, _PART_UNITS, "the joint, tip and centre of each link", _places),
     # of runs, and of results
     Family("errors", "e{a}", "rad", "`simulate --control`: q_ref - q", slides=True),
     Family("flip", "flip flip_time", "s", "`sweep`: when a link first turns over"),
@@ -412,7 +411,14 @@ def _names(family: Family, mechanism: Mechanism, points: tuple[str, ...]) -> tup
                 found += [name.replace(brace, other) for other in others if other != item]
             if len(places) < 2:
                 found.append(name)
+    if family.name == "places":  # a link without a mass has no centre of gravity
+        lost = tuple(str(k + 1) for k in mechanism.massless)
+        found = [x for x in found if not (x.startswith("centre_") and _number(x) in lost)]
     return tuple(found)
+
+
+def _number(name: str) -> str:
+    return name[len(name.rstrip("0123456789")) :]
 
 
 def column_names(

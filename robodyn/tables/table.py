@@ -19,8 +19,9 @@ nobody needs as numbers pass through byte for byte.  Numbers are read as `float`
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from itertools import chain
+from types import MappingProxyType
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
@@ -64,11 +65,17 @@ class Reader:
     The header is read at once: `header` holds the names, less the spaces around them.  In
     `names` a column q1_deg is q1, and is read as that, unless there is another q1, or q1 is among
     the `lengths`, which are no angles.  With `gaps` an empty field, or nan, is read as nan.
-    Raises InputError where the input is empty or a name occurs twice.
+    `renamed` has the names that columns get, by the names that they have.  Raises InputError where
+    the input is empty, a name occurs twice, or one that is `renamed` does not occur.
     """
 
     def __init__(
-        self, stream: BinaryIO, source: str, lengths: Container[str] = (), gaps: bool = False
+        self,
+        stream: BinaryIO,
+        source: str,
+        lengths: Container[str] = (),
+        gaps: bool = False,
+        renamed: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.source, self.gaps = source, gaps
         arrivals = self._arrivals(stream)
@@ -77,7 +84,11 @@ class Reader:
             limit = "it must begin with a line of column names, such as t,q1,q2"
             raise InputError("the input is empty", where=source, limit=limit)
         names = self._split(lines[0], numbers[0])
-        self.header = tuple(unquoted(name).strip() for name in names)
+        header = [unquoted(name).strip() for name in names]
+        if (lost := next((name for name in renamed if name not in header), None)) is not None:
+            limit = f"is no column; there are {columns_told(header, lost)}"
+            raise InputError("read", where=source, value=shown(lost), limit=limit)
+        self.header = tuple(renamed.get(name, name) for name in header)
         self._place = {name: place for place, name in enumerate(self.header)}
         for place, name in enumerate(self.header):
             if self._place[name] != place:
