@@ -24,6 +24,8 @@ from robodyn.tables.csv_fields import finite
 Run = Callable[..., Outcome]
 ROBOTS = {path.stem: path.read_text() for path in sorted((ROOT / "robots").glob("*.yaml"))}
 SHOWN = {f"{page} {k}": text for k, (page, text) in enumerate(blocks("yaml"))}
+# a scene without masses has kinematics alone
+SHOWN = {name: text for name, text in SHOWN.items() if re.search(r"\bm: ", text)}
 SCENES = ROBOTS | SHOWN
 GAS = "q1,F\n0,-100\n6.283185307179586,-900\n12.566370614359172,-100\n"  # of the engine
 # what a command needs beside the scene: a pose, rows of a motion, a number of the scene

@@ -109,11 +109,11 @@ REFUSED = [
     (Path("2r"), ["2r: no such file"]),
     (3, ["scene = int", "mapping"]),
     (None, ["scene = NoneType"]),
-    ({"links": [{"name": "arm"}]}, ["mapping: links[0] (arm).m: is missing", "(arm).I"]),
+    ({"links": [{"name": "arm", "m": 1}]}, ["mapping: links[0] (arm).l: is missing", "(arm).I"]),
     ({"links": [ROD | {"m": -1}]}, ["mapping: links[0] (rod).m = -1"]),
     ({"links": object()}, ["scene", "YAML"]),
     ({}, ["mapping"]),
-    ("links:\n  - {name: arm}\n", ["text:2: links[0] (arm).m"]),
+    ("links:\n  - {name: arm}\n", ["text:2: links[0] (arm).l"]),
 ]
 
 

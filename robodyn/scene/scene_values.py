@@ -19,7 +19,7 @@ from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
 from robodyn.scene.grammar import BY_JOINT, NUMBERS, OR_VECTOR, form_of
 from robodyn.scene.quantities import parse_quantity, read_value
-from robodyn.scene.scene import Description, Tables, Written
+from robodyn.scene.scene import JOINTS, Description, Tables, Written
 from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 from robodyn.scene.yaml_values import nearest
 
@@ -244,6 +244,8 @@ def _numbers(
             yield from _numbers(_Place(node, k, unit), item, f"{name}[{k}]", inner)
     elif isinstance(node, yaml_tree.Mapping):
         given = {key.text: value for key, value in node.pairs}
+        if kind == "link" and getattr(given.get("joint"), "text", "") == JOINTS[2]:
+            kind = "weld"
         prefix = f"{name}." if name else ""
         keys = {} if kind in _BY_NAME else form_of(str(kind), given).keys
         other = _BY_NAME.get(str(kind), Key("number", ""))
