@@ -583,3 +583,91 @@ def test_a_singular_branch_that_was_not_asked_for_is_left_out(robodyn, tmp_path,
     assert ("crossed open" in words) is (not more or more == ["--range"])
     for command in ("torque", "terms"):
         assert robodyn(command, str(file), "--q", "90deg", "--qd", "1").code == 0
+
+
+# -- rows of dyads of all kinds --------------------------------------------------------------------
+
+
+def mixed(rng: np.random.Generator, count: int) -> tuple[str, dict[str, float], list[str]] | None:
+    """A crank, then pairs of links, or levers with slots, in a row; at last a slider perhaps."""
+    mass = "m: 1, r: 0.1, I: 0.01"
+    q = {"a": float(rng.uniform(-math.pi, math.pi))}
+    links, closures, words = [f"  - {{name: a, l: 1, {mass}}}"], [], []
+    above, tip, turn = "a", cmath.rect(1.0, q["a"]), q["a"]
+    for i in range(1, count + 1):
+        ground, kind = complex(2 * i, 0), str(rng.choice(["pin", "slot", "slide"]))
+        if kind == "slide" and i < count:
+            kind = "pin"
+        side = int(rng.choice([-1, 1]))
+        if kind == "pin":
+            b, c = rng.uniform(0.8, 3.5, 2).round(2).tolist()
+            pin = meet(tip, b, ground, c, side)
+            if pin is None:
+                return None
+            q |= {f"b{i}": cmath.phase(pin - tip) - turn, f"c{i}": cmath.phase(pin - ground)}
+            links.append(f"  - {{name: b{i}, l: {b}, {mass}, from: {above}}}")
+            links.append(f"  - {{name: c{i}, l: {c}, {mass}, from: [{2 * i}, 0]}}")
+            closures.append(f"  - [b{i}, c{i}]")
+            above, tip, turn = f"c{i}", pin, q[f"c{i}"]
+        elif kind == "slot":
+            off, long = rng.uniform([-0.3, 0.8], [0.3, 1.6]).round(2).tolist()
+            far = abs(tip - ground)
+            if far < 1.2 * abs(off):
+                return None
+            along = side * math.sqrt(far * far - off * off)
+            q[f"c{i}"] = turn = cmath.phase((tip - ground) / complex(along, off))
+            links.append(f"  - {{name: c{i}, l: {long}, {mass}, from: [{2 * i}, 0]}}")
+            line = f"{{link: c{i}, through: [0, {off}], along: [1, 0]}}"
+            closures.append(f"  - {{point: {above}, on: {line}}}")
+            above, tip = f"c{i}", ground + cmath.rect(long, turn)
+        else:
+            b, slope = float(rng.uniform(2.0, 4.0)), float(rng.uniform(-math.pi, math.pi))
+            u = cmath.rect(1.0, slope)
+            across = ((tip - ground) * u.conjugate()).imag
+            if abs(across) > 0.97 * b:
+                return None
+            pin = tip + u * complex(side * math.sqrt(b * b - across * across), -across)
+            q[f"b{i}"] = cmath.phase(pin - tip) - turn
+            links.append(f"  - {{name: b{i}, l: {b!r}, {mass}, from: {above}}}")
+            line = f"{{through: [{2 * i}, 0], along: [{u.real!r}, {u.imag!r}]}}"
+            closures.append(f"  - {{point: b{i}, on: {line}}}")
+        words.append(WORDS[side])
+    text = "links:\n" + "\n".join(links) + "\nclosures:\n" + "\n".join(closures) + "\n"
+    return text, q, words
+
+
+@pytest.mark.parametrize("seed", range(20 if FRESH else 2))
+def test_rows_of_pins_slots_and_a_slider(seed: int) -> None:
+    rng, count = np.random.default_rng(FIRST_SEED + 100 + seed), 0
+    while count < 100:
+        made = mixed(rng, int(rng.integers(1, 6)))
+        if made is None:
+            continue
+        text, q, words = made
+        count += 1
+        mech = mechanism(started(text, q))
+        assert scene_branches(mech) == tuple(words), text
+        assert off_by(api.assemble(mech, [q["a"]]), q) < 1e-7, text
+        said = mechanism(f"{text}assembly: [{', '.join(words)}]\n")
+        assert off_by(api.assemble(said, [q["a"]]), q) < 1e-7, text
+
+
+def test_three_actuated_joints_whose_straight_way_does_not_close(robodyn, tmp_path: Path) -> None:
+    """A four-bar that an arm carries closes only where the crank is 66 degrees or more from it."""
+    text = """\
+links:
+  - {name: base, m: 1, l: 1, r: 0.5, I: 0.1}
+  - {name: arm, m: 1, l: 1, r: 0.5, I: 0.1}
+  - {name: crank, m: 1, l: 0.8, r: 0.1, I: 0.01}
+  - {name: coupler, m: 1, l: 1.5, r: 0.1, I: 0.01}
+  - {name: rocker, m: 1, l: 0.5, r: 0.1, I: 0.01, from: {link: arm, at: [2, 0]}}
+closures: [[coupler, rocker]]
+actuated: [base, arm, crank]
+start: {base: 0, arm: 0, crank: 80deg, coupler: -120deg, rocker: -60deg}
+"""
+    file = tmp_path / "carried.yaml"
+    file.write_text(text, encoding="utf-8")
+    for angle, closes in (("120deg", True), ("-80deg", False)):
+        result = robodyn("assemble", str(file), f"--q=0.2,0.1,{angle}")
+        assert result.code == 0
+        assert ("the straight way of the actuated joints" in result.err) is not closes

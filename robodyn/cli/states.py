@@ -204,13 +204,10 @@ def note_circuit(mechanism: Mechanism, sources: Sequence[Source], q: Array) -> N
     """Note if no path of closed poses leads from the scene's start to the assembled pose q (n,)."""
     if mechanism.description.start is None or not mechanism.rows or sources[0].whole:
         return
-    from robodyn.loops.circuits import leads_there
+    from robodyn.loops.circuits import blocked
 
-    if leads_there(driver_of(mechanism), q) is False:
-        note(
-            "Note: no path of closed poses leads from the scene's `start` to this pose: "
-            "the mechanism must be taken apart on the way"
-        )
+    if told := blocked(driver_of(mechanism), q):
+        note(f"Note: {told}")
 
 
 class Task(NamedTuple):

@@ -38,6 +38,33 @@ def leads_there(mechanism: Mechanism, q: Array) -> bool | None:
     couplings count turns, or loops are no dyads.  (Such loops are closed along a path of closed
     poses anyway.)
     """
+    found = _way(mechanism, q)
+    if found is None:
+        return None
+    plan, begin, way = found
+    words, count = scene_branches(mechanism), len(begin)
+    if _closes_straight(mechanism, q):
+        return True
+    known = count == mechanism.n - len(mechanism.rows) and count in CELLS
+    if not known or mechanism.description.couplings or 2 ** len(plan.two_way) > MOST_SHEETS[count]:
+        return None
+    return _one_circuit(mechanism, plan, begin, begin + way, words)
+
+
+def blocked(mechanism: Mechanism, q: Array) -> str:
+    """Why closed poses may not lead from the start's pose to the assembled q (n,), empty if not."""
+    leads = leads_there(mechanism, q)
+    if leads is False:
+        told = "no path of closed poses leads from the scene's `start` to this pose: "
+        return told + "the mechanism must be taken apart on the way"
+    if leads is None and _way(mechanism, q) is not None:
+        told = "the straight way of the actuated joints from the scene's `start` does not close: "
+        return told + "perhaps no path of closed poses leads to this pose"
+    return ""
+
+
+def _way(mechanism: Mechanism, q: Array) -> tuple[Plan, Array, Array] | None:
+    """The plan, the actuated joints at the start's pose, and their way to q; None if unknown."""
     start = scene_start(mechanism)
     if start is None or not start.closed:
         return None
@@ -45,23 +72,24 @@ def leads_there(mechanism: Mechanism, q: Array) -> bool | None:
         plan = assembly_plan(mechanism)
     except InputError:
         return None
-    actuated, sheets = list(mechanism.actuated), 2 ** len(plan.two_way)
-    count = len(actuated)
-    freedoms = mechanism.n - len(mechanism.rows)
-    if plan.rest or mechanism.description.couplings or count != freedoms or count not in CELLS:
+    if plan.rest:
         return None
-    words = scene_branches(mechanism)
-    begin, target = start.q[actuated], np.asarray(q, float)[actuated]
-    way = target - begin
+    actuated = list(mechanism.actuated)
+    begin = start.q[actuated]
+    way = np.asarray(q, float)[actuated] - begin
     for place, k in enumerate(actuated):
-        if k not in mechanism.slides:
+        if k not in mechanism.slides and not mechanism.description.couplings:
             way[place] = half_turn(way[place])
+    return plan, begin, way
+
+
+def _closes_straight(mechanism: Mechanism, q: Array) -> bool:
+    """Whether all poses on the straight way of the actuated joints to q (n,) close."""
+    found = _way(mechanism, q)
+    assert found is not None  # the caller asked
+    plan, begin, way = found
     straight = begin + np.linspace(0.0, 1.0, STRAIGHT)[:, None] * way
-    if _closed(mechanism, plan, straight, words).all():
-        return True
-    if sheets > MOST_SHEETS[count]:
-        return None
-    return _one_circuit(mechanism, plan, begin, begin + way, words)
+    return bool(_closed(mechanism, plan, straight, scene_branches(mechanism)).all())
 
 
 def _shorts(mechanism: Mechanism, plan: Plan, given: Array, words: tuple[str, ...]) -> list[Array]:
