@@ -17,7 +17,7 @@ from robodyn import cli
 
 Run = Callable[..., Outcome]
 ARM = (ROOT / "robots/2r.yaml").read_text()
-NO_FILES = ("force", "names", "poses")  # options that speak of files
+NO_FILES = ("force", "names", "poses", "read")  # options that speak of files
 OTHERS = {"trajectory": ["--time", "1"], "sweep": ["--vary", "q1=0,1"]}
 OTHERS["fit"] = ["--vary", "gravity=1:2"]
 
@@ -91,7 +91,7 @@ def test_no_two_name_one_file(robodyn: Run, tmp_path: Path, command: str, kind: 
     for first, second in clashes(command):
         for one, other in ((path, alias), (alias, path)):
             given = [*words(first, one), *words(second, other), *OTHERS.get(command, [])]
-            if command != "plot" and first.name != "model":
+            if command not in ("plot", "summary") and first.name != "model":
                 given = ["robots/2r.yaml", *given]
             robodyn(command, *given).fails(2, "would write over", str(one), str(other))
             assert path.read_text() == ARM
@@ -198,6 +198,7 @@ def test_an_empty_name_is_a_usage_error(robodyn: Run) -> None:
         with case(command):
             for param, role in declared(command):
                 if role:
-                    given = [] if param.name in ("model", "files") else ["robots/2r.yaml"]
+                    own = param.name in ("model", "files") or command == "summary"
+                    given = [] if own else ["robots/2r.yaml"]
                     shown = robodyn(command, *given, *words(param, "")).err
                     assert "is empty: name a file" in shown, param.name

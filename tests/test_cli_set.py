@@ -46,7 +46,7 @@ def test_every_command_with_a_model_has_it() -> None:
         function = getattr(import_module(f"robodyn.cli.{name}"), name)
         model = inspect.signature(function, eval_str=True).parameters.get("model")
         takes = model is not None and model.default is inspect.Parameter.empty
-        assert takes == (name not in ("plot", "init", "schema", "guide"))
+        assert takes == (name not in ("plot", "summary", "init", "schema", "guide"))
         assert not takes or (model is not None and model.annotation is Model)
 
 

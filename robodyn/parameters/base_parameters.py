@@ -224,7 +224,7 @@ def _changed(
 
     Of a parallelogram other columns are, unless what is `alike` stays so; that is tried last.
     """
-    base = mechanism.description
+    base = mechanism.description._replace(welds=(), apart=None)  # they are parts of its links
     rng = np.random.default_rng(1)
     parts: dict[float, float] = {}
 
