@@ -681,3 +681,46 @@ def test_mutated_scenes_with_joints_that_slide_are_refused() -> None:
         with pytest.raises(DescriptionError) as caught:
             from_text(text, "my.yaml")
         assert str(caught.value).startswith("my.yaml:"), text
+
+
+SWINGING = """\
+gravity: 9.81
+links:
+  - {name: crank, m: 0.5, l: 0.2, r: 0.1, I: 0.002}
+  - {name: rod, m: 0.8, l: 0.9, r: 0.4, I: 0.05}
+closures:
+  - {point: [0.5, 0.1], on: {link: rod, through: [0, 0.03], along: [1, 0]}}
+actuated: [crank]
+"""
+
+
+def test_a_rod_through_a_block_that_swings_on_the_ground():
+    """The rod's line passes the block's pin: by a right triangle, and by energies."""
+    swinging = mechanism(SWINGING)
+
+    def pose(theta):
+        way = 0.5 + 0.1j - cmath.rect(0.2, theta)
+        along = math.sqrt(abs(way) ** 2 - 0.03**2)
+        return np.array([theta, cmath.phase(way / complex(along, 0.03)) - theta])
+
+    def height(theta):
+        q = pose(theta)
+        rod = cmath.rect(0.2, theta) + cmath.rect(0.4, q.sum())
+        return 9.81 * (0.5 * 0.1 * math.sin(theta) + 0.8 * rod.imag)
+
+    for theta in np.linspace(0.0, 6.0, 13):
+        q = robodyn.assemble(swinging, [theta])
+        assert np.abs(np.remainder(q - pose(theta) + np.pi, 2 * np.pi) - np.pi).max() < 1e-12
+        tau = robodyn.inverse_dynamics(swinging, q, np.zeros(2), np.zeros(2))[0]
+        step = 1e-5
+        slope = (height(theta + step) - height(theta - step)) / (2 * step)
+        assert tau == pytest.approx(slope, abs=1e-8)
+    turn = np.array([pose(1.0 + x)[1] for x in (-1e-4, 1e-4)])
+    qd = robodyn.loop_velocities(swinging, robodyn.assemble(swinging, [1.0]), [1.0])
+    assert qd[1] == pytest.approx((turn[1] - turn[0]) / 2e-4, abs=1e-7)
+
+
+def test_a_point_of_the_ground_on_a_line_of_the_ground_is_refused():
+    text = SWINGING.replace("{link: rod, through", "{through")
+    with pytest.raises(DescriptionError, match=r"closures\[0\]\.point: must be a point of a link"):
+        mechanism(text)

@@ -223,7 +223,6 @@ FAULTS = [
     (LOOP, "- [coupler, rocker]", "- [[0, 0], [1, 1]]"),
     (LOOP, "- [coupler, rocker]", "- coupler"),
     (LOOP, "- [coupler, rocker]", "- {point: coupler}"),
-    (LOOP, "- [coupler, rocker]", "- {point: [0, 1], on: {through: [0, 0], along: [1, 0]}}"),
     (LOOP, "- [coupler, rocker]", "- {point: coupler, on: {through: [0, 0]}}"),
     (LOOP, "- [coupler, rocker]", "- {point: coupler, on: {through: [0, 0], along: [0, 0]}}"),
     (LOOP, "- [coupler, rocker]", "- {point: coupler, on: {through: 0, along: [1, 0]}}"),

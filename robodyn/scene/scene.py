@@ -252,7 +252,9 @@ class Closure(Declared):
     `aligned` the first point's link keeps this angle to that link, rad.
     """
 
-    first: Point = key("moving_point", "a point of a link: its name, or {link, at}", name="point")
+    first: Point = key(
+        "point", "its name, {link, at}, or [x, y] of the ground for a line of a link", name="point"
+    )
     second: Point
     along: complex | None = None
     on: ClassVar[Any] = key("line", "the line")
@@ -269,7 +271,7 @@ class Closure(Declared):
         Way(
             "slider",
             "closure",
-            "A point of a link that stays on a line: a slider, or a pin in a slot.",
+            "A point that stays on a line: a slider, a pin in a slot, a block on the ground.",
         ),
     )
 
@@ -286,6 +288,8 @@ class Closure(Declared):
     def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
         if self.second.link is not None and self.first.link == self.second.link:
             yield "on", "is a line of the point's own link; they must move apart", None
+        elif self.first.link is None and self.second.link is None:
+            yield "first", "must be a point of a link: the line is the ground's", None
 
 
 class Coupling(Declared):
