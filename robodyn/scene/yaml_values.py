@@ -24,6 +24,7 @@ from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 
 COMPARISONS = 2000  # of names that a file's suggestions may cost
 _VARIABLE = re.compile(r": (t|x|v|qd?\d+) is no unit or function")  # of what varies elsewhere
+NAN = re.compile(r"[+-]?\.?(nan|inf)", re.IGNORECASE)  # which YAML calls numbers
 LONGEST_GUESS = 60  # characters of a name that is compared
 PLAIN = Key("number", "")
 
@@ -180,7 +181,7 @@ class ValueReader:
             self.fault(place, node, "must be a number", self.shown(node))
             return 0.0
         try:
-            if node.quoted and is_plain(node.text):
+            if (node.quoted and is_plain(node.text)) or NAN.fullmatch(node.text):
                 raise ValueError("is not a number")
             value = parse_quantity(node.text, key.unit)
         except ValueError as error:
