@@ -290,6 +290,8 @@ class Closure(Declared):
             yield "on", "is a line of the point's own link; they must move apart", None
         elif self.first.link is None and self.second.link is None:
             yield "first", "must be a point of a link: the line is the ground's", None
+        elif self.first.link is None and self.aligned is not None:
+            yield "aligned", "is an angle of the point's link, and the point is the ground's", None
 
 
 class Coupling(Declared):
