@@ -367,7 +367,7 @@ def test_all_faults_of_a_scene_are_told_one_a_line(
         f"       {path}:3: links[0] (a).m = -1: must be >= 0",
         f"       {path}:3: links[0] (a).l = yes: must be a number: yes is no unit or function",
         f"       {path}:3: links[0] (a).r = 1 values: must be two numbers, [x, y]",
-        f"       {path}:3: links[0] (a).I = nan: must be a finite number",
+        f"       {path}:3: links[0] (a).I = nan: must be a number",
     ]
 
 

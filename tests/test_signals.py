@@ -391,7 +391,7 @@ FAULTS = [
     (TORQUE.format('"5"'), "loads[0].torque", "must be a number"),
     (TORQUE.format("yes"), "loads[0].torque", "has name yes"),
     (TORQUE.format("[1, 2]"), "loads[0].torque", "must be a number"),
-    (TORQUE.format(".inf"), "loads[0].torque", "finite"),
+    (TORQUE.format(".inf"), "loads[0].torque", "must be a number"),
     (TORQUE.format("{table: good.csv, over: q1}"), "loads[0].torque.column", "is missing"),
     (TORQUE.format("{table: good.csv, over: q9, column: F}"), "loads[0].torque.over", "q1 to q1"),
     (TORQUE.format("{table: good.csv, over: qd1, column: F}"), "loads[0].torque.over", "q1 to q1"),
