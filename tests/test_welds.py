@@ -235,3 +235,23 @@ def test_a_scene_with_welds_is_written_and_read_again() -> None:
 
 def total(mech: api.Mechanism, q: np.ndarray, qd: np.ndarray) -> float:
     return float(api.kinetic_energy(mech, q, qd) + api.potential_energy(mech, q))
+
+
+def test_a_scene_of_welds_alone_is_refused(robodyn, tmp_path: Path) -> None:
+    file = tmp_path / "fixed.yaml"
+    file.write_text("links: [{name: w, m: 1, l: 1, r: 0, I: 1, joint: fixed}]\n", encoding="utf-8")
+    for command in (["check"], ["torque", "--q", "0"], ["draw", "-o", str(tmp_path / "x.svg")]):
+        result = robodyn(command[0], str(file), *command[1:])
+        assert result.code == 2
+        assert "links: must name at least one link that moves" in result.err
+
+
+def test_a_weld_without_a_mass_is_named(robodyn, tmp_path: Path) -> None:
+    file = tmp_path / "light.yaml"
+    file.write_text(
+        "links:\n  - {name: a, m: 1, l: 1, r: 0.5, I: 1}\n  - {name: w, l: 1, joint: fixed}\n",
+        encoding="utf-8",
+    )
+    result = robodyn("torque", str(file), "--q", "0.3")
+    assert result.code == 2
+    assert "links[1] (w): has no mass m, which torque needs" in result.err

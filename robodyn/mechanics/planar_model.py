@@ -266,9 +266,10 @@ class Mechanism:
     def check_masses(self) -> None:
         """Raise MassError if a link has no mass: what is asked for needs it."""
         if self.massless:
-            k = self.massless[0]
-            place = self.description.listed.index(self.description.links[k])
-            raise MassError(f"links[{place}] ({self.link_names[k]})", where=self.source)
+            scene = self.description.apart or self.description
+            each = enumerate(scene.listed)
+            place, name = next((i, x.name) for i, x in each if not x.has_mass)
+            raise MassError(f"links[{place}] ({name})", where=self.source)
 
     def __repr__(self) -> str:
         from robodyn.tables.short_repr import named

@@ -147,6 +147,9 @@ class _Reader(PointReader, SignalReader):
         moving = [i for i, joint in enumerate(joints) if joint != JOINTS[2]]
         welds = [i for i, joint in enumerate(joints) if joint == JOINTS[2]]
         self.count, self.order = len(moving), [*moving, *welds]
+        if welds and not moving:
+            limit = "must name at least one link that moves: all are fixed to the ground"
+            self.fault("links", entries[0], limit)
         for k, i in enumerate(self.order):
             if joints[i] == JOINTS[1]:
                 self.slides.add(k)
