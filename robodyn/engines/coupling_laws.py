@@ -15,13 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.elements.program import Derivative, Given, Program, Slot
 from robodyn.engines import straightline
 from robodyn.engines.array_blocks import ArrayFormula
-from robodyn.engines.expression import Graph, Value
+from robodyn.engines.expression import FUNCTIONS, Graph, Value
 from robodyn.engines.formulas import RECORDED, Formula
 from robodyn.engines.series import Series, State
 from robodyn.mechanics.law_rows import LawRows
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Law
 from robodyn.tables.arrays import Array
+
+NUMPY = {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}  # what numpy calls them
+LONG = {name: getattr(np, NUMPY.get(name, name)) for name in FUNCTIONS}
+LONG["pow"] = np.power
 
 
 class CouplingLaws:
@@ -87,11 +91,16 @@ class _Code:
     def __init__(self, formula: Formula) -> None:
         self.width = len(formula.outputs)
         self._floats = straightline.compile_floats(formula, "laws")
+        self._long = straightline.compile_floats(formula, "laws", LONG)
         self._arrays = ArrayFormula(formula.inputs, formula.outputs)
 
     def __call__(self, *states: NDArray[Any]) -> Array:
         """The outputs (..., width) of states that each are (..., n)."""
         shape, n = states[0].shape[:-1], states[0].shape[-1]
+        if states[0].dtype == np.longdouble:
+            each = zip(*(x.reshape(-1, n) for x in states), strict=True)
+            exact: Any = [self._long(*np.concatenate(state)) for state in each]
+            return np.array(exact, np.longdouble).reshape(*shape, self.width)  # type: ignore[return-value]
         if states[0].size == n:
             try:
                 found = self._floats(*(x for state in states for x in state.ravel().tolist()))

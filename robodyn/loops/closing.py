@@ -252,8 +252,8 @@ def exact_gap(mechanism: Mechanism, q: Any) -> Array:
         return x[k] * cosine >> BITS, x[k] * sine >> BITS
 
     gap: list[float] = []
-    laws = laws_of(mechanism)  # of which floats are all that there is
-    values = {} if laws is None else dict(zip(laws.places, laws.values(high).tolist(), strict=True))
+    laws = laws_of(mechanism)  # whose values are no more exact than numbers of q's kind are
+    values = {} if laws is None else dict(zip(laws.places, laws.values(np.asarray(q)), strict=True))
     for r, row in enumerate(mechanism.rows):
         if row.held:
             gap.append(0.0)
@@ -264,7 +264,10 @@ def exact_gap(mechanism: Mechanism, q: Any) -> Array:
             real, imag = real + a * c - b * s, imag + a * s + b * c
         c, s = direction(row.line)
         total = (real * c + imag * s >> BITS) + sum(whole(a) * x[k] for k, a in row.angles)
-        law = whole(-row.arm * float(values[r])) if row.law is not None else 0
+        law = 0
+        if row.law is not None:
+            value = -row.arm * values[r]
+            law = whole(float(value)) + whole(float(value - float(value)))
         gap.append(math.ldexp(float((total >> BITS) + whole(row.offset) + law), exponent - BITS))
     return np.array(gap)
 

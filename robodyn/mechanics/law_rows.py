@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 
 from robodyn.elements.program import (
     Function,
-    Number,
     Power,
     Primitive,
     Product,
@@ -60,24 +59,29 @@ class LawRows:
             case Sum(terms=terms):
                 total: Part = 0.0
                 for c, x in terms:
-                    factor = self.program.numbers[c.place] * c.sign if type(c) is Number else c
+                    factor = c if isinstance(c, float) else self.program.numbers[c.place] * c.sign
                     total = made.sum(total, made.product(factor, of(x)), 1.0)
                 return total
+            case Product(x=x, y=y) if x == y:
+                return made.product(2.0, made.product(Slotted(x), of(x)))
             case Product(x=x, y=y):
                 one, other = made.product(of(x), Slotted(y)), made.product(Slotted(x), of(y))
                 return made.sum(one, other, 1.0)
             case Quotient(x=x, y=y):
                 less = made.product(Slotted(slot), of(y))
-                return made.quotient(made.sum(of(x), less, -1.0), Slotted(y))
+                inner = made.sum(of(x), less, -1.0)
+                return made.quotient(inner, Slotted(y)) if _moves(inner) else 0.0
             case Power(x=x, exponent=exponent):
                 outer = made.product(exponent, made.power(Slotted(x), exponent - 1.0))
                 return made.product(outer, of(x))
             case Primitive(x=x, density=y):
                 inner = of(x)
-                return made.quotient(inner, Slotted(y)) if inner else 0.0
+                return made.quotient(inner, Slotted(y)) if _moves(inner) else 0.0
             case Function(name=name, x=x):
                 inner = of(x)
-                return made.product(self._of_function(name, slot, x), inner) if inner else 0.0
+                return (
+                    made.product(self._of_function(name, slot, x), inner) if _moves(inner) else 0.0
+                )
         return 0.0  # what does not move with the variable
 
     def _of_function(self, name: str, slot: Slot, x: Slot) -> Part:
@@ -98,3 +102,8 @@ PARTNERS = {
     "sinh": ("cosh", 1.0),
     "cosh": ("sinh", 1.0),
 }
+
+
+def _moves(part: Part) -> bool:
+    """Whether a part is anything but zero."""
+    return isinstance(part, Slotted) or part != 0.0

@@ -228,8 +228,8 @@ class _Reader(PointReader, SignalReader):
     # -- couplings ---------------------------------------------------------------------------
 
     def couplings(self, node: Node, place: str) -> tuple[Coupling, ...]:
-        """A list of equations, or a single one, `q3 = -2 q1 + 0.1`."""
-        single = isinstance(node, Scalar)
+        """A list of couplings, or a single one, `q3 = -2 q1 + 0.1`."""
+        single = isinstance(node, (Scalar, Mapping))
         found: dict[int, Coupling] = {}  # by the joint that they give
         for c, entry in enumerate([node] if single else self.items(node, place)):
             where = place if single else f"{place}[{c}]"

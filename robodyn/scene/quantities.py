@@ -234,12 +234,16 @@ def parse_coupling(text: str, units: Sequence[str]) -> Equation:
             constant = parts.pop("", 0.0)
             ratios = {int(name[1:]) - 1: ratio for name, ratio in parts.items()}
         except NotLinearError:
-            check_smooth([found.node])
             law = True
     except _JointError:
         raise
     except (ValueError, ArithmeticError) as error:
         raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {own} {error}") from None
+    if law:
+        try:
+            check_smooth([found.node])
+        except NotAllowedError as error:
+            raise ValueError(f"has {error}") from None
     if joint in names:
         raise ValueError(f"has q{joint + 1} on both sides")
     if limit := misfit(found.measure, units[joint]):

@@ -400,7 +400,7 @@ class Description(Declared):
     )
     couplings: tuple[Coupling, ...] = key(
         "couplings",
-        "gears, belts, cams: equations such as q3 = -2 q1 + 0.1 or q2 = 20 mm (1 - cos(q1))",
+        "equations of gears, belts, cams: q3 = -2 q1 + 0.1, q2 = 20 mm sin(q1)",
         default=(),
     )
     points: tuple[tuple[str, Point], ...] = key(
