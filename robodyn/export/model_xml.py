@@ -153,6 +153,9 @@ def refuse_unsaid(
         for key in (name for name in holder._fields if name not in {*said, *more}):
             value = getattr(holder, key)
             if isinstance(value, DryFriction):
+                if isinstance(value.torque, tuple) or isinstance(value.static, tuple):
+                    limit = f"differs with the direction; {format} has one for both"
+                    raise InputError(f"{place}{key}", where=description.source, limit=limit)
                 continue
             if value and getattr(value, "torque", True):  # friction without torque is none
                 shown = value if isinstance(value, (int, float, str)) else None
