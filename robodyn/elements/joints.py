@@ -48,7 +48,7 @@ class SmoothFriction(Element):
     joint: int
     torque: ByWay = key(
         BY_DIRECTION,
-        "far above that speed; or [of positive rates, of negative rates]",
+        "far above that speed; or two",
         unit=TORQUES,
         symbol=("tf: friction at the joint of {}", "ff: friction at the joint of {}"),
         linear="f",
@@ -112,7 +112,7 @@ class DryFriction(Element):
     joint: int
     torque: ByWay = key(
         BY_DIRECTION,
-        "in motion, far above the rate stribeck; or [of positive rates, of negative rates]",
+        "in motion, far above the rate stribeck; or two",
         unit=TORQUES,
         symbol=(
             "tf: friction in motion at the joint of {}",
@@ -124,8 +124,8 @@ class DryFriction(Element):
     static: ByWay = key(
         BY_DIRECTION,
         (
-            "most that it holds at rest, not below torque; or [before positive rates, negative]",
-            "most that it holds at rest, not below force; or [before positive rates, negative]",
+            "most that it holds at rest, not below torque; or two",
+            "most that it holds at rest, not below force; or two",
         ),
         unit=TORQUES,
         symbol=(
@@ -144,7 +144,7 @@ class DryFriction(Element):
     )
     curve: str = key(
         "curve",
-        "how it falls: gaussian, exp(-(qd/stribeck)²), or exponential, exp(-|qd|/stribeck)",
+        "how it falls: gaussian or exponential",
         default=GAUSSIAN,
         told=GAUSSIAN,
     )

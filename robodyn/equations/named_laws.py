@@ -99,6 +99,7 @@ def contact_terms(
     mechanism: Mechanism, dry: Mapping[int, DryFriction], stops: Mapping[int, Stops]
 ) -> Iterator[JointTerm]:
     """Dry friction in motion and compliant stops, with symbols for their numbers."""
+    tree: Node | None
     for j, friction in dry.items():
         link, unit = _joint(mechanism, j)
         numbers = mechanism.dry[j]
@@ -107,13 +108,13 @@ def contact_terms(
             known[_of("a", way)] = of_way(friction.torque, way)
             known[_of("s", way)] = of_way(friction.static, way)
         if isinstance(numbers.torque, tuple) or isinstance(numbers.static, tuple):
-            ahead, back = (_held_back(numbers, known, way) for way in (1, -1))
-            ahead = ahead and ("*", ("step", "v"), ahead)
-            back = back and ("*", ("step", ("neg", "v")), back)
-            tree = ("-", ahead, back) if ahead and back else ahead or (back and ("neg", back))
+            ahead = _held_back(numbers, known, 1, ("step", "v"))
+            back = _held_back(numbers, known, -1, ("step", ("neg", "v")))
+            tree = ahead
+            if back:
+                tree = ("-", ahead, back) if ahead else ("neg", back)
         else:
-            amount = _held_back(numbers, known, 1)
-            tree = amount and ("*", *((amount, SIGN) if isinstance(amount, str) else (SIGN, amount)))
+            tree = _held_back(numbers, known, 1, ("sign", "v"))
         if tree:
             told = f"dry friction at the joint of {link}, in motion"
             yield _contact(j, -1, "B", tree, known, unit, told)
@@ -130,24 +131,23 @@ def contact_terms(
         yield _contact(j, 1, "Y", tree, known, unit, told)
 
 
-SIGN: Node = ("sign", "v")
-
-
 def _of(letter: str, way: int) -> str:
     """The name of a number of the rates of a sign."""
     return letter if way > 0 else letter.upper()
 
 
-def _held_back(numbers: DryFriction, known: Mapping[str, Any], way: int) -> Node | None:
-    """What dry friction is at rates of a sign, in `known` symbols; None if it is nothing."""
+def _held_back(numbers: DryFriction, known: Mapping[str, Any], way: int, turn: Node) -> Node | None:
+    """`turn` times dry friction at rates of a sign, in `known` symbols; None if it is nothing."""
     a, s = _of("a", way), _of("s", way)
     if numbers.stribeck is None or not of_way(numbers.static, way) > of_way(numbers.torque, way):
-        return a if known[a] else None
+        return ("*", a, turn) if known[a] else None
     part: Node = ("**", ("/", "v", "w"), 2.0)
     if numbers.curve == EXPONENTIAL:
         part = "/", ("abs", "v"), "w"
     bell: Node = ("exp", ("neg", part))
-    return ("+", a, ("*", ("-", s, a), bell)) if known[a] else ("*", s, bell)
+    if not known[a]:
+        return "*", ("*", s, turn), bell
+    return "*", turn, ("+", a, ("*", ("-", s, a), bell))
 
 
 def _push(beyond: Node, sign: str, damped: Any) -> Node:

@@ -136,8 +136,8 @@ def falls_over(
     """Whether friction that falls with the rate may rise and fall between two states (q, qd, ...).
 
     Its bell, exp(-(v/width)^2) or exp(-|v|/width), and all derivatives vanish from some reach of v
-    on: no method sees from there that it comes.  The states are h (s) apart, and v in the middle is what
-    Simpson's rule makes of the way between them: it may turn round there.
+    on: no method sees from there that it comes.  The states are h (s) apart, and v in the middle is
+    what Simpson's rule makes of the way between them: it may turn round there.
     """
     n = mechanism.n
     for joint, width, reach in mechanism.bells:

@@ -10,6 +10,7 @@ its centre of gravity in its own frame:
     m_k    mass                             mx_k, my_k    first moment m r
     J_k    inertia about its own joint      d_k           damping at its joint, all of it
     f_k    friction, fs_k its static one    Jr_k          inertia of the rotor at its joint
+    fp_k, fn_k, fsp_k, fsn_k                friction that differs with the sign of the rate
     k_i    stiffness of spring i            ds_i          damping of spring i between points
 
 Damping of a rotor and of springs at joints is part of d_k.  Loads, laws of springs and stops have
