@@ -150,6 +150,7 @@ def kinds_of_values() -> list[str]:
 def test_each_kind_of_value_is_read_written_and_described(kind: str) -> None:
     """A table of the grammar has it, or a method of its name; and the schema defines it."""
     known = {**grammar.NUMBERS, **grammar.WORDS, **grammar.OR_VECTOR, **grammar.MAPPINGS}
+    known |= grammar.OR_PAIR
     assert kind in known or hasattr(_Reader, kind)
     assert kind in known or hasattr(_Writer, kind) or kind == "name"
     assert kind in scene_schema()["$defs"]

@@ -25,7 +25,7 @@ from robodyn.dynamics.closed_form import energies, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import joint_loads, responses
 from robodyn.dynamics.placed import finite
 from robodyn.elements.contacts import NEAR, Mode
-from robodyn.elements.joints import HardStop
+from robodyn.elements.joints import HardStop, of_way
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode, moving_mode, pressed, resting_friction
 from robodyn.tables.arrays import Array
@@ -55,9 +55,9 @@ class Bounds(NamedTuple):
 def bounds(mechanism: Mechanism, joint: int, sides: Sequence[int]) -> Bounds:
     """Of a joint that touches the hard stops of these sides."""
     friction = mechanism.dry.get(joint)
-    most = 0.0 if friction is None else friction.static
-    low = -math.inf if 1 in sides else -most
-    high = math.inf if -1 in sides else most
+    static = 0.0 if friction is None else friction.static
+    low = -math.inf if 1 in sides else -of_way(static, 1)
+    high = math.inf if -1 in sides else of_way(static, -1)
     return Bounds(low, high)
 
 
@@ -167,7 +167,7 @@ def _starts(
                 falls = friction is not None and friction.stribeck is None
                 bound = high[k] if starts[joint] < 0 else low[k]
                 if friction is not None and falls:
-                    bound = -starts[joint] * friction.torque
+                    bound = -starts[joint] * of_way(friction.torque, starts[joint])
                 low[k] = high[k] = bound
         f = forces_between(qdd, W, low, high)
         a = qdd + W @ f

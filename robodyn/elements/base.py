@@ -166,8 +166,11 @@ class Element(Declared):
         return None
 
     @property
-    def bell(self) -> float | None:
-        """The width, rad/s or m/s, of a bell over the joint's rate beyond which it vanishes."""
+    def bell(self) -> tuple[float, float] | None:
+        """The width of a bell over its joint's rate, and the rate beyond which it vanishes.
+
+        Both are rad/s or m/s.
+        """
         return None
 
 

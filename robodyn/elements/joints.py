@@ -4,11 +4,13 @@ A joint's friction is -torque tanh(qd/speed); one that slips one way (way = 1 or
 
     way (torque + (static - torque) exp(-(qd/stribeck)^2)),
 
-the force along its axis where the joint slides.
+or exp(-|qd|/stribeck) in place of that bell, the force along its axis where the joint slides.
+Where friction differs with the direction its amount is a pair, of positive rates and of negative.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -16,7 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robodyn.elements.base import FRICTION, SLIPPING, SPENT, Element
 from robodyn.elements.builder import Builder, Term
 from robodyn.elements.contacts import COMPLIANT, HARD, STICKS, End, Guard, Mode
-from robodyn.elements.keys import Way, at_joints, key
+from robodyn.elements.keys import BY_DIRECTION, Way, at_joints, key
 from robodyn.elements.link_rows import Tree
 from robodyn.elements.springs import JointDamper, JointSpring
 from robodyn.tables.records import Record
@@ -25,15 +27,28 @@ if TYPE_CHECKING:
     from robodyn.tables.arrays import Array
 
 TORQUE, TORQUES, RATES = ("torque", "force"), ("N m", "N"), ("rad/s", "m/s")
+GAUSSIAN, EXPONENTIAL = CURVES = ("gaussian", "exponential")
+ROUNDED = 36.0  # exp(-ROUNDED) is nothing beside 1
+ByWay = float | tuple[float, float]  # one amount, or that of positive and that of negative rates
+
+
+def of_way(amount: ByWay, way: int) -> float:
+    """The amount of the rates of a sign, 1 or -1."""
+    return amount[way < 0] if isinstance(amount, tuple) else amount
+
+
+def acts_at_all(amount: ByWay) -> bool:
+    """Whether the amount of either sign is not zero."""
+    return bool(of_way(amount, 1)) or bool(of_way(amount, -1))
 
 
 class SmoothFriction(Element):
     """Coulomb friction of a joint, smoothed through rest."""
 
     joint: int
-    torque: float = key(
-        "amount",
-        "far above that speed",
+    torque: ByWay = key(
+        BY_DIRECTION,
+        "far above that speed; or two",
         unit=TORQUES,
         symbol=("tf: friction at the joint of {}", "ff: friction at the joint of {}"),
         linear="f",
@@ -55,7 +70,7 @@ class SmoothFriction(Element):
     )
 
     def placed(self, tree: Tree) -> Iterator[Element]:
-        if self.torque:
+        if acts_at_all(self.torque):
             yield self
 
     @property
@@ -77,8 +92,15 @@ class SmoothFriction(Element):
     def rows(self, b: Builder) -> None:
         slow = b.sum((b.number(1.0 / self.speed), b.v(self.joint)))
         smooth = b.function("tanh", slow)
-        b.torque(self.joint, b.number(-self.torque), smooth)
-        b.bends(smooth, self.torque)
+        if not isinstance(self.torque, tuple):
+            b.torque(self.joint, b.number(-self.torque), smooth)
+            b.bends(smooth, self.torque)
+            return
+        square = b.product(smooth, smooth)
+        for torque, half in zip(self.torque, (0.5, -0.5), strict=True):
+            part = b.sum((0.5, smooth), (half, square))  # tanh (1 + tanh)/2, and (1 - tanh)/2
+            b.torque(self.joint, b.number(-torque), part)
+            b.bends(part, torque)
 
 
 class DryFriction(Element):
@@ -88,9 +110,9 @@ class DryFriction(Element):
     """
 
     joint: int
-    torque: float = key(
-        "amount",
-        "in motion, far above the rate stribeck",
+    torque: ByWay = key(
+        BY_DIRECTION,
+        "in motion, far above the rate stribeck; or two",
         unit=TORQUES,
         symbol=(
             "tf: friction in motion at the joint of {}",
@@ -99,11 +121,11 @@ class DryFriction(Element):
         linear="f",
         name=TORQUE,
     )
-    static: float = key(
-        "amount",
+    static: ByWay = key(
+        BY_DIRECTION,
         (
-            "most that it holds at rest, not below torque",
-            "most that it holds at rest, not below force",
+            "most that it holds at rest, not below torque; or two",
+            "most that it holds at rest, not below force; or two",
         ),
         unit=TORQUES,
         symbol=(
@@ -120,6 +142,12 @@ class DryFriction(Element):
         default=None,
         symbol="ws: rate over which friction falls at the joint of {}",
     )
+    curve: str = key(
+        "curve",
+        "how it falls: gaussian or exponential",
+        default=GAUSSIAN,
+        told=GAUSSIAN,
+    )
 
     ways: ClassVar[tuple[Way, ...]] = at_joints(
         "dry_friction",
@@ -134,12 +162,18 @@ class DryFriction(Element):
     )
 
     def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
-        if self.static < self.torque:
-            limit = f"must be at least the {names['torque']} in motion, {self.torque:g}"
-            yield "static", limit, f"{self.static:g}"
+        for way, told in ((1, "positive"), (-1, "negative")):
+            static, torque = of_way(self.static, way), of_way(self.torque, way)
+            if static < torque:
+                limit = f"must be at least the {names['torque']} in motion, {torque:g}"
+                one = not (isinstance(self.static, tuple) or isinstance(self.torque, tuple))
+                yield "static", limit if one else f"{limit}, at {told} rates", f"{static:g}"
+                return
+        if self.curve != GAUSSIAN and self.stribeck is None:
+            yield "curve", "needs the rate stribeck over which friction falls", self.curve
 
     def placed(self, tree: Tree) -> Iterator[Element]:
-        if self.static:
+        if acts_at_all(self.static):
             yield self
 
     @property
@@ -157,7 +191,8 @@ class DryFriction(Element):
     def in_mode(self, mode: Mode) -> Iterator[Slipping]:
         for joint, way in mode.slips:
             if joint == self.joint:
-                yield Slipping(self.joint, self.torque, self.static, self.stribeck, way)
+                torque, static = of_way(self.torque, way), of_way(self.static, way)
+                yield Slipping(joint, torque, static, self.stribeck, way, self.curve)
 
     def gradual(self, rate: float) -> DryFriction:
         return self._replace(stribeck=self.stribeck or rate)
@@ -184,6 +219,7 @@ class Slipping(Element):
     static: float
     stribeck: float | None
     way: int
+    curve: str
 
     @property
     def acts(self) -> str:
@@ -202,8 +238,11 @@ class Slipping(Element):
         return self.stribeck
 
     @property
-    def bell(self) -> float | None:
-        return self.stribeck
+    def bell(self) -> tuple[float, float] | None:
+        if self.stribeck is None:
+            return None
+        reach = ROUNDED if self.curve == EXPONENTIAL else math.sqrt(ROUNDED)
+        return self.stribeck, reach * self.stribeck
 
     def rows(self, b: Builder) -> None:
         j, way, number = self.joint, self.way, b.number
@@ -213,7 +252,10 @@ class Slipping(Element):
         more = self.static - self.torque  # never below zero
         if self.stribeck is not None and more:
             part = b.sum((number(1.0 / self.stribeck), b.v(j)))
-            bell = b.function("exp", b.sum((-1.0, b.product(part, part))))
+            if self.curve == EXPONENTIAL:
+                bell = b.function("exp", b.sum((-1.0 * way, part)))  # way qd is |qd|
+            else:
+                bell = b.function("exp", b.sum((-1.0, b.product(part, part))))
             b.torque(j, number(-way * more), bell)
             b.bends(bell, more)
 

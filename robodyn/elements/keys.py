@@ -14,6 +14,8 @@ from typing import Any, ClassVar, Final, Self, dataclass_transform
 from robodyn.tables.records import Record
 
 NEEDED: Final[Any] = object()  # the default of what a file must have
+BY_DIRECTION = "by_direction"  # of a value that is one amount, or a pair by the rate's sign
+WAYS = ("p", "n")  # letters of positive and of negative rates, after those of a number
 ONE = "one of the three"
 TOGETHER = "all or none"  # what stands for a key of several that a file has all, or none
 # what stands for a key of several that exclude one another, one of which a file must have

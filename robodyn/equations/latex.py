@@ -94,7 +94,7 @@ def _bracketed(text: str) -> str:
     return rf"\{{{text}\}}" if "[" in text else f"[{text}]"
 
 
-FUNCTIONS = {name: rf"\operatorname{{{name}}}" for name in ("sign", "step", "hypot")}
+FUNCTIONS = {name: rf"\operatorname{{{name}}}" for name in ("sign", "step", "hypot", "abs")}
 FUNCTIONS |= {"asin": r"\arcsin", "acos": r"\arccos", "atan": r"\arctan", "log": r"\ln"}
 LATEX = Notation(
     number=_number,

@@ -4,7 +4,8 @@ In motion a joint with dry friction is held back by
 
     B = sign(qd) (tf + (ts - tf) exp(-(qd/ws)^2)),
 
-and compliant stops push it by Y, of each side
+exp(-|qd|/ws) in place of that bell if it falls so, numbers of each sign of qd if they differ, and
+compliant stops push it by Y, of each side
 
     step(x) max(0, k x + d v),
 
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from robodyn.elements.joints import DryFriction, Stops
+from robodyn.elements.joints import EXPONENTIAL, DryFriction, Stops, of_way
 from robodyn.equations.symbolic import Atom, Role, Sum, of
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.expressions import OPERATIONS, changed, names_of, value_in, walk
@@ -98,21 +99,25 @@ def contact_terms(
     mechanism: Mechanism, dry: Mapping[int, DryFriction], stops: Mapping[int, Stops]
 ) -> Iterator[JointTerm]:
     """Dry friction in motion and compliant stops, with symbols for their numbers."""
+    tree: Node | None
     for j, friction in dry.items():
         link, unit = _joint(mechanism, j)
         numbers = mechanism.dry[j]
-        static, turn = numbers.static > numbers.torque, ("sign", "v")
-        tree: Node = ("*", "a", turn)
-        if numbers.stribeck is not None and static:
-            bell = "exp", ("neg", ("**", ("/", "v", "w"), 2.0))
-            tree = "*", ("*", "s", turn), bell
-            if friction.torque:
-                tree = "*", turn, ("+", "a", ("*", ("-", "s", "a"), bell))
-        elif not friction.torque:
-            continue
-        told = f"dry friction at the joint of {link}, in motion"
-        known = {"a": friction.torque, "s": friction.static, "w": friction.stribeck}
-        yield _contact(j, -1, "B", tree, known, unit, told)
+        known: dict[str, Any] = {"w": friction.stribeck}
+        for way in (1, -1):
+            known[_of("a", way)] = of_way(friction.torque, way)
+            known[_of("s", way)] = of_way(friction.static, way)
+        if isinstance(numbers.torque, tuple) or isinstance(numbers.static, tuple):
+            ahead = _held_back(numbers, known, 1, ("step", "v"))
+            back = _held_back(numbers, known, -1, ("step", ("neg", "v")))
+            tree = ahead
+            if back:
+                tree = ("-", ahead, back) if ahead else ("neg", back)
+        else:
+            tree = _held_back(numbers, known, 1, ("sign", "v"))
+        if tree:
+            told = f"dry friction at the joint of {link}, in motion"
+            yield _contact(j, -1, "B", tree, known, unit, told)
     for j, stop in stops.items():
         link, unit = _joint(mechanism, j)
         below: Node = ("-", "l", "q") if stop.low else ("neg", "q")
@@ -124,6 +129,25 @@ def contact_terms(
         told = f"push of the stops of the joint of {link}"
         known = {"k": stop.stiffness, "d": stop.damping, "l": stop.low, "h": stop.high}
         yield _contact(j, 1, "Y", tree, known, unit, told)
+
+
+def _of(letter: str, way: int) -> str:
+    """The name of a number of the rates of a sign."""
+    return letter if way > 0 else letter.upper()
+
+
+def _held_back(numbers: DryFriction, known: Mapping[str, Any], way: int, turn: Node) -> Node | None:
+    """`turn` times dry friction at rates of a sign, in `known` symbols; None if it is nothing."""
+    a, s = _of("a", way), _of("s", way)
+    if numbers.stribeck is None or not of_way(numbers.static, way) > of_way(numbers.torque, way):
+        return ("*", a, turn) if known[a] else None
+    part: Node = ("**", ("/", "v", "w"), 2.0)
+    if numbers.curve == EXPONENTIAL:
+        part = "/", ("abs", "v"), "w"
+    bell: Node = ("exp", ("neg", part))
+    if not known[a]:
+        return "*", ("*", s, turn), bell
+    return "*", turn, ("+", a, ("*", ("-", s, a), bell))
 
 
 def _push(beyond: Node, sign: str, damped: Any) -> Node:

@@ -24,7 +24,7 @@ from typing import Any
 
 from robodyn.elements.base import Element
 from robodyn.elements.joints import DryFriction, Stops
-from robodyn.elements.keys import Declared, Key
+from robodyn.elements.keys import BY_DIRECTION, WAYS, Declared, Key
 from robodyn.equations.law_terms import LawTerms, law_terms
 from robodyn.equations.named_laws import Definition
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
@@ -258,11 +258,23 @@ class Parameters:
             and not (key.instead and getattr(item, key.instead))
         }
 
-    def _number(self, key: Key, k: int, value: Any, told: str, place: int) -> Sum | Planar:
+    def _number(self, key: Key, k: int, value: Any, told: str, place: int) -> Any:
         letters, _, meaning = key.symbol.partition(": ")
         named, where = f"{letters}{k + 1}", (place, letters)
         meaning = meaning.replace("{}", told)
-        if key.kind in NUMBERS or key.kind == "varying":
+        if isinstance(value, tuple):  # by direction
+            each = zip(WAYS, value, ("positive", "negative"), strict=True)
+            return tuple(
+                self._symbol(
+                    f"{letters}{way}{k + 1}",
+                    (place, letters + way),
+                    x,
+                    key.unit,
+                    f"{meaning}, at {told} rates",
+                )
+                for way, x, told in each
+            )
+        if key.kind in NUMBERS or key.kind == BY_DIRECTION or key.kind == "varying":
             optional = key.optional and not value
             return ZERO if optional else self._symbol(named, where, value, key.unit, meaning)
         if key.kind == "centre" and value.imag == 0.0:

@@ -108,6 +108,7 @@ def _add_contacts(
         "sign": lambda x: expression.choose(x, 0.0, -1.0, expression.choose(0.0, x, 1.0, 0.0)),
         "step": lambda x: expression.choose(0.0, x, 1.0, 0.0),
         "max": expression.greatest,
+        "abs": abs,
         "exp": partial(expression.call, "exp"),
     }
     for term in contact_terms(mechanism, parameters.dry, parameters.stops):

@@ -36,7 +36,7 @@ import numpy as np
 from robodyn import __version__
 from robodyn.dynamics.closed_form import mass_matrix
 from robodyn.elements.base import Element
-from robodyn.elements.joints import DryFriction, Stops
+from robodyn.elements.joints import DryFriction, Stops, of_way
 from robodyn.equations.symbolic import Atom, Role, of, summed
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.mechanism import Mechanism
@@ -153,6 +153,9 @@ def refuse_unsaid(
         for key in (name for name in holder._fields if name not in {*said, *more}):
             value = getattr(holder, key)
             if isinstance(value, DryFriction):
+                if isinstance(value.torque, tuple) or isinstance(value.static, tuple):
+                    limit = f"differs with the direction; {format} has one for both"
+                    raise InputError(f"{place}{key}", where=description.source, limit=limit)
                 continue
             if value and getattr(value, "torque", True):  # friction without torque is none
                 shown = value if isinstance(value, (int, float, str)) else None
@@ -196,7 +199,7 @@ MOST_DAMPED = 2.5  # damping ratio that a bounce of so many steps allows
 def contact_notes(mechanism: Mechanism) -> Iterator[str]:
     """What MuJoCo does otherwise than the scene at ends of joints and with dry friction."""
     for k, link in enumerate(mechanism.description.links):
-        stop, friction, joint = link.limits, link.friction, f"joint {link.name}"
+        stop, joint = link.limits, f"joint {link.name}"
         if stop is None:
             pass
         elif stop.restitution is not None:
@@ -206,19 +209,32 @@ def contact_notes(mechanism: Mechanism) -> Iterator[str]:
             yield f"{joint}: MuJoCo stops it at its limits, where robodyn ends a run"
         elif stop.damping:
             yield f"{joint}: MuJoCo's stop misses 1e-4 of the force that would hold the joint"
-        if isinstance(friction, DryFriction) and (friction.static or friction.torque):
+        moving, static = dry_friction(link)
+        if static or moving:
             unit = "N" if k in mechanism.slides else "N m"
-            told = f"{joint}: MuJoCo's friction is {friction.torque:g} {unit}"
-            if friction.static > friction.torque:
-                told += f" at rest too, not {friction.static:g}"
+            told = f"{joint}: MuJoCo's friction is {moving:g} {unit}"
+            if static > moving:
+                told += f" at rest too, not {static:g}"
             yield f"{told}, and what sticks creeps"
+
+
+def dry_friction(link: Link) -> tuple[float, float]:
+    """The dry friction of its joint, in motion and at rest, N m or N.
+
+    One that differs with the direction is refused before, by `refuse_unsaid`.
+    """
+    friction = link.friction
+    if not isinstance(friction, DryFriction):
+        return 0.0, 0.0
+    return of_way(friction.torque, 1), of_way(friction.static, 1)
 
 
 def joint_contacts(mechanism: Mechanism, joint: int, timestep: float) -> dict[str, str]:
     """The attributes of a joint that has ends other than springs, or dry friction."""
     link, found = mechanism.description.links[joint], {}
-    if isinstance(link.friction, DryFriction) and link.friction.torque:
-        found["frictionloss"] = number(link.friction.torque)
+    moving, _ = dry_friction(link)
+    if moving:
+        found["frictionloss"] = number(moving)
         found |= {"solreffriction": f"{number(2.0 * timestep)} 1", "solimpfriction": STIFF}
     if link.limits is not None and not is_slack(link.limits):
         found |= {"limited": "true", "range": joint_range(link.limits)}

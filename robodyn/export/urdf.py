@@ -13,13 +13,13 @@ from cmath import phase
 from collections.abc import Iterator
 from xml.etree.ElementTree import Element, SubElement
 
-from robodyn.elements.joints import DryFriction
 from robodyn.errors import InputError, printable
 from robodyn.export.model_xml import (
     FAR,
     Names,
     comment,
     document,
+    dry_friction,
     link_names,
     number,
     refuse_unsaid,
@@ -70,9 +70,7 @@ def urdf(mechanism: Mechanism) -> str:
         SubElement(joint, "axis", xyz="1 0 0" if link.slides else "0 0 1")
         if limits := _limits(link):
             SubElement(joint, "limit", {name: number(x) for name, x in limits.items()})
-        damping, friction = mechanism.damping[k], 0.0
-        if isinstance(link.friction, DryFriction):
-            friction = link.friction.torque
+        damping, (friction, _) = mechanism.damping[k], dry_friction(link)
         if damping or friction:
             dynamics = {"damping": number(damping), "friction": number(friction)}
             SubElement(joint, "dynamics", dynamics)
@@ -101,9 +99,10 @@ def urdf_notes(mechanism: Mechanism) -> Iterator[str]:
         if link.limits is not None:
             told = "URDF says where it ends; what happens there is left to who reads it"
             yield f"joint {link.name}: {told}"
-        if isinstance(link.friction, DryFriction) and link.friction.static > link.friction.torque:
-            told = f"URDF's friction is {link.friction.torque:g}"
-            yield f"joint {link.name}: {told} at rest too, not {link.friction.static:g}"
+        moving, static = dry_friction(link)
+        if static > moving:
+            told = f"URDF's friction is {moving:g}"
+            yield f"joint {link.name}: {told} at rest too, not {static:g}"
 
 
 def _limits(link: Link) -> dict[str, float]:

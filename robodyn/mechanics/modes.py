@@ -22,8 +22,6 @@ from robodyn.scene.scene import Coupling, Link, Point
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-BELL = 6.0  # widths of a bell, beyond which it is zero to rounding
-
 
 @lru_cache(maxsize=256)
 def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
@@ -137,16 +135,16 @@ def falls_over(
 ) -> bool:
     """Whether friction that falls with the rate may rise and fall between two states (q, qd, ...).
 
-    Its bell exp(-(v/width)^2) and all derivatives vanish where v is some times the width: no
-    method sees from there that it comes.  The states are h (s) apart, and v in the middle is what
-    Simpson's rule makes of the way between them: it may turn round there.
+    Its bell, exp(-(v/width)^2) or exp(-|v|/width), and all derivatives vanish from some reach of v
+    on: no method sees from there that it comes.  The states are h (s) apart, and v in the middle is
+    what Simpson's rule makes of the way between them: it may turn round there.
     """
     n = mechanism.n
-    for joint, width in mechanism.bells:
+    for joint, width, reach in mechanism.bells:
         v, then = before[n + joint], after[n + joint]
         for there in (then, 1.5 * (after[joint] - before[joint]) / h - 0.25 * (v + then)):
             if abs(there - v) > max(0.5 * abs(v), width):
                 nearest = min(abs(v), abs(there)) if v * there > 0.0 else 0.0
-                if nearest < BELL * width:
+                if nearest < reach:
                     return True
     return False

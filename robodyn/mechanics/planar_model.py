@@ -143,10 +143,10 @@ class Mechanism:
         return any(x.stored() is not None for x in self.elements)
 
     @cached_property
-    def bells(self) -> tuple[tuple[int, float], ...]:
-        """Joints, and the widths of what rises and falls with their rates (`Element.bell`)."""
+    def bells(self) -> tuple[tuple[int, float, float], ...]:
+        """Joints, widths and reaches of what rises and falls with their rates (`Element.bell`)."""
         each = ((x.at, x.bell) for x in self.elements)
-        return tuple((k, width) for k, width in each if k is not None and width is not None)
+        return tuple((k, *bell) for k, bell in each if k is not None and bell is not None)
 
     @cached_property
     def spins(self) -> tuple[Spin, ...]:

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.dynamics.free_joints import balanced_joints
 from robodyn.elements.base import Element
-from robodyn.elements.keys import Declared
+from robodyn.elements.keys import WAYS, Declared
 from robodyn.elements.springs import JointSpring
 from robodyn.engines.expression import Graph, slopes_by, substituted
 from robodyn.engines.planar_numbers import Planar
@@ -411,9 +411,13 @@ def numbers(description: Description) -> dict[str, Number]:
         for name, x in zip(link._fields, link, strict=True):
             for field, key in x.keys.items() if isinstance(x, Declared) else ():
                 there, its = key.of(link.slides), (*at, name, field)
-                if key.linear:
-                    number = Number(its, there.unit, parameter=f"{key.linear}{i}")
-                    own[f"{name}.{there.name or field}"] = number
+                called = f"{name}.{there.name or field}"
+                if key.linear and isinstance(getattr(x, field), tuple):  # by direction
+                    for way, letter in enumerate(WAYS):
+                        named = f"{key.linear}{letter}{i}"
+                        own[f"{called}[{way}]"] = Number((*its, way), there.unit, parameter=named)
+                elif key.linear:
+                    own[called] = Number(its, there.unit, parameter=f"{key.linear}{i}")
                 elif field == "damping" and not isinstance(x, Element):  # of a rotor
                     own[f"{name}.{field}"] = Number(its, there.unit, alone=False)
         for prefix in (f"links.{link.name}", f"links[{k}]"):

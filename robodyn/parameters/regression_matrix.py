@@ -10,6 +10,7 @@ its centre of gravity in its own frame:
     m_k    mass                             mx_k, my_k    first moment m r
     J_k    inertia about its own joint      d_k           damping at its joint, all of it
     f_k    friction, fs_k its static one    Jr_k          inertia of the rotor at its joint
+    fp_k, fn_k, fsp_k, fsn_k                friction that differs with the sign of the rate
     k_i    stiffness of spring i            ds_i          damping of spring i between points
 
 Damping of a rotor and of springs at joints is part of d_k.  Loads, laws of springs and stops have
@@ -32,7 +33,7 @@ from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.dynamics.placed import check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
 from robodyn.elements.joints import DryFriction
-from robodyn.elements.keys import Declared
+from robodyn.elements.keys import WAYS, Declared
 from robodyn.elements.springs import JointDamper
 from robodyn.engines.batches import FormulaBatches
 from robodyn.engines.expression import Graph, Value, slopes_by, substituted
@@ -90,13 +91,23 @@ def linear_parameters(
 
 def _linear_numbers(entry: Declared, i: int, slides: bool) -> Iterator[Parameter]:
     for field, key in entry.linear():
-        yield Parameter(f"{key.linear}{i}", getattr(entry, field), key.of(slides).unit)
+        value, unit = getattr(entry, field), key.of(slides).unit
+        if isinstance(value, tuple):  # by direction
+            each = zip(WAYS, value, strict=True)
+            yield from (Parameter(f"{key.linear}{way}{i}", x, unit) for way, x in each)
+        else:
+            yield Parameter(f"{key.linear}{i}", value, unit)
 
 
 def _with_linear(entry: Any, i: int, values: Mapping[str, Any]) -> Any:
     """The entry of the scene with these values; what is damped at its joint is among d_k."""
     letters = {field: key.linear for field, key in entry.keys.items() if key.linear}
-    found = {field: values.get(f"{letter}{i}", 0.0) for field, letter in letters.items()}
+    found: dict[str, Any] = {}
+    for field, letter in letters.items():
+        if isinstance(getattr(entry, field), tuple):
+            found[field] = tuple(values.get(f"{letter}{way}{i}", 0.0) for way in WAYS)
+        else:
+            found[field] = values.get(f"{letter}{i}", 0.0)
     if "damping" in entry.keys and "damping" not in letters:
         found["damping"] = 0.0
     return entry._replace(**found)
@@ -114,8 +125,8 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
         friction, motor = link.friction, link.motor
         if friction is not None:
             friction = _with_linear(friction, i, values)
-        if isinstance(friction, DryFriction):
-            friction = friction._replace(static=values.get(f"fs{i}", friction.torque))
+        if isinstance(friction, DryFriction) and friction.stribeck is None:
+            friction = friction._replace(static=friction.torque)
         motor = motor and _with_linear(motor, i, values)
         links.append(link._replace(friction=friction, motor=motor))
     lists = {

@@ -229,7 +229,8 @@ class _Reader(PointReader, SignalReader):
 
     def couplings(self, node: Node, place: str) -> tuple[Coupling, ...]:
         """A list of couplings, or a single one, `q3 = -2 q1 + 0.1`."""
-        single = isinstance(node, (Scalar, Mapping))
+        keys = node.pairs if isinstance(node, Mapping) else []
+        single = isinstance(node, Scalar) or any(key.text == "law" for key, _ in keys)
         found: dict[int, Coupling] = {}  # by the joint that they give
         for c, entry in enumerate([node] if single else self.items(node, place)):
             where = place if single else f"{place}[{c}]"

@@ -13,7 +13,8 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterable
 
 from robodyn.elements import kinds
-from robodyn.elements.keys import NEEDED, ONES, TOGETHER, Declared, Key, Way
+from robodyn.elements.joints import CURVES
+from robodyn.elements.keys import BY_DIRECTION, NEEDED, ONES, TOGETHER, Declared, Key, Way
 from robodyn.elements.values import FRAMES, Point, Table
 from robodyn.scene.drawn_keys import DrawnLink, DrawnScene, GroundLine, Slot
 from robodyn.scene.scene import BRANCHES, JOINTS, Closure, Description, Line, Link, Motor, Weld
@@ -59,10 +60,11 @@ KEEPS: dict[str, Callable[[float], bool]] = {
     "not 0": lambda x: x != 0.0,
     "in [0, 1]": lambda x: 0.0 <= x <= 1.0,
 }
-WORDS = {"branch": BRANCHES, "frame": FRAMES, "joint_kind": JOINTS}
+WORDS = {"branch": BRANCHES, "frame": FRAMES, "joint_kind": JOINTS, "curve": CURVES}
 BY_JOINT = "rad or m"  # as the joint turns or slides
 WITH_UNIT = ("vector", "varying", "varying_vector", "law")  # beside numbers
 OR_VECTOR = {"gravity": "number", "centre": "amount"}  # a number of this kind, or [x, y]
+OR_PAIR = {BY_DIRECTION: "amount"}  # a number of this kind, or two
 OTHERS: tuple[type[Declared], ...] = (
     Description,
     Link,
@@ -115,7 +117,7 @@ def key_table(form: str) -> str:
     """The rows of the guide's table of a form: key, unit, value and default."""
     rows = []
     for name, key in FORMS[form].keys.items():
-        limit = NUMBERS.get(str(OR_VECTOR.get(key.kind, key.kind)), "")
+        limit = NUMBERS.get(str((OR_VECTOR | OR_PAIR).get(key.kind, key.kind)), "")
         told = f"{key.help}, {limit}" if limit else key.help
         rows.append(f"| `{name}` | {key.unit} | {told} | {key.shown_default} |")
     return "\n".join(rows).replace("|  |", "| |")

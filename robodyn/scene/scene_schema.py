@@ -14,6 +14,7 @@ from robodyn.scene.grammar import (
     FORMS,
     MAPPINGS,
     NUMBERS,
+    OR_PAIR,
     OR_VECTOR,
     WORDS,
     Form,
@@ -37,6 +38,8 @@ def scene_schema() -> Schema:
     }
     kinds |= {kind: {"enum": list(words)} for kind, words in WORDS.items()}
     kinds |= {kind: _any(plain, "vector") for kind, plain in OR_VECTOR.items()}
+    pair = {"type": "array", "minItems": 2, "maxItems": 2}
+    kinds |= {x: {"anyOf": [_ref(y), {**pair, "items": _ref(y)}]} for x, y in OR_PAIR.items()}
     kinds |= {
         kind: _any(*(_place(form.way.name) for form in forms))
         for kind, forms in MAPPINGS.items()

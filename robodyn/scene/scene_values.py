@@ -17,7 +17,7 @@ from typing import Any
 from robodyn.elements.keys import Key
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
-from robodyn.scene.grammar import BY_JOINT, NUMBERS, OR_VECTOR, form_of
+from robodyn.scene.grammar import BY_JOINT, NUMBERS, OR_PAIR, OR_VECTOR, form_of
 from robodyn.scene.quantities import parse_quantity, read_value
 from robodyn.scene.scene import JOINTS, Description, Tables, Written
 from robodyn.scene.yaml_tree import Node, Scalar, Sequence
@@ -233,7 +233,8 @@ def _numbers(
     place: _Place, node: Node, name: str, kind: str | None
 ) -> Iterator[tuple[str, _Place]]:
     """The places of all numbers that a value of this kind holds, or may hold in place of 0."""
-    if kind in OR_VECTOR or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node):
+    wide = kind in OR_VECTOR or kind in OR_PAIR
+    if wide or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node):
         yield name, place
     if kind == "pin":
         yield name, replace(place, pair=True)

@@ -11,6 +11,7 @@ from robodyn.errors import MOST_FAULTS, Fault, nearest_first
 from robodyn.scene.grammar import (
     KEEPS,
     NUMBERS,
+    OR_PAIR,
     OR_VECTOR,
     WITH_UNIT,
     WORDS,
@@ -40,7 +41,7 @@ class ValueReader:
     """
 
     missing: ClassVar[dict[str, Any]] = {  # what stands for a value that is missing, by its kind
-        **dict.fromkeys(NUMBERS, 0.0),
+        **dict.fromkeys((*NUMBERS, *OR_PAIR), 0.0),
         **{kind: words[0] for kind, words in WORDS.items()},
         **dict.fromkeys(("vector", "direction", *OR_VECTOR), 0j),
     }
@@ -151,6 +152,14 @@ class ValueReader:
             if isinstance(node, Sequence):
                 return self.vector(node, place, key.unit)
             return self.number(node, place, key._replace(kind=OR_VECTOR[kind]))
+        if kind in OR_PAIR:
+            own = key._replace(kind=OR_PAIR[kind])
+            if not isinstance(node, Sequence):
+                return self.number(node, place, own)
+            if len(node.items) != 2:
+                self.fault(place, node, "must be a number, or two", f"{len(node.items)} values")
+                return 0.0
+            return tuple(self.number(x, f"{place}[{k}]", own) for k, x in enumerate(node.items))
         read = getattr(self, kind, None)
         if read is None:
             if kind in WORDS:
