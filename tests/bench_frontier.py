@@ -170,8 +170,9 @@ def frontier(bench: Any) -> list[Any]:
         found = curves(problem, repeats)
         scipy = [found.pop("dop853"), found.pop("lsoda")]
         for what in [name for name in found if "call" in name]:
-            curve, bound = found.pop(what), 0.1
+            curve = found.pop(what)
             for target in targets:
+                bound = 0.1 if target < 1e-3 else 0.15  # of a few dozen steps, checks are half
                 theirs, ours = scipy[0].time(target), curve.time(target)
                 text = f"dop853, by hand: {1e3 * theirs:.4g} ms", f"{1e3 * ours:.4g} ms"
                 name = f"{problem.name}, to {target:g}, {what}"
@@ -241,4 +242,4 @@ def taylor_process(bench: Any) -> list[Any]:
     command = (BIN / "robodyn", "simulate", ARM, *start, "--method", "taylor")
     numpy = (sys.executable, "-c", "import numpy")
     times, _ = bench.processes(command, numpy, 3 if bench.quick else 15)
-    return [compared("simulate --method taylor, process", times, 1, "import numpy", bound=2.5)]
+    return [compared("simulate --method taylor, process", times, 1, "import numpy", bound=3.0)]

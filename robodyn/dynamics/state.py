@@ -30,7 +30,7 @@ from robodyn.dynamics.columns import (
 )
 from robodyn.dynamics.joint_vectors import driver_of, full
 from robodyn.dynamics.named_points import NamedPoint, named_points, point_jacobian, unit_rates
-from robodyn.dynamics.placed import n_wide, numbers, times_of, together
+from robodyn.dynamics.placed import as_states, n_wide, numbers, times_of, together
 from robodyn.errors import InputError, overflow
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.loop_rates import check_way_on, loop_accelerations
@@ -284,9 +284,9 @@ def motor_loads(mechanism: Mechanism, tau: ArrayLike, qd: ArrayLike) -> dict[str
     Each is (...), of rates (..., n) and torques of all joints or of the actuated ones, which
     broadcast.  There are those of the actuated joints: `motor1`, `motor_speed1`, and `volt1`,
     `amp1`, `watt1` of a motor with its constants.  Raises InputError for arrays that are not so
-    wide.
+    wide, or not finite.
     """
-    given = [n_wide(mechanism, name, x) for name, x in (("tau", tau), ("qd", qd))]
+    given = [as_states(mechanism, name, x) for name, x in (("tau", tau), ("qd", qd))]
     torques, rates = (list(np.moveaxis(x, -1, 0)) for x in np.broadcast_arrays(*given))
     each = chain.from_iterable(motor_values(mechanism, torques, rates))
     return dict(zip(column_names(mechanism, MOTORS), each, strict=True))

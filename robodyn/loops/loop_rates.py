@@ -188,6 +188,8 @@ def _first_impossible(
     # few states have so small a determinant: the others cost no singular values
     others = np.trace(squares, axis1=-2, axis2=-1) ** (r - 1)
     found = np.flatnonzero(np.linalg.det(squares) <= (10.0 * AT_SINGULAR) ** 2 * others)
+    if not len(found):
+        return None
     q, qd = (np.broadcast_to(x, (*Psi.shape[:-2], n)).reshape(-1, n) for x in (q, qd))
     close = nearness(mechanism, scaled_jacobian(mechanism, q[found])) < 10.0 * AT_SINGULAR
     for state in found[close]:

@@ -9,7 +9,6 @@ takes for a whole number without a sign, nothing is read by it.
 
 from __future__ import annotations
 
-import re
 import signal
 import threading
 from collections.abc import Iterator, Sequence
@@ -25,7 +24,7 @@ from robodyn.tables.arrays import Array
 FEW = 500  # numbers that Python reads or writes in less time than an import takes
 PIECE = 2048  # numbers that are lists of Python's at once
 ALIKE = (1e-10, 1e-4, 1e16)  # below the first, and from the second to the third, orjson is `repr`
-_NOT_NUMBERS = re.compile(rb"[^0-9+\-.eE,\n]|-0(?![.0-9eE])")
+IN_NUMBERS = b"0123456789+-.eE,\n"
 
 
 @cache
@@ -111,10 +110,15 @@ def _by_orjson(module: Any, rows: Sequence[str], width: int) -> Array | None:
 
 def _piece(module: Any, rows: Sequence[str], width: int) -> Array | None:
     data = "\n".join(rows).encode()
-    if _NOT_NUMBERS.search(data):
+    if data.translate(None, IN_NUMBERS) or _has_whole_minus_zero(data):
         return None
     try:
         found = np.array(module.loads(b"[[" + data.replace(b"\n", b"],[") + b"]]"), float)
     except ValueError:  # no JSON, or rows of unequal length
         return None
     return found if found.shape == (len(rows), width) else None
+
+
+def _has_whole_minus_zero(data: bytes) -> bool:
+    """Whether a field ends with -0, which JSON reads as a whole number without a sign."""
+    return b"-0," in data or b"-0\n" in data or data.endswith(b"-0")
