@@ -76,7 +76,10 @@ class Table(Declared):
     over: str = key("name", "t, or a joint q1, ..: its column tells where the rows are")
     column: str = key("name", "the column of the force or torque")
     hold: bool = key(
-        "truth", "true: a row's value holds until the next, over t", default=False, told="false"
+        "truth",
+        "true: the value of a row holds until the next; over t",
+        default=False,
+        told="false",
     )
     x: tuple[float, ...] = ()
     F: tuple[float, ...] = ()
