@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from robodyn.cli.options import Force, Model, Tau, load_with
 from robodyn.cli.states import TableOptions, state_rows
-from robodyn.dynamics.columns import LOOPS, column_names
+from robodyn.dynamics.columns import FORCES, column_names
 
 
 def accel(
@@ -27,5 +27,5 @@ def accel(
       robodyn accel 2r states.csv --force tip2=0,-20 | robodyn summary
     """
     mechanism = load_with(model, force)
-    columns = column_names(mechanism, ["qdd", *LOOPS])
+    columns = column_names(mechanism, ["qdd", *FORCES])
     state_rows(mechanism, given, given.quantities(tau=tau), columns)

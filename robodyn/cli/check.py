@@ -69,6 +69,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         "actuated": [mechanism.link_names[k] for k in mechanism.actuated],
         "start": _start(mechanism),
         "loops": [loop_class(mechanism, c) for c in range(len(mechanism.description.closures))],
+        "cams": _cams(mechanism),
         **_conditioning(mechanism, sample),
         "states": len(sample.q),
         "closing": sample.closing if mechanism.rows else None,
@@ -102,6 +103,62 @@ def _start(mechanism: Mechanism) -> dict[str, object] | None:
         "change": start.change,
         "unit": "m" if start.joint in mechanism.slides else "rad",
     }
+
+
+def _cams(mechanism: Mechanism) -> list[dict[str, Any]]:
+    """What there is to say of each cam over a turn; notes on profiles that cannot be cut so."""
+    from robodyn.dynamics.cam_contacts import cams_of, profile_of
+
+    found: list[dict[str, Any]] = []
+    for cam in cams_of(mechanism):
+        name, own = (
+            f"cam {cam.coupling + 1} ({mechanism.link_names[cam.link]})",
+            profile_of(mechanism, cam),
+        )
+        finite = {x: getattr(own, x) for x in ("base_circle", "pressure", "least_radius")}
+        if own.undercut is not None:
+            what = (
+                ""
+                if own.face is not None
+                else f", a roller of {cam.follower.radius:g} m is too large"
+            )
+            note(
+                f"Warning: {name}: the profile is undercut, most at q{cam.driver + 1} = {own.undercut:.6g}{what}"
+            )
+        if not own.one_side:
+            note(
+                f"Warning: {name}: the contact's tangent passes through the cam's joint: the profile changes sides"
+            )
+        if not own.closed:
+            note(f"Note: {name}: the profile does not close after a turn of the cam")
+        found.append(
+            {
+                "follower": mechanism.link_names[cam.link],
+                **{x: y if math.isfinite(y) else None for x, y in finite.items()},
+                "offset": own.offset,
+                "face": None if own.face is None else list(own.face),
+                "undercut": own.undercut,
+                "closed": own.closed,
+            }
+        )
+    return found
+
+
+def _cam_told(cam: dict[str, Any]) -> str:
+    """What `_cams` holds of one cam in words."""
+    told = [f"base circle {cam['base_circle']:.6g} m"]
+    if cam["offset"] is not None:
+        told.append(f"offset {cam['offset']:.6g} m")
+    if cam["pressure"] is not None:
+        told.append(f"pressure angle to {math.degrees(cam['pressure']):.3g} deg")
+    if cam["least_radius"] is not None:
+        told.append(f"least radius {cam['least_radius']:.6g} m")
+    if cam["face"] is not None:
+        first, last = cam["face"]
+        told.append(f"face from {first:.6g} to {last:.6g} m ({last - first:.6g} m)")
+    if cam["undercut"] is not None:
+        told.append("UNDERCUT")
+    return ", ".join(told)
 
 
 def _start_told(start: dict[str, Any]) -> str:
@@ -143,6 +200,7 @@ def _tables(content: dict[str, Any], results: list[Identity]) -> list[Grid]:
         facts.append(["start", _start_told(content["start"])])
     facts.append(["mobility", str(content["mobility"])])
     facts += [[f"loop {c}", kind] for c, kind in enumerate(content["loops"], start=1)]
+    facts += [[f"cam of {cam['follower']}", _cam_told(cam)] for cam in content["cams"]]
     for key, label in (("cond_M", "condition of M"), ("cond_Psi", "condition of Psi")):
         if content[key]:
             span = ["infinite" if x is None else f"{x:.3g}" for x in content[key]]

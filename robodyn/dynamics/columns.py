@@ -57,6 +57,31 @@ def _couplings(state: State) -> Array:
     return state.loop_forces[:, first:]
 
 
+def _contacts(state: State) -> Array:
+    from robodyn.dynamics.cam_contacts import contact_forces
+
+    forces = contact_forces(state.mechanism, state.q, state.multipliers)
+    return np.where(np.isinf(forces), np.nan, forces)
+
+
+def _pressures(state: State) -> Array:
+    from robodyn.dynamics.cam_contacts import cams_of, contact_at
+
+    mechanism = state.mechanism
+    each = [contact_at(mechanism, cam, state.q).pressure for cam in cams_of(mechanism)]
+    return np.stack(each, axis=-1) if each else np.zeros((len(state.q), 0))
+
+
+def _radii(state: State) -> Array:
+    from robodyn.dynamics.cam_contacts import cams_of, contact_at
+
+    mechanism = state.mechanism
+    each = [contact_at(mechanism, cam, state.q).curvature for cam in cams_of(mechanism)]
+    bent = np.stack(each, axis=-1) if each else np.zeros((len(state.q), 0))
+    with np.errstate(divide="ignore"):
+        return np.where(bent == 0.0, np.nan, 1.0 / bent)
+
+
 def _gap(state: State) -> Array:
     from robodyn.dynamics.closed_form import closure_gap
 
@@ -242,6 +267,16 @@ _DECLARED = (
     Family(
         "couplings", "tc{g}", "N m", "the torque of each coupling", _couplings, "tau", slides=True
     ),
+    Family(
+        "contacts",
+        "contact{h}",
+        "N",
+        "the force of each cam on its follower, positive if pressed",
+        _contacts,
+        "tau",
+        gaps=True,
+        lacking="no coupling of this scene has a cam",
+    ),
     Family("motor", "motor{v}", "N m", "the torque of its motor", lambda s: s.motors[0], "tau"),
     Family(
         "motor_speed",
@@ -324,6 +359,24 @@ _DECLARED = (
         _transmission,
         lacking="no loop of this scene is closed by three pairs in a row",
     ),
+    Family(
+        "pressure",
+        "pressure{h}",
+        "rad",
+        "the pressure angle of each cam",
+        _pressures,
+        gaps=True,
+        lacking="no coupling of this scene has a cam",
+    ),
+    Family(
+        "rho",
+        "rho{h}",
+        "m",
+        "the radius of curvature of each cam's profile at the contact",
+        _radii,
+        gaps=True,
+        lacking="no coupling of this scene has a cam",
+    ),
     Family("ratio", "{A}/{B}", "", "the ratio of the rates of two links", _ratios, gaps=True),
     Family("KE", "KE", "J", "the kinetic energy", lambda s: s.energies[0][:, None]),
     Family("PE", "PE", "J", "the potential energy", lambda s: s.energies[1][:, None]),
@@ -339,9 +392,10 @@ FAMILIES = {family.name: family for family in _DECLARED}
 STATE = tuple(family.name for family in _DECLARED if family.values)  # which follow from a state
 LOOPS = ("pins", "kept", "couplings")
 MOTORS = ("motor", "motor_speed", "volt", "amp", "watt")
-TORQUE = ("tau", *LOOPS, *MOTORS)
-MOTION = ("t", "q", "qd", "qdd", "tau", *LOOPS, "energy", "gap")
-REACTIONS = ("reactions", "slide_moments", *LOOPS, "shaking")
+FORCES = (*LOOPS, "contacts")
+TORQUE = ("tau", *FORCES, *MOTORS)
+MOTION = ("t", "q", "qd", "qdd", "tau", *FORCES, "energy", "gap")
+REACTIONS = ("reactions", "slide_moments", *FORCES, "shaking")
 
 
 def _numbers(joints: Iterable[int]) -> list[str]:
@@ -365,6 +419,11 @@ def _motors(mechanism: Mechanism, electric: bool = False) -> list[int]:
     return [k for k, x in driving_motors(mechanism) if x.torque_constant or not electric]
 
 
+def _cams(mechanism: Mechanism) -> list[int]:
+    couplings = mechanism.description.couplings
+    return [c for c, coupling in enumerate(couplings) if coupling.cam is not None]
+
+
 def _loops(mechanism: Mechanism) -> list[int]:
     from robodyn.dynamics.transmission import transmission_loops
 
@@ -380,6 +439,7 @@ PLACES: dict[str, Callable[[Mechanism, Sequence[str]], Sequence[str]]] = {
     "c": lambda x, _: _numbers(range(len(x.description.closures))),  # each closure
     "m": lambda x, _: _numbers(_aligned(x)),  # each closure that keeps an angle
     "g": lambda x, _: _numbers(range(len(x.description.couplings))),  # each coupling
+    "h": lambda x, _: _numbers(_cams(x)),  # each coupling that has a cam
     "v": lambda x, _: _numbers(_motors(x)),  # each actuated joint with a motor
     "e": lambda x, _: _numbers(_motors(x, electric=True)),  # the same, with its constants
     "l": lambda x, _: _numbers(_loops(x)),  # each loop that has a transmission angle

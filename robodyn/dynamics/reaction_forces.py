@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn.dynamics.cam_contacts import ContactForce, contacts_on_links
 from robodyn.dynamics.closed_form import Points, dense, points_of, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import decompose
 from robodyn.dynamics.dynamics import (
@@ -93,8 +94,10 @@ class Felt:
         pins: Complex,
         kept: Array,
         rows: Callable[[Part], Acts],
+        contacts: Sequence[ContactForce] = (),
     ) -> None:
         self.mechanism, self.bodies, self.at = mechanism, bodies_of(mechanism), at
+        self.contacts = contacts
         self.pins, self.kept, self.rows = pins, kept, rows
         bodies = self.bodies
         # where the bodies are, (..., b) m, and the load m (gamma - a) of each, (..., b) N
@@ -150,7 +153,8 @@ class Felt:
         return moments
 
     def _acting(self) -> Iterator[tuple[Complex, Complex, int | None]]:
-        """The forces of elements: where each acts, and on which link."""
+        """The forces of elements and of cams: where each acts, and on which link."""
+        yield from self.contacts
         for acting, force in self.rows(parts.acting).forces:
             yield self._place(acting.at[0]), force, acting.at[1]
             if acting.back is not None:
@@ -200,7 +204,8 @@ def reactions(
 ) -> Array:
     """The force on each link at its own joint, (..., n, 2), N, ground axes.
 
-    R_k = sum_b m_b (a_b - gamma) - F_k less the pin forces, over the bodies b that link k carries.
+    R_k = sum_b m_b (a_b - gamma) - F_k less the pin forces, over the bodies b that link k carries;
+    F_k has the contact forces of cams too.
     It comes from the link, or the ground, that the link hangs from.  q, qd, qdd (..., n) are a
     motion, rad and s, and multipliers (..., r) N those of `inverse_dynamics_and_forces` or
     `forward_dynamics_and_forces` for it, (..., 0) without closures.  Raises InputError for arrays
@@ -267,7 +272,10 @@ def _of_numbers(
         return Acts(list(zip(forces, each, strict=True)), list(zip(couples, moments, strict=True)))
 
     bent = at.accelerations(mechanism, xd, xdd)
-    return Felt(mechanism, at, bent, xdd, joints, pins, kept, rows)
+    contacts = (
+        () if lam is None else contacts_on_links(mechanism, as_states(mechanism, "q", q), at, lam)
+    )
+    return Felt(mechanism, at, bent, xdd, joints, pins, kept, rows, contacts)
 
 
 def dependent_rows(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.int64]:

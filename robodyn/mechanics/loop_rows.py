@@ -13,6 +13,7 @@ from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism, OnDemand, Terms
 from robodyn.scene.scene import Closure, Description
 
+PARALLEL = 1e-9  # sine of the angle between a flat face and the way that its follower slides
 EQUAL = 1e-12  # lengths that differ by less than this part count as equal
 
 
@@ -89,7 +90,29 @@ def coupling_rows(description: Description) -> list[ClosureRow]:
         kept = tuple((k, value) for k, value in angles.items() if value != 0.0)
         row = ClosureRow(None, 0j, (), -arm * coupling.angle, kept, arm, lengths=tree.lengths)
         found.append(row._replace(law=coupling.law))
+    check_cams(description)
     return found
+
+
+def check_cams(description: Description) -> None:
+    """Raise InputError for a cam on another carrier, or that cannot move what touches it."""
+    links = description.links
+    for c, coupling in enumerate(description.couplings):
+        cam = coupling.cam
+        if cam is None:
+            continue
+        follower, own = links[coupling.joint], links[next(iter(coupling.others))]
+        limit = ""
+        if follower.hangs_from.link != own.hangs_from.link:
+            limit = (
+                f"{own.name} and {follower.name} must hang from one link, or both from the ground"
+            )
+        elif cam.face is None and follower.axis is None and cam.at == 0:
+            limit = f"the roller's centre is the joint of {follower.name}: at must be elsewhere"
+        elif cam.face is not None and follower.slides and abs(cam.face.along.imag) < PARALLEL:
+            limit = f"the face lies along the way of {follower.name}: nothing would move it"
+        if limit:
+            raise InputError(f"couplings[{c}].cam", where=description.source, limit=limit)
 
 
 def _gap(tree: Tree, closure: Closure) -> Terms:

@@ -21,6 +21,7 @@ from robodyn.scene.scene import (
     BRANCHES,
     JOINTS,
     Body,
+    Cam,
     Closure,
     Coupling,
     Description,
@@ -244,9 +245,12 @@ class _Reader(PointReader, SignalReader):
         return tuple(found.values())
 
     def coupling(self, node: Node, place: str, count: int) -> Coupling | None:
-        """An equation, or a mapping of one, {law: "q2 = ..."}."""
+        """An equation, or a mapping of one, {law: "q2 = ...", cam: {...}}."""
+        cam: Cam | None = None
         if isinstance(node, Mapping):
-            found = self.keys(node, place, ["law"], ["law"], "key")
+            found = self.keys(node, place, ["law"], ["cam"], "key")
+            if "cam" in found:
+                cam = self.record("cam", found["cam"], f"{place}.cam")
             if "law" not in found:
                 return None
             node, place = found["law"], f"{place}.law"
@@ -259,9 +263,24 @@ class _Reader(PointReader, SignalReader):
                 self.fault(place, node, str(error), self.shown(node))
             return None
         if said.text:
-            return Coupling(said.joint, law=Law(said.text, said.law, names_of(said.law)))
-        terms = tuple((k, x) for k, x in said.ratios.items() if x)
-        return Coupling(said.joint, terms, said.constant)
+            made = Coupling(said.joint, law=Law(said.text, said.law, names_of(said.law)), cam=cam)
+        else:
+            terms = tuple((k, x) for k, x in said.ratios.items() if x)
+            made = Coupling(said.joint, terms, said.constant, cam=cam)
+        if cam is not None:
+            self.cam_drives(node, place, made)
+        return made
+
+    def cam_drives(self, node: Node, place: str, coupling: Coupling) -> None:
+        """A fault if the law of a cam does not depend on one joint alone, which turns."""
+        drivers = sorted(coupling.others)
+        if len(drivers) != 1:
+            named = ", ".join(f"q{k + 1}" for k in drivers) or "none"
+            limit = f"must name one joint on the right side, that of the cam: it names {named}"
+            self.fault(place, node, limit, self.shown(node))
+        elif drivers[0] in self.slides:
+            limit = f"q{drivers[0] + 1} slides: a cam turns"
+            self.fault(place, node, limit, self.shown(node))
 
 
 def _scalars(node: Node) -> Iterator[tuple[str, Scalar]]:

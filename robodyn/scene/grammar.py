@@ -17,7 +17,18 @@ from robodyn.elements.joints import CURVES
 from robodyn.elements.keys import BY_DIRECTION, NEEDED, ONES, TOGETHER, Declared, Key, Way
 from robodyn.elements.values import FRAMES, Point, Table
 from robodyn.scene.drawn_keys import DrawnLink, DrawnScene, GroundLine, Slot
-from robodyn.scene.scene import BRANCHES, JOINTS, Closure, Description, Line, Link, Motor, Weld
+from robodyn.scene.scene import (
+    BRANCHES,
+    JOINTS,
+    Cam,
+    Closure,
+    Description,
+    Face,
+    Line,
+    Link,
+    Motor,
+    Weld,
+)
 
 
 class Form:
@@ -73,6 +84,8 @@ OTHERS: tuple[type[Declared], ...] = (
     Point,
     Closure,
     Line,
+    Cam,
+    Face,
     Table,
     DrawnScene,
     DrawnLink,
@@ -107,10 +120,13 @@ def form_of(kind: str, keys: Container[str]) -> Form:
 
 
 def excluded(kind: str, keys: Container[str]) -> dict[str, str]:
-    """The keys that tell other forms of this kind, each with that which tells the form of these."""
+    """The keys that tell other forms of this kind, each with that which tells the form of these.
+
+    A form without marks is told by the keys that it needs.
+    """
     own = form_of(kind, keys)
-    others = (form.way.marks for form in MAPPINGS[kind] if form is not own)
-    return {x: y for marks in others for x in marks for y in own.way.marks[:1]}
+    others = (form.way.marks or form.needed for form in MAPPINGS[kind] if form is not own)
+    return {x: y for marks in others for x in marks if x not in own.keys for y in own.way.marks[:1]}
 
 
 def key_table(form: str) -> str:

@@ -114,8 +114,12 @@ class _Writer:
             return self.pair((closure.first, closure.second))
         return self.mapping(closure)
 
-    def couplings(self, couplings: tuple[Coupling, ...]) -> list[str]:
-        return [f"q{x.joint + 1} = {_right_side(x)}" for x in couplings]
+    def couplings(self, couplings: tuple[Coupling, ...]) -> list[str | dict[str, Any]]:
+        found: list[str | dict[str, Any]] = []
+        for coupling in couplings:
+            law, cam = f"q{coupling.joint + 1} = {_right_side(coupling)}", coupling.cam
+            found.append(law if cam is None else {"law": law, "cam": self.mapping(cam)})
+        return found
 
     # -- what varies ---------------------------------------------------------------------------
 

@@ -295,17 +295,59 @@ class Closure(Declared):
             yield "aligned", "is an angle of the point's link, and the point is the ground's", None
 
 
+class Face(Declared):
+    """The flat face of a cam's follower: a line of the follower's link, along a unit vector."""
+
+    through: complex = key("vector", "a point of the face, in the follower's frame", unit="m")
+    along: complex = key("direction", "the face's direction, not [0, 0]")
+
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way("face", "face", "The flat face of a follower, in the follower's frame."),
+    )
+
+
+class Cam(Declared):
+    """The geometry by which a cam drives the joint of a coupling: a roller, or a flat face.
+
+    The roller's centre is at `at` in the follower's frame.
+    """
+
+    roller: float = key(
+        "amount", "the roller's radius; 0 is a knife edge", unit="m", ways=("roller_cam",)
+    )
+    at: complex = key(
+        "vector",
+        "the roller's centre, in the follower's frame",
+        unit="m",
+        absent=None,
+        told="[0, 0]",
+        ways=("roller_cam",),
+    )
+    face: Face | None = key("face", "the follower's flat face", default=None, ways=("flat_cam",))
+
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way("flat_cam", "cam", "A cam whose follower has a flat face.", ("face",)),
+        Way("roller_cam", "cam", "A cam whose follower has a roller, or a knife edge."),
+    )
+
+    @classmethod
+    def from_keys(cls, values: dict[str, Any]) -> Cam:
+        values["at"] = values.get("at") or 0j
+        return cls(**({"roller": 0.0} | values))
+
+
 class Coupling(Declared):
     """A gear, rack or belt between joints: q_joint = sum of ratio q_k over `terms`, plus `angle`.
 
     All in rad, or in m where a joint slides.  With a `law` it is q_joint = law, and `terms` and
-    `angle` are empty.
+    `angle` are empty.  A `cam` is the geometry by which the other joint drives this one.
     """
 
     joint: int
     terms: tuple[tuple[int, float], ...] = ()
     angle: float = 0.0
     law: Law | None = None
+    cam: Cam | None = None
 
     @property
     def others(self) -> frozenset[int]:

@@ -88,7 +88,10 @@ def _other_kinds() -> dict[str, Schema]:
         "law_coupling": {
             "description": "A coupling by its law.",
             "type": "object",
-            "properties": {"law": {"description": "An equation.", **_ref("equation")}},
+            "properties": {
+                "law": {"description": "An equation.", **_ref("equation")},
+                "cam": {"description": "The cam that drives the joint.", **_ref("cam")},
+            },
             "required": ["law"],
             "additionalProperties": False,
         },

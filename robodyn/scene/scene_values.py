@@ -29,7 +29,8 @@ _INNER: dict[str, str | None] = {
     "closure": "point",
     "pair": "point",
     "varying_vector": "varying",
-} | dict.fromkeys(("joints", "assembly", "couplings", "pin_names"))
+    "couplings": "coupling",
+} | dict.fromkeys(("joints", "assembly", "pin_names"))
 # mappings by names, and what they hold
 _BY_NAME = {
     "start": Key("angle", "", BY_JOINT),
@@ -238,7 +239,12 @@ def _numbers(
         yield name, place
     if kind == "pin":
         yield name, replace(place, pair=True)
-    if kind == "couplings" and not isinstance(node, Sequence):
+    if kind in ("coupling", "couplings") and not isinstance(node, Sequence):
+        if not isinstance(node, yaml_tree.Mapping):
+            return
+        for own, value in node.pairs:
+            if own.text == "cam":  # a law is no number
+                yield from _numbers(_Place(node, "cam"), value, f"{name}.cam", "cam")
         return
     if isinstance(node, Sequence):
         inner = _INNER.get(kind or "", "number")

@@ -1,0 +1,247 @@
+"""The cams of a mechanism: where each touches its follower, by which force, and its whole profile.
+
+The geometry is `cams.py`; laws and their derivatives are those of the couplings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robodyn.dynamics.cams import Contact, Follower, contact
+from robodyn.dynamics.dynamics import coupling_torques
+from robodyn.dynamics.placed import Placed
+from robodyn.elements.joints import Range
+from robodyn.engines.coupling_laws import law_derivatives
+from robodyn.errors import InputError
+from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import Point
+from robodyn.scene.yaml_values import nearest
+from robodyn.tables.arrays import Array, Complex
+
+TURN = 2.0 * math.pi
+SAMPLES = 3600  # of a turn
+ZOOMS, NODES = 6, 41  # by which an extreme is narrowed down
+CLOSED = 1e-9  # part of a profile's size by which its ends may miss one another
+
+
+class Cam(NamedTuple):
+    """A cam: its coupling, its own link `driver` and its follower's, and how they touch."""
+
+    coupling: int
+    driver: int
+    link: int
+    follower: Follower
+
+
+@lru_cache(maxsize=64)
+def cams_of(mechanism: Mechanism) -> tuple[Cam, ...]:
+    """The cams of a mechanism, in the order of its couplings."""
+    found = []
+    links = mechanism.description.links
+    for c, coupling in enumerate(mechanism.description.couplings):
+        if coupling.cam is None:
+            continue
+        (driver,), own = coupling.others, coupling.cam
+        cam, follower = links[driver], links[coupling.joint]
+        made = Follower(
+            pivot=complex(cam.hangs_from.at),
+            joint=complex(follower.hangs_from.at),
+            axis=follower.axis,
+            at=own.at if own.face is None else own.face.through,
+            face=None if own.face is None else own.face.along,
+            radius=own.roller,
+            turn=follower.turn if follower.axis is None else follower.axis,
+            cam_turn=cam.turn,
+        )
+        found.append(Cam(c, driver, coupling.joint, made))
+    return tuple(found)
+
+
+def cam_named(mechanism: Mechanism, name: str, where: str) -> Cam:
+    """The cam whose follower is the link of this name.
+
+    Raises InputError, with the names of followers, if no cam drives it.
+    """
+    names = {mechanism.link_names[cam.link]: cam for cam in cams_of(mechanism)}
+    if name not in names:
+        limit = f"no cam drives it{nearest(name, list(names))}"
+        if not names:
+            limit = "this scene has no cam: write {law: ..., cam: {...}} in `couplings`"
+        raise InputError(where, where=mechanism.source, value=name, limit=limit)
+    return names[name]
+
+
+def contact_at(mechanism: Mechanism, cam: Cam, q: Array) -> Contact:
+    """Where the cam touches its follower at q (..., n).
+
+    The follower stands where its joint is; the law has the derivatives.
+    """
+    _, f1, f2 = law_derivatives(mechanism, cam.coupling, cam.driver, q)
+    return contact(cam.follower, q[..., cam.driver], q[..., cam.link], f1, f2)
+
+
+def contact_along(mechanism: Mechanism, cam: Cam, theta: ArrayLike) -> Contact:
+    """Where the cam touches its follower at angles theta (k,) of its joint, rad."""
+    theta = np.asarray(theta, float)
+    q = np.zeros((len(theta), mechanism.n))
+    q[:, cam.driver] = theta
+    return contact(cam.follower, theta, *law_derivatives(mechanism, cam.coupling, cam.driver, q))
+
+
+def contact_forces(mechanism: Mechanism, q: Array, multipliers: ArrayLike) -> Array:
+    """The force of each cam on its follower along the contact's normal, (..., cams), N.
+
+    Positive if they are pressed together; infinite where the normal does not move the follower.
+    """
+    torques = coupling_torques(mechanism, multipliers)
+    with np.errstate(all="ignore"):
+        each = [
+            torques[..., cam.coupling] / contact_at(mechanism, cam, q).lever
+            for cam in cams_of(mechanism)
+        ]
+    return np.stack(each, axis=-1) if each else np.zeros((*q.shape[:-1], 0))
+
+
+class ContactForce(NamedTuple):
+    """A force at a place, (...) each, m and N, ground axes, on a link."""
+
+    place: Complex
+    force: Complex
+    link: int
+
+
+def contacts_on_links(
+    mechanism: Mechanism, q: Array, at: Placed, multipliers: ArrayLike
+) -> list[ContactForce]:
+    """What cams do to followers and these to cams, at q (..., n), where the mechanism is `at`."""
+    found: list[ContactForce] = []
+    cams = cams_of(mechanism)
+    if not cams:
+        return found
+    tree, forces = Tree(mechanism.description.links), contact_forces(mechanism, q, multipliers)
+    for cam, force in zip(cams, np.moveaxis(forces, -1, 0), strict=True):
+        touch, frame = contact_at(mechanism, cam, q), tree.frames[cam.driver]
+        turn = tree.phases[cam.driver] * (1.0 if frame is None else at.E[..., frame])
+        pivot = tree.point(Point(cam.driver, 0j))
+        place = np.full(q.shape[:-1], pivot.constant, complex)
+        for k, coefficient in pivot.terms:
+            place = place + coefficient * at.X[..., k]
+        place, pushed = place + turn * touch.profile, turn * touch.normal * force
+        found.append(ContactForce(place, pushed, cam.link))
+        found.append(ContactForce(place, -pushed, cam.driver))
+    return found
+
+
+class Profile(NamedTuple):
+    """What there is to say of a cam over the turn, or the range, of its joint; m and rad.
+
+    `base_circle` is the radius of the base circle.  `offset` is how far the way of a sliding follower's
+    roller, or joint, passes the cam's joint on the right, None for one that turns.  `pressure` is the largest
+    pressure angle, `least_radius` the least radius of curvature where the profile is convex, infinite
+    if that is nowhere.  `undercut` has the angle of the cam where the profile is undercut most, None
+    if it is not.  `face` has the ends of the contact on a flat face, measured from its point.
+    `closed` tells whether the profile ends where it begins, `one_side` whether the normal keeps
+    away from the cam's joint: else the tangent passes through that joint somewhere.
+    """
+
+    base_circle: float
+    offset: float | None
+    pressure: float
+    least_radius: float
+    undercut: float | None
+    face: tuple[float, float] | None
+    closed: bool
+    one_side: bool
+
+
+def span(mechanism: Mechanism, cam: Cam) -> tuple[float, float]:
+    """The angles of the cam between which its profile lies: its joint's limits, else a turn."""
+    low, high = 0.0, TURN
+    own: Range | None = next((x for x in mechanism.ranges if x.joint == cam.driver), None)
+    if own is not None:
+        ends = dict(own.ends)
+        low = ends.get(-1, max(low, ends.get(1, TURN) - TURN))
+        high = min(ends.get(1, low + TURN), low + TURN)
+    return low, high
+
+
+def profile_of(mechanism: Mechanism, cam: Cam) -> Profile:
+    """Base circle, pressure angle, curvature and the like of a cam."""
+    low, high = span(mechanism, cam)
+    follower = cam.follower
+
+    def touch(theta: Array) -> Contact:
+        return contact_along(mechanism, cam, theta)
+
+    def cut(theta: Array) -> Array:
+        """How far it is from being undercut; below zero where it is."""
+        now = touch(theta)
+        if follower.face is not None:
+            return _inverse(now.curvature)
+        bent = now.pitch_curvature
+        return np.where(bent > 0.0, _inverse(bent) - follower.radius, np.inf)
+
+    def curved(theta: Array) -> Array:
+        bent = touch(theta).curvature
+        return np.where(bent > 0.0, _inverse(bent), np.inf)
+
+    base, _ = _least(lambda x: np.abs(touch(x).profile), low, high)
+    most, _ = _least(lambda x: -np.abs(touch(x).pressure), low, high)
+    sharpest, _ = _least(curved, low, high)
+    margin, where = _least(cut, low, high)
+    offset, face = None, None
+    if follower.axis is not None:
+        at = follower.at if follower.face is None else 0j
+        way = (follower.turn * at + follower.joint - follower.pivot) / follower.axis
+        offset = -way.imag
+    if follower.face is not None:
+        first, _ = _least(lambda x: touch(x).along, low, high)
+        last, _ = _least(lambda x: -touch(x).along, low, high)
+        face = first, -last
+    whole = touch(np.linspace(low, high, SAMPLES + 1))
+    apart = abs(whole.profile[-1] - whole.profile[0])
+    turned = (whole.normal[1:] * whole.normal[:-1].conj()).real
+    return Profile(
+        base_circle=base,
+        offset=offset,
+        pressure=-most,
+        least_radius=sharpest,
+        undercut=where if margin < 0.0 else None,
+        face=face,
+        closed=bool(apart <= CLOSED * np.abs(whole.profile).max()),
+        one_side=bool((turned > 0.0).all()),
+    )
+
+
+def _inverse(x: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return 1.0 / x
+
+
+def _least(f: Callable[[Array], Array], low: float, high: float) -> tuple[float, float]:
+    """The least value of a function of angles between two, and where; infinite if it has none."""
+    first, last = low, high
+    count, value, where = SAMPLES, math.inf, low
+    for _ in range(ZOOMS):
+        theta = np.linspace(first, last, count + 1)
+        values = f(theta)
+        values = np.where(np.isnan(values), np.inf, values)
+        k = int(np.argmin(values))
+        if values[k] < value:
+            value, where = float(values[k]), float(theta[k])
+        apart = (last - first) / count
+        first, last, count = max(low, where - apart), min(high, where + apart), NODES
+    return value, where
+
+
+def outline(mechanism: Mechanism, cam: Cam, count: int) -> tuple[Array, Contact]:
+    """The cam's angles (count + 1,) from the first to the last of its profile, and the contacts."""
+    theta = np.linspace(*span(mechanism, cam), count + 1)
+    return theta, contact_along(mechanism, cam, theta)
