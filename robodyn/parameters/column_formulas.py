@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.dynamics.cam_contacts import cams_of
 from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.columns import FAMILIES, LOOPS, MOTORS, column_names
 from robodyn.dynamics.dense_dynamics import RANK_CUT
@@ -208,6 +209,8 @@ class ColumnFormulas:
             "shaking": [taken("shaking", i, "real") for i in range(3)],
             "transmission": [partial(self._transmission, c) for c in transmission_loops(mechanism)],
         }
+        if cams_of(mechanism):  # contact forces turn with the cam, and their place moves
+            del each["reactions"], each["slide_moments"]
         found = {
             name: make
             for family, makers in each.items()

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn.dynamics.cam_contacts import cams_of, outline
 from robodyn.dynamics.named_points import NamedPoint
 from robodyn.dynamics.placed import Placed, placed
 from robodyn.elements.springs import JointSpring, PointSpring
@@ -43,7 +44,7 @@ class Shape(NamedTuple):
     """A polygon, or a line that stays open, in the frame of its body, m.
 
     Kinds: link, joint, tip, centre, quarter, payload, block, spring, support, hatch, guide, axis,
-    wheel; on links that slide, or on which something slides, rail, slot, line, slider and rod.
+    wheel, cam, roller, face; on links that slide, or on which something slides, rail, slot, line, slider and rod.
     """
 
     kind: str
@@ -206,6 +207,7 @@ SMALL = 0.6  # of a support that holds a spring alone
 TOOTH = 0.9  # of a spring's zigzag in the pose that is drawn, half widths; of 8 teeth or more
 MOST_TEETH = 80
 WHEEL = 120  # points of a pitch circle
+PROFILE = 360  # stretches of a cam's profile
 LARGEST_WHEEL = 42.0  # its radius, half widths: the span of the mechanism
 LEAD = 0.15  # of a spring, straight on either side, but no longer than this many half widths
 LONGEST_LEAD = 2.5
@@ -335,6 +337,7 @@ def link_points(mechanism: Mechanism, k: int, marked: Sequence[Point] = ()) -> C
     found = [0j, complex(mechanism.description.links[k].l), *_attached(mechanism, k)]
     found += [point.at for _, point in mechanism.description.points if point.link == k]
     found += [point.at for point in marked if point.link == k]
+    found += [cam.follower.at for cam in cams_of(mechanism) if cam.link == k]
     found += [point.at for point in _welded(mechanism) if point.link == k]
     return np.array(list(dict.fromkeys(found)))
 
@@ -368,6 +371,7 @@ def _link(
 ) -> Iterator[Shape]:
     """Link k with the rails and slots on it, and its own block or rod if it slides."""
     link, closures = mechanism.description.links[k], mechanism.description.closures
+    yield from _cams(mechanism, k, w)
     sliding = [c.first.at for c in closures if c.along is not None and c.first.link == k]
     feet = [way.foot() for way in ways if way.link == k and way.joint is None]
     yield Shape("link", rounded_hull([*link_points(mechanism, k, marked), *feet], w))
@@ -406,6 +410,23 @@ def _link(
         yield Shape("tip", circle(0.22 * w))
     if link.l not in (0j, *_attached(mechanism, k)):
         yield Shape("tip", link.l + circle(0.22 * w))
+
+
+def _cams(mechanism: Mechanism, k: int, w: float) -> Iterator[Shape]:
+    """The profiles of the cams that turn with link k, and its own roller or flat face."""
+    for cam in cams_of(mechanism):
+        if k not in (cam.driver, cam.link):
+            continue
+        profile = outline(mechanism, cam, PROFILE)[1]
+        if k == cam.driver:
+            points = profile.profile[np.isfinite(profile.profile)]
+            yield Shape("cam", points, bool(abs(points[-1] - points[0]) < w))
+        elif cam.follower.face is not None:
+            along = profile.along[np.isfinite(profile.along)]
+            ends = np.array([along.min() - 2.0 * w, along.max() + 2.0 * w])
+            yield Shape("face", cam.follower.at + ends * cam.follower.face, False)
+        elif cam.follower.radius:
+            yield Shape("roller", cam.follower.at + circle(cam.follower.radius))
 
 
 def _supports(mechanism: Mechanism, E: Complex, w: float) -> Iterator[Shape]:

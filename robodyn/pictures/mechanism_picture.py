@@ -199,6 +199,9 @@ STYLES: dict[str, dict[str, Any]] = {
     "guide": {"edgecolor": INK, "linewidth": 1.0, "zorder": 1},
     "axis": {**DASHED, "zorder": 1},
     "wheel": {"facecolor": "none", "edgecolor": "#777777", "linewidth": 1.0, "zorder": 1.5},
+    "cam": {"edgecolor": INK, "linewidth": 0.9, "zorder": 0.9},
+    "roller": {"facecolor": "white", "edgecolor": INK, "linewidth": 0.9, "zorder": 3.05},
+    "face": {"edgecolor": INK, "linewidth": 2.0, "zorder": 3.05},
     "block": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2},
     # a rod lies below the link that it slides in, a block above slots and rails of its link
     "rod": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2.5},
@@ -216,8 +219,8 @@ STYLES: dict[str, dict[str, Any]] = {
     "scale bar": {"edgecolor": "#555555", "linewidth": 1.0, "zorder": 9},
 }
 ARROW = {"arrowstyle": "-|>", "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
-COLOURED = ("link", "block", "rail", "slider", "rod")
-GHOSTS = ("link", "block", "joint", "rail", "slot", "slider", "rod")
+COLOURED = ("link", "cam", "block", "rail", "slider", "rod")
+GHOSTS = ("link", "cam", "block", "joint", "rail", "slot", "slider", "rod")
 LONGEST = 6.0  # inches of the longer side, where no size is given
 FOOT = 0.3  # inches kept free for the scale bar
 FONT = 9.0  # points
