@@ -1,4 +1,4 @@
-"""Cams: profile, pressure angle, curvature and forces against closed forms and numbers of 40 digits.
+"""Cams: the geometry of profiles against closed forms and numbers of 40 digits.
 
 The oracles know no formula of the code: they differentiate the pitch curve, or the support function
 of the face's line, by mpmath.
@@ -108,7 +108,7 @@ def _oracle(follower: Follower, scale: float, lift: Any, x: float) -> dict[str, 
 
         def support(theta: Any) -> Any:
             """The distance of the line from the cam's joint along its normal."""
-            origin, turn = frame(theta)
+            turn = frame(theta)[1]
             return mp.re(mp.conj(1j * turn * _c(follower.face)) * pitch(theta))
 
         def turned(theta: Any) -> Any:
@@ -226,4 +226,5 @@ def test_undercut() -> None:
 def test_what_does_not_exist_is_nan() -> None:
     still = Follower(0j, 0.1 + 0j, None, 0j, radius=0.01)  # the roller sits on the joint
     touch = contact(still, 0.3, 0.1, 0.2, 0.3)
-    assert np.isnan(touch.pressure) and touch.lever == 0.0
+    assert np.isnan(touch.pressure)
+    assert touch.lever == 0.0

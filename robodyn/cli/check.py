@@ -69,7 +69,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         "actuated": [mechanism.link_names[k] for k in mechanism.actuated],
         "start": _start(mechanism),
         "loops": [loop_class(mechanism, c) for c in range(len(mechanism.description.closures))],
-        "cams": _cams(mechanism),
+        **({"cams": cams} if (cams := _cams(mechanism)) else {}),
         **_conditioning(mechanism, sample),
         "states": len(sample.q),
         "closing": sample.closing if mechanism.rows else None,
@@ -111,36 +111,22 @@ def _cams(mechanism: Mechanism) -> list[dict[str, Any]]:
 
     found: list[dict[str, Any]] = []
     for cam in cams_of(mechanism):
-        name, own = (
-            f"cam {cam.coupling + 1} ({mechanism.link_names[cam.link]})",
-            profile_of(mechanism, cam),
-        )
-        finite = {x: getattr(own, x) for x in ("base_circle", "pressure", "least_radius")}
+        follower, own = mechanism.link_names[cam.link], profile_of(mechanism, cam)
+        what = f"the profile of {follower}'s cam"
         if own.undercut is not None:
-            what = (
-                ""
-                if own.face is not None
-                else f", a roller of {cam.follower.radius:g} m is too large"
-            )
-            note(
-                f"Warning: {name}: the profile is undercut, most at q{cam.driver + 1} = {own.undercut:.6g}{what}"
-            )
+            where = f"Warning: {what} is undercut, most at q{cam.driver + 1} = {own.undercut:.6g}"
+            radius = f"a roller of {cam.follower.radius:g} m is too large there"
+            note(f"{where}: {'the face meets a hollow' if own.face else radius}")
         if not own.one_side:
-            note(
-                f"Warning: {name}: the contact's tangent passes through the cam's joint: the profile changes sides"
-            )
+            note(f"Warning: {what} changes sides: a tangent of it passes through the cam's joint")
         if not own.closed:
-            note(f"Note: {name}: the profile does not close after a turn of the cam")
-        found.append(
-            {
-                "follower": mechanism.link_names[cam.link],
-                **{x: y if math.isfinite(y) else None for x, y in finite.items()},
-                "offset": own.offset,
-                "face": None if own.face is None else list(own.face),
-                "undercut": own.undercut,
-                "closed": own.closed,
-            }
-        )
+            note(f"Note: {what} does not end where it begins")
+        facts = own._asdict()
+        del facts["one_side"]
+        for name, x in facts.items():
+            if isinstance(x, float) and not math.isfinite(x):
+                facts[name] = None
+        found.append({"follower": follower, **facts})
     return found
 
 
@@ -200,7 +186,7 @@ def _tables(content: dict[str, Any], results: list[Identity]) -> list[Grid]:
         facts.append(["start", _start_told(content["start"])])
     facts.append(["mobility", str(content["mobility"])])
     facts += [[f"loop {c}", kind] for c, kind in enumerate(content["loops"], start=1)]
-    facts += [[f"cam of {cam['follower']}", _cam_told(cam)] for cam in content["cams"]]
+    facts += [[f"cam of {cam['follower']}", _cam_told(cam)] for cam in content.get("cams", ())]
     for key, label in (("cond_M", "condition of M"), ("cond_Psi", "condition of Psi")):
         if content[key]:
             span = ["infinite" if x is None else f"{x:.3g}" for x in content[key]]

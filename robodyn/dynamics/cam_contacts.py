@@ -140,15 +140,15 @@ def contacts_on_links(
 
 
 class Profile(NamedTuple):
-    """What there is to say of a cam over the turn, or the range, of its joint; m and rad.
+    """A cam over the turn, or the range, of its joint; m and rad.
 
-    `base_circle` is the radius of the base circle.  `offset` is how far the way of a sliding follower's
-    roller, or joint, passes the cam's joint on the right, None for one that turns.  `pressure` is the largest
-    pressure angle, `least_radius` the least radius of curvature where the profile is convex, infinite
-    if that is nowhere.  `undercut` has the angle of the cam where the profile is undercut most, None
-    if it is not.  `face` has the ends of the contact on a flat face, measured from its point.
-    `closed` tells whether the profile ends where it begins, `one_side` whether the normal keeps
-    away from the cam's joint: else the tangent passes through that joint somewhere.
+    `base_circle` is a radius.  `offset` is how far the way of a sliding follower's roller, or
+    joint, passes the cam's joint on the right; None for a follower that turns.  `pressure` is the
+    largest pressure angle.  `least_radius` is the least radius of curvature where the profile is
+    convex, infinite if that is nowhere.  `undercut` is the cam's angle where the profile is
+    undercut most, None if it is not.  `face` has the ends of the contact on a flat face, measured
+    from its point.  `closed` tells whether the profile ends where it begins, `one_side` whether no
+    tangent passes through the cam's joint.
     """
 
     base_circle: float

@@ -44,7 +44,8 @@ class Shape(NamedTuple):
     """A polygon, or a line that stays open, in the frame of its body, m.
 
     Kinds: link, joint, tip, centre, quarter, payload, block, spring, support, hatch, guide, axis,
-    wheel, cam, roller, face; on links that slide, or on which something slides, rail, slot, line, slider and rod.
+    wheel, cam, roller, face; on links that slide, or on which something slides, rail, slot, line,
+    slider and rod.
     """
 
     kind: str

@@ -250,7 +250,7 @@ class _Reader(PointReader, SignalReader):
         if isinstance(node, Mapping):
             found = self.keys(node, place, ["law"], ["cam"], "key")
             if "cam" in found:
-                cam = self.record("cam", found["cam"], f"{place}.cam")
+                cam = self.cam(found["cam"], f"{place}.cam")
             if "law" not in found:
                 return None
             node, place = found["law"], f"{place}.law"
@@ -270,6 +270,15 @@ class _Reader(PointReader, SignalReader):
         if cam is not None:
             self.cam_drives(node, place, made)
         return made
+
+    def cam(self, node: Node, place: str) -> Cam | None:
+        """The roller or the flat face of a cam's follower."""
+        given = {key.text: key for key, _ in node.pairs} if isinstance(node, Mapping) else {}
+        if "face" in given and "roller" in given:
+            limit = "and face exclude each other: give one"
+            self.fault(f"{place}.roller", given["roller"], limit)
+            return None
+        return self.record("cam", node, place)  # type: ignore[no-any-return]
 
     def cam_drives(self, node: Node, place: str, coupling: Coupling) -> None:
         """A fault if the law of a cam does not depend on one joint alone, which turns."""

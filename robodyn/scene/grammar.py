@@ -120,13 +120,10 @@ def form_of(kind: str, keys: Container[str]) -> Form:
 
 
 def excluded(kind: str, keys: Container[str]) -> dict[str, str]:
-    """The keys that tell other forms of this kind, each with that which tells the form of these.
-
-    A form without marks is told by the keys that it needs.
-    """
+    """The keys that tell other forms of this kind, each with that which tells the form of these."""
     own = form_of(kind, keys)
-    others = (form.way.marks or form.needed for form in MAPPINGS[kind] if form is not own)
-    return {x: y for marks in others for x in marks if x not in own.keys for y in own.way.marks[:1]}
+    others = (form.way.marks for form in MAPPINGS[kind] if form is not own)
+    return {x: y for marks in others for x in marks for y in own.way.marks[:1]}
 
 
 def key_table(form: str) -> str:
