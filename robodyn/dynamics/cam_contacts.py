@@ -144,9 +144,9 @@ class Profile(NamedTuple):
 
     `base_circle` is a radius.  `offset` is how far the way of a sliding follower's roller, or
     joint, passes the cam's joint on the right; None for a follower that turns.  `pressure` is the
-    largest pressure angle.  `least_radius` is the least radius of curvature where the profile is
-    convex, infinite if that is nowhere.  `undercut` is the cam's angle where the profile is
-    undercut most, None if it is not.  `face` has the ends of the contact on a flat face, measured
+    largest pressure angle.  `least_radius` is the least radius of curvature of a convex part, below
+    zero if the profile is undercut, infinite if nothing is convex.  `undercut` is the cam's angle
+    there if the profile is undercut, else None.  `face` has the ends of the contact on a flat face, measured
     from its point.  `closed` tells whether the profile ends where it begins, `one_side` whether no
     tangent passes through the cam's joint.
     """
@@ -180,22 +180,17 @@ def profile_of(mechanism: Mechanism, cam: Cam) -> Profile:
     def touch(theta: Array) -> Contact:
         return contact_along(mechanism, cam, theta)
 
-    def cut(theta: Array) -> Array:
-        """How far it is from being undercut; below zero where it is."""
+    def radius(theta: Array) -> Array:
+        """The radius of curvature; of a roller's profile that of the pitch curve less its own."""
         now = touch(theta)
         if follower.face is not None:
             return _inverse(now.curvature)
         bent = now.pitch_curvature
         return np.where(bent > 0.0, _inverse(bent) - follower.radius, np.inf)
 
-    def curved(theta: Array) -> Array:
-        bent = touch(theta).curvature
-        return np.where(bent > 0.0, _inverse(bent), np.inf)
-
     base, _ = _least(lambda x: np.abs(touch(x).profile), low, high)
     most, _ = _least(lambda x: -np.abs(touch(x).pressure), low, high)
-    sharpest, _ = _least(curved, low, high)
-    margin, where = _least(cut, low, high)
+    least, where = _least(radius, low, high)
     offset, face = None, None
     if follower.axis is not None:
         at = follower.at if follower.face is None else 0j
@@ -212,8 +207,8 @@ def profile_of(mechanism: Mechanism, cam: Cam) -> Profile:
         base_circle=base,
         offset=offset,
         pressure=-most,
-        least_radius=sharpest,
-        undercut=where if margin < 0.0 else None,
+        least_radius=least,
+        undercut=where if least < 0.0 else None,
         face=face,
         closed=bool(apart <= CLOSED * np.abs(whole.profile).max()),
         one_side=bool((turned > 0.0).all()),
