@@ -400,3 +400,24 @@ def test_the_commands_know_cams(robodyn: Any, tmp_path: Path, monkeypatch: Any) 
     assert done.code == 0
     assert "ended by --until contact1 < 0" in done.err
     assert robodyn("draw", "scene.yaml", "--q", "40deg", "-o", "x.svg").code == 0
+
+
+def test_an_event_of_a_force_while_a_joint_sticks() -> None:
+    """What dry friction holds has rows of its own behind those of couplings."""
+    text = SCENE.format(law=LIFTS["harmonic"][0], cam="roller: 8 mm", y=S0)
+    sticky = text.replace("I: 0.002}", "I: 0.002, friction: {torque: 0.6, static: 0.7}}")
+    mechanism, s = build(from_text(sticky, "scene.yaml")), LIFTS["harmonic"][1](0.5)[0]
+    held = {"tau": "4*t", "t_eval": np.linspace(0.0, 0.4, 401)}
+    whole = simulate(mechanism, [0.5, s], [0, 0], 0.4, **held)
+    contact = whole.to_dict()["contact1"]
+    stands = M * G + K * (s + PRELOAD)
+    tangent = (LIFTS["harmonic"][1](0.5)[1] - E) / (s + S0)
+    still = np.abs(whole.qd[:, 0]) == 0.0
+    assert 100 < still.sum() < 400
+    np.testing.assert_allclose(contact[still], stands * math.hypot(1.0, tangent), rtol=1e-12)
+    end = float(contact[still][0] + 0.5 * (contact[~still][-1] - contact[still][0]))
+    way = "<" if end < contact[still][0] else ">"
+    run = simulate(mechanism, [0.5, s], [0, 0], 0.4, until=f"contact1 {way} {end:.17g}", **held)
+    assert run.outcome is Outcome.EVENT
+    assert abs(run.to_dict()["contact1"][-1] - end) < 1e-6 * end
+    assert run.t[-1] > whole.t[still][-1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -130,21 +131,24 @@ def _cams(mechanism: Mechanism) -> list[dict[str, Any]]:
     return found
 
 
-def _cam_told(cam: dict[str, Any]) -> str:
-    """What `_cams` holds of one cam in words."""
-    told = [f"base circle {cam['base_circle']:.6g} m"]
-    if cam["offset"] is not None:
-        told.append(f"offset {cam['offset']:.6g} m")
-    if cam["pressure"] is not None:
-        told.append(f"pressure angle to {math.degrees(cam['pressure']):.3g} deg")
-    if cam["least_radius"] is not None:
-        told.append(f"least radius {cam['least_radius']:.6g} m")
-    if cam["face"] is not None:
-        first, last = cam["face"]
-        told.append(f"face from {first:.6g} to {last:.6g} m ({last - first:.6g} m)")
-    if cam["undercut"] is not None:
-        told.append("UNDERCUT")
-    return ", ".join(told)
+def _cams_told(cams: list[dict[str, Any]]) -> Iterator[list[str]]:
+    """What `_cams` holds, as rows of a table."""
+    for cam in cams:
+        told = [f"base circle {cam['base_circle']:.6g} m"]
+        if cam["offset"] is not None:
+            told.append(f"offset {cam['offset']:.6g} m")
+        yield [f"cam of {cam['follower']}", ", ".join(told)]
+        told = []
+        if cam["pressure"] is not None:
+            told.append(f"pressure angle up to {math.degrees(cam['pressure']):.3g} deg")
+        if cam["undercut"] is not None:
+            told.append("UNDERCUT")
+        elif cam["least_radius"] is not None:
+            told.append(f"least radius {cam['least_radius']:.6g} m")
+        yield ["", ", ".join(told)]
+        if cam["face"] is not None:
+            first, last = cam["face"]
+            yield ["", f"face touched from {first:.6g} to {last:.6g} m: {last - first:.6g} m long"]
 
 
 def _start_told(start: dict[str, Any]) -> str:
@@ -186,7 +190,7 @@ def _tables(content: dict[str, Any], results: list[Identity]) -> list[Grid]:
         facts.append(["start", _start_told(content["start"])])
     facts.append(["mobility", str(content["mobility"])])
     facts += [[f"loop {c}", kind] for c, kind in enumerate(content["loops"], start=1)]
-    facts += [[f"cam of {cam['follower']}", _cam_told(cam)] for cam in content.get("cams", ())]
+    facts += _cams_told(content.get("cams", []))
     for key, label in (("cond_M", "condition of M"), ("cond_Psi", "condition of Psi")):
         if content[key]:
             span = ["infinite" if x is None else f"{x:.3g}" for x in content[key]]

@@ -146,9 +146,9 @@ class Profile(NamedTuple):
     joint, passes the cam's joint on the right; None for a follower that turns.  `pressure` is the
     largest pressure angle.  `least_radius` is the least radius of curvature of a convex part, below
     zero if the profile is undercut, infinite if nothing is convex.  `undercut` is the cam's angle
-    there if the profile is undercut, else None.  `face` has the ends of the contact on a flat face, measured
-    from its point.  `closed` tells whether the profile ends where it begins, `one_side` whether no
-    tangent passes through the cam's joint.
+    there if the profile is undercut, else None.  `face` has the ends of the contact on a flat face,
+    measured from its point.  `closed` tells whether the profile ends where it begins, `one_side`
+    whether no tangent passes through the cam's joint.
     """
 
     base_circle: float

@@ -338,6 +338,8 @@ def bound_of(tree: Node, n: int, names: Sequence[str]) -> Callable[[Array, Array
     Those are at its times (..., k), of its states (..., k, 2n or more).
     """
 
+    places = {name: k for k, name in enumerate(names)}
+
     def bound(t: Array, y: Array) -> Array:
         off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)
         for part in (off[..., :n], off[..., n:]) if n > 1 else ():
@@ -347,7 +349,7 @@ def bound_of(tree: Node, n: int, names: Sequence[str]) -> Callable[[Array, Array
             wide = y[..., 2 * n : len(names)]
             most = np.maximum.reduce(np.abs(wide), axis=-2, keepdims=True)
             off = np.concatenate([off, FORCE * most], axis=-1)
-        return np.atleast_1d(_bounded(tree, _known(t, t, y, off, names))[1])
+        return np.atleast_1d(_bounded(tree, _known(t, t, y, off, places))[1])
 
     return bound
 
@@ -358,17 +360,17 @@ def around_of(tree: Node, names: Sequence[str]) -> Callable[[Array, Array, Array
     Those are times from begin (k,) to end, and states as far as dy (k, 2n..) from y.
     """
 
+    places = {name: k for k, name in enumerate(names)}
+
     def around(begin: Array, end: Array, y: Array, dy: Array) -> Bounded:
-        return _bounded(tree, _known(begin, end, y, dy, names))
+        return _bounded(tree, _known(begin, end, y, dy, places))
 
     return around
 
 
 def _known(
-    begin: Array, end: Array, y: Array, dy: Array, names: Sequence[str]
+    begin: Array, end: Array, y: Array, dy: Array, places: Mapping[str, int]
 ) -> Callable[[str], Bounded]:
-    places = {name: k for k, name in enumerate(names)}
-
     def known(name: str) -> Bounded:
         if name == "t":
             half = 0.5 * (end - begin)

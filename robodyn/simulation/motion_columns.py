@@ -41,15 +41,17 @@ def motion_values(
 
 
 def with_forces(
-    moving: Callable[[], Mechanism], actuation: Actuation, names: Sequence[str]
+    mechanism: Mechanism,
+    moving: Callable[[], Mechanism],
+    actuation: Actuation,
+    names: Sequence[str],
 ) -> Callable[[Array, Array], Array]:
     """A function of times and states y (..., 2n or more): q, qd and these columns of forces.
 
-    `moving` tells what moves now.  Forces are nan where the motion has none.
+    `moving` tells what moves now, in its mode.  Forces are nan where the motion has none.
     """
 
     def widened(t: Array, y: Array) -> Array:
-        mechanism = moving()
         n, shape = mechanism.n, y.shape[:-1]
         times = np.broadcast_to(t, shape).reshape(-1)
         states = y.reshape(-1, y.shape[-1])
@@ -59,7 +61,7 @@ def with_forces(
             tau = applied_torques(mechanism, actuation, times[known], states[known])
             q, qd = states[known, :n], states[known, n : 2 * n]
             with suppress(RobodynError), np.errstate(all="ignore"):
-                state = State(mechanism, q, qd, tau=tau, t=times[known], moving=mechanism)
+                state = State(mechanism, q, qd, tau=tau, t=times[known], moving=moving())
                 found[known] = state.columns(names)
         wide = np.concatenate([states[:, : 2 * n], found], axis=1)
         return wide.reshape(*shape, 2 * n + len(names))

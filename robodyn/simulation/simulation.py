@@ -459,7 +459,9 @@ def run(
     recorder = Recorder(moving, report, sink, times, most, watch, actuation, statistics)
     recorder.events = events
     if events is not None and any(function.forces for function in events.functions):
-        events.bind(lambda names: with_forces(lambda: recorder.mechanism, actuation, names))
+        events.bind(
+            lambda names: with_forces(mechanism, lambda: recorder.mechanism, actuation, names)
+        )
     recorder.begin(y)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
