@@ -6,14 +6,15 @@ The geometry is `cams.py`; laws and their derivatives are those of the couplings
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.cams import Contact, Follower, contact
+from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.dynamics import coupling_torques
 from robodyn.dynamics.placed import Placed
 from robodyn.elements.joints import Range
@@ -23,7 +24,7 @@ from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import Point
 from robodyn.scene.yaml_values import nearest
-from robodyn.tables.arrays import Array, Complex
+from robodyn.tables.arrays import Array
 
 TURN = 2.0 * math.pi
 SAMPLES = 3600  # of a turn
@@ -51,8 +52,8 @@ def cams_of(mechanism: Mechanism) -> tuple[Cam, ...]:
         (driver,), own = coupling.others, coupling.cam
         cam, follower = links[driver], links[coupling.joint]
         made = Follower(
-            pivot=complex(cam.hangs_from.at),
-            joint=complex(follower.hangs_from.at),
+            pivot=cam.hangs_from.at,
+            joint=follower.hangs_from.at,
             axis=follower.axis,
             at=own.at if own.face is None else own.face.through,
             face=None if own.face is None else own.face.along,
@@ -95,48 +96,64 @@ def contact_along(mechanism: Mechanism, cam: Cam, theta: ArrayLike) -> Contact:
     return contact(cam.follower, theta, *law_derivatives(mechanism, cam.coupling, cam.driver, q))
 
 
-def contact_forces(mechanism: Mechanism, q: Array, multipliers: ArrayLike) -> Array:
-    """The force of each cam on its follower along the contact's normal, (..., cams), N.
-
-    Positive if they are pressed together; infinite where the normal does not move the follower.
-    """
-    torques = coupling_torques(mechanism, multipliers)
-    with np.errstate(all="ignore"):
-        each = [
-            torques[..., cam.coupling] / contact_at(mechanism, cam, q).lever
-            for cam in cams_of(mechanism)
-        ]
-    return np.stack(each, axis=-1) if each else np.zeros((*q.shape[:-1], 0))
-
-
 class ContactForce(NamedTuple):
-    """A force at a place, (...) each, m and N, ground axes, on a link."""
+    """The force on a follower, N, and a place on its line of action, m, ground axes, (...) each.
 
-    place: Complex
-    force: Complex
-    link: int
+    `pressed` is its part along the contact's normal, away from the cam: the contact force.
+    """
+
+    cam: Cam
+    place: Any
+    force: Any
+    pressed: Any
+
+
+def forces_on_links(
+    mechanism: Mechanism, at: Placed, slopes: Sequence[Any], torques: Sequence[Any]
+) -> list[ContactForce]:
+    """The forces of all cams where the mechanism is `at`, of numbers (...) or of formulas.
+
+    `slopes` are f' of the laws by the cams' angles, `torques` those of their couplings, in the
+    order of the cams.  With n any vector along the normal, and V the velocity of the follower's
+    point by its joint, the force is n tc / (n . V): length and side of n do not matter.
+    """
+    tree, found = Tree(mechanism.description.links), []
+
+    def vector(first: Point, second: Point) -> Any:
+        apart = points_of(mechanism, [tree.difference(first, second)])
+        return np.moveaxis(apart.place(at), -1, 0)[0]
+
+    for cam, f1, torque in zip(cams_of(mechanism), slopes, torques, strict=True):
+        follower = cam.follower
+        joint, touch = Point(cam.link, 0j), Point(cam.link, follower.at)
+        apart = vector(touch, Point(cam.driver, 0j))
+        place, arm = vector(touch, Point(None, 0j)), vector(touch, joint)
+        slides = follower.axis is not None
+        way = vector(Point(cam.link, 1.0 + 0j), joint) if slides else 1j * arm
+        normal = 1j * (way * f1) + apart
+        if follower.face is not None:
+            D = vector(Point(cam.link, follower.face), joint)
+            along = -(normal.conjugate() * D).real / (1.0 if slides else 1.0 - f1)
+            place, apart = place + D * along, apart + D * along
+            way = way if slides else 1j * (arm + D * along)
+            normal = 1j * D
+        force = normal * (torque / (normal.conjugate() * way).real)
+        side = (normal.conjugate() * apart).real
+        pressed = (normal.conjugate() * force).real * side / (abs(normal) * abs(side))
+        found.append(ContactForce(cam, place, force, pressed))
+    return found
 
 
 def contacts_on_links(
     mechanism: Mechanism, q: Array, at: Placed, multipliers: ArrayLike
 ) -> list[ContactForce]:
-    """What cams do to followers and these to cams, at q (..., n), where the mechanism is `at`."""
-    found: list[ContactForce] = []
+    """The forces of all cams at q (..., n), where the mechanism is `at`."""
     cams = cams_of(mechanism)
-    if not cams:
-        return found
-    tree, forces = Tree(mechanism.description.links), contact_forces(mechanism, q, multipliers)
-    for cam, force in zip(cams, np.moveaxis(forces, -1, 0), strict=True):
-        touch, frame = contact_at(mechanism, cam, q), tree.frames[cam.driver]
-        turn = tree.phases[cam.driver] * (1.0 if frame is None else at.E[..., frame])
-        pivot = tree.point(Point(cam.driver, 0j))
-        place = np.full(q.shape[:-1], pivot.constant, complex)
-        for k, coefficient in pivot.terms:
-            place = place + coefficient * at.X[..., k]
-        place, pushed = place + turn * touch.profile, turn * touch.normal * force
-        found.append(ContactForce(place, pushed, cam.link))
-        found.append(ContactForce(place, -pushed, cam.driver))
-    return found
+    torques = coupling_torques(mechanism, multipliers)
+    slopes = [law_derivatives(mechanism, cam.coupling, cam.driver, q)[1] for cam in cams]
+    own = [torques[..., cam.coupling] for cam in cams]
+    with np.errstate(all="ignore"):
+        return forces_on_links(mechanism, at, slopes, own)
 
 
 class Profile(NamedTuple):

@@ -58,9 +58,12 @@ def _couplings(state: State) -> Array:
 
 
 def _contacts(state: State) -> Array:
-    from robodyn.dynamics.cam_contacts import contact_forces
+    from robodyn.dynamics.cam_contacts import contacts_on_links
+    from robodyn.dynamics.placed import placed
 
-    forces = contact_forces(state.mechanism, state.q, state.multipliers)
+    at = placed(state.mechanism, state.q)
+    each = [x.pressed for x in contacts_on_links(state.mechanism, state.q, at, state.multipliers)]
+    forces = np.stack(each, axis=-1) if each else np.zeros((len(state.q), 0))
     return np.where(np.isinf(forces), np.nan, forces)
 
 

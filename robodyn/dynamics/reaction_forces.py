@@ -154,7 +154,9 @@ class Felt:
 
     def _acting(self) -> Iterator[tuple[Complex, Complex, int | None]]:
         """The forces of elements and of cams: where each acts, and on which link."""
-        yield from self.contacts
+        for contact in self.contacts:
+            yield contact.place, contact.force, contact.cam.link
+            yield contact.place, -contact.force, contact.cam.driver
         for acting, force in self.rows(parts.acting).forces:
             yield self._place(acting.at[0]), force, acting.at[1]
             if acting.back is not None:

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.cam_contacts import cams_of
+from robodyn.dynamics.cam_contacts import ContactForce, cams_of, forces_on_links
 from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.columns import FAMILIES, LOOPS, MOTORS, column_names
 from robodyn.dynamics.dense_dynamics import RANK_CUT
@@ -135,7 +135,19 @@ class ColumnFormulas:
         pins = pins_at(self.named, self._planar(lam), at.E)
         each = self.state.absolute("qdd"), self.state.relative["qdd"], kept
         xdd, qdd, moments = (np.array(values, object) for values in each)
-        return Felt(self.named, at, bent, xdd, qdd, pins, moments, self._rows)
+        return Felt(self.named, at, bent, xdd, qdd, pins, moments, self._rows, self.contacts)
+
+    @cached_property
+    def contacts(self) -> list[ContactForce]:
+        """What cams do to their followers."""
+        rows, lam = self.mechanism.rows, self.forces[len(self.mechanism.actuated) :]
+        first = len(rows) - len(self.mechanism.description.couplings)
+        slopes, torques = [], []
+        for cam in cams_of(self.mechanism):
+            r = first + cam.coupling
+            slopes.append(self.Psi[r][cam.driver] * (-1.0 / rows[r].arm))
+            torques.append(lam[r] * rows[r].arm)
+        return forces_on_links(self.named, self.moving[0], slopes, torques)
 
     def _rows(self, part: Part) -> Acts:
         """What acts, from the rows of its program."""
@@ -208,9 +220,8 @@ class ColumnFormulas:
             "slide_moments": [taken("slide_moments", k, "real") for k in mechanism.slides],
             "shaking": [taken("shaking", i, "real") for i in range(3)],
             "transmission": [partial(self._transmission, c) for c in transmission_loops(mechanism)],
+            "contacts": [partial(self._pressed, k) for k in range(len(cams_of(mechanism)))],
         }
-        if cams_of(mechanism):  # contact forces turn with the cam, and their place moves
-            del each["reactions"], each["slide_moments"]
         found = {
             name: make
             for family, makers in each.items()
@@ -282,6 +293,10 @@ class ColumnFormulas:
         if len(self._units) == 1:
             both = substituted(both, next(iter(self._units.values())))
         return expression.multiply(both[0], 1.0 / both[1])
+
+    def _pressed(self, k: int) -> Value:
+        found: Value = self.contacts[k].pressed
+        return found
 
     def _taken(self, values: str, at: int, part: str) -> Value:
         found: Value = getattr(getattr(self, values)[at], part)
