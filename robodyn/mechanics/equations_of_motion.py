@@ -72,6 +72,7 @@ class EquationsOfMotion(Builder):
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
         mechanism.check_masses()
+        mechanism.check_rubbing("what is written as formulas")
         number = program.planar_number
         inertia: list[Coefficient] = [0.0] * n
         slides = set(mechanism.slides)
