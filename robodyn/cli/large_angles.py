@@ -102,6 +102,8 @@ def _in_scene(mechanism: Mechanism, values: Callable[[], SceneValues]) -> Iterat
     if large - set(mechanism.slides):
         node = next(node for key, node in scene.written.tree.pairs if key.text == "couplings")
         for item, x in zip(getattr(node, "items", [node]), scene.couplings, strict=True):
+            if x.law is not None:
+                continue
             text = item.text.partition("=")[2]
             (found,) = expressions(text, state_variables(mechanism.n))
             unit = any(isinstance(part, Quantity) for part in walk(found.written))

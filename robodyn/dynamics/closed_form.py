@@ -39,6 +39,7 @@ from robodyn.dynamics.placed import (
     placed,
 )
 from robodyn.elements.contacts import COMPLIANT, Mode
+from robodyn.engines.coupling_laws import laws_of
 from robodyn.engines.row_values import rows_of
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
@@ -274,7 +275,10 @@ def bias_at(mechanism: Mechanism, at: Placed, rates: Array, bent: Placed) -> Arr
         bias = lines(mechanism, at.E).conj() * bias
         bias = bias + 2.0 * lines(mechanism, moved.E, 0.0).conj() * matvec(P, moved.X)
         bias = bias + lines(mechanism, bent.E, 0.0).conj() * (ground + matvec(P, at.X))
-    return np.asarray(bias.real)
+    found = np.array(bias.real)
+    if (laws := laws_of(mechanism)) is not None:
+        laws.add_bias(at.x, rates, found)
+    return found
 
 
 # -- the gap, in any precision ---------------------------------------------------------------------
@@ -296,6 +300,8 @@ def gap_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
     gap: Array = across.real + arrays.offset
     if mechanism.has_angles:
         gap = gap + matvec(arrays.angles, at.x)
+    if (laws := laws_of(mechanism)) is not None:
+        laws.add_gap(at.x, gap)
     if mechanism.held:
         gap[..., list(mechanism.held)] = 0.0
     return gap
@@ -310,6 +316,8 @@ def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
     for r, line in mechanism.lines:
         across = arrays.ground[r] + (at.X * arrays.P[r]).sum(axis=-1)
         Psi[..., r, line] += (at.E[..., line].conj() * across).imag
+    if (laws := laws_of(mechanism)) is not None:
+        laws.add_jacobian(at.x, Psi)
     return Psi
 
 

@@ -36,6 +36,7 @@ ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton'
 SEARCH, MOST_WORK = 2_000_000, 4_000_000
 STILL = 1e-9  # rad/s, of rates drawn near 1: below it they are rounding
 STEP = 3e-2  # rad, of the fastest link
+FINER = (1.0, 0.1, 0.01, 0.001)  # parts of it that are tried where couplings have laws
 # f'(0) h = sum_k w_k (f(k h) - f(-k h)) + O(h^9)
 WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 BALANCE = "M qdd + C qd + D qd + G = tau + Q + Psi^T lambda"
@@ -251,17 +252,22 @@ def _closure_identities(
     size = assembly.loop_size(mechanism)
     gap = closed_form.closure_gap(mechanism, q)
     Psi = closed_form.closure_jacobian(mechanism, q)
-    slope = along(lambda s: rows("gap", q + s * directions), absolute_rates(mechanism, directions))
-    turned = along(
-        lambda s: matvec(closed_form.closure_jacobian(mechanism, q + s * qd), qd),
-        absolute_rates(mechanism, qd),
-    )
     bias = closed_form.closure_bias(mechanism, q, qd)
+    ways, speed = absolute_rates(mechanism, directions), absolute_rates(mechanism, qd)
+    slopes, turns = [], []
+    # a law may bend faster than any link turns: the step that misses least tells
+    for part in FINER if mechanism.laws else (1.0,):
+        slope = along(lambda s: rows("gap", q + s * directions), ways / part)
+        turned = along(
+            lambda s: matvec(closed_form.closure_jacobian(mechanism, q + s * qd), qd), speed / part
+        )
+        slopes.append(_relative(slope - matvec(Psi, directions), size))
+        turns.append(_relative(turned - bias, size * _top(qd) ** 2))
     return [
         Identity("gap = 0", max(_relative(gap, size), _relative(rows("gap", q), size))),
-        Identity("Psi = dgap/dq", _relative(slope - matvec(Psi, directions), size)),
+        Identity("Psi = dgap/dq", min(slopes)),
         Identity("Psi qd = 0", _relative(matvec(Psi, qd), size * _top(qd))),
-        Identity("Psidot qd", _relative(turned - bias, size * _top(qd) ** 2)),
+        Identity("Psidot qd", min(turns)),
     ]
 
 

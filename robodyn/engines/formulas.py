@@ -80,7 +80,8 @@ RECORDED = Arithmetic(
     functions={name: partial(_or_nan, partial(expression.call, name)) for name in FUNCTIONS},
 )
 
-_WRITTEN: dict[str, Callable[..., Any]] = {
+# what operations of an expression are of recorded numbers
+WRITTEN: dict[str, Callable[..., Any]] = {
     **OPERATIONS,
     **{name: partial(expression.call, name) for name in (*FUNCTIONS, "abs")},
     "pow": expression.power,
@@ -93,7 +94,7 @@ def evaluated(node: Node, variables: Mapping[str, Value]) -> Any:
 
     KeyError, TypeError, ValueError or AttributeError where it has what they have not.
     """
-    return value_in(node, variables, _WRITTEN)
+    return value_in(node, variables, WRITTEN)
 
 
 # Links in a chain from which on the torques of a state take fewer operations by directions: a chain

@@ -528,6 +528,26 @@ class Series:
                         result, planar_scaled(real[x][0], self.into(frame, change[z]))
                     )
                 return ((frame, None, result),)
+        return self._function_change(slot, row, of)
+
+    def _function_change(self, slot: Slot, row: Row, of: Callable[[Slot], Value]) -> Value:
+        """What unknowns add to a function of parts: its slope at order 0 times what they add."""
+        real, divide = self.real, self.arithmetic.divide
+        match row:
+            case rows.Quotient(x=x, y=y):
+                return divide(difference(of(x), times(real[slot][0], of(y))), real[y][0])
+            case rows.Power(x=x, exponent=exponent):
+                return divide(times(times(exponent, real[slot][0]), of(x)), real[x][0])
+            case rows.Primitive(x=x, density=y):
+                return divide(of(x), real[y][0])
+            case rows.Step():
+                return 0.0
+            case rows.Function(name="exp", x=x):
+                return times(real[slot][0], of(x))
+            case rows.Function(name="tanh", x=x):
+                return times(self._extra[slot][0], of(x))
+            case rows.Function(name=name, x=x):
+                return times(_PARTNERS[name][1], times(self._extra[slot][0], of(x)))
         raise AssertionError(row)
 
     def _moment_change(self, row: rows.Moment, change: dict[Slot, Any]) -> Planar:
@@ -593,6 +613,11 @@ class Series:
                     self.real[slot][m] = plus(self.real[slot][m], delta)
                 case _:
                     self.real[slot][m] = plus(self.real[slot][m], delta)
+                    if isinstance(row, rows.Function) and row.name in _PARTNERS:
+                        _, _, back = _PARTNERS[row.name]
+                        other = self._extra[slot]
+                        gained = times(self.real[slot][0], change.get(row.x, 0.0))
+                        other[m] = plus(other[m], times(back, gained))
 
     def expand(self, factors: Factors | None = None) -> list[list[Value]]:
         """All orders; the unknowns of each."""

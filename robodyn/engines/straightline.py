@@ -138,11 +138,16 @@ FloatFunction = Callable[..., tuple[float, ...]]
 RateFunction = Callable[[float, Any], Any]
 
 
-def compile_floats(formula: Formula, name: str) -> FloatFunction:
-    """A function of plain floats, in the order of the formula's inputs, to a tuple of floats."""
+def compile_floats(
+    formula: Formula, name: str, scope: Mapping[str, object] | None = None
+) -> FloatFunction:
+    """A function of plain floats, in the order of the formula's inputs, to a tuple of floats.
+
+    `scope` has functions of other numbers in place of those of `math`.
+    """
     lines, outputs = float_source(formula.outputs + formula.pivots)
     body = "\n    ".join([*lines, f"return ({', '.join(outputs)},)"])
-    return define(f"def {name}({', '.join(formula.inputs)}):\n    {body}\n", name)
+    return define(f"def {name}({', '.join(formula.inputs)}):\n    {body}\n", name, scope)
 
 
 def compile_rates(

@@ -860,7 +860,7 @@ class Derivation:
                 told += ", and the angle between the two links stays as it is"
             yield said(f"Loop {c + 1} is cut {told}.")
         for c, coupling in enumerate(self.mechanism.description.couplings):
-            others = " and ".join(f"q{k + 1}" for k, _ in coupling.terms)
+            others = " and ".join(f"q{k + 1}" for k in sorted(coupling.others))
             told = f"q{coupling.joint + 1} to {others}" if others else f"q{coupling.joint + 1}"
             yield said(f"Coupling {c + 1} ties {told}: a further row of gap and Psi.")
 

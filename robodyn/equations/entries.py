@@ -19,12 +19,13 @@ from typing import Any
 from robodyn.engines.arithmetic import plus, times
 from robodyn.engines.formulas import Recorded, balance, joint_jacobian
 from robodyn.engines.series import Series
+from robodyn.equations.law_terms import LawTerms
 from robodyn.mechanics import parts
 from robodyn.mechanics.planar_model import Mechanism
 
 Value = Any
 Matrix = list[list[Value]]
-CouplingRow = tuple[Value, Mapping[int, Value]]  # offset, turns of joints
+CouplingRow = tuple[Value, Mapping[int, Value], LawTerms | None]  # offset, turns of joints, law
 
 
 class Entries:
@@ -70,19 +71,28 @@ class Entries:
                 return [[-x] for [x] in self._load(parts.spent(named))]
             case "Psi":
                 series = self._series(rows=named.rows)
-                slopes = [[turns.get(k, 0.0) for k in joints] for _, turns in self.couplings]
+                slopes = [[turns.get(k, 0.0) for k in joints] for _, turns, _ in self.couplings]
+                for row, (_, _, law) in zip(slopes, self.couplings, strict=True):
+                    if law is not None:
+                        for k, x in law.slopes.items():
+                            row[k] = row[k] - law.arm * x
                 return joint_jacobian(self.at, series) + slopes
             case "Psidot_qd":
                 bias = self._series(rows=named.rows).residuals(0)[named.n :]
-                return [[x] for x in (*bias, *(0.0 for _ in self.couplings))]
+                rates = self.at.relative["qd"]
+                laws = [law for _, _, law in self.couplings]
+                bends = [0.0 if x is None else 0.0 - x.arm * x.bend(rates) for x in laws]
+                return [[x] for x in (*bias, *bends)]
             case "inverse_dynamics" | "joint_torques":
                 return self._load(replace(named, rows=()), accelerated=True)
             case "gap":
                 gaps = [gap for gap, _ in self.gaps()]
-                for offset, turns in self.couplings:
+                for offset, turns, law in self.couplings:
                     gaps.append(offset)
                     for k, turn in turns.items():
                         gaps[-1] = gaps[-1] + turn * self.at.relative["q"][k]
+                    if law is not None:
+                        gaps[-1] = gaps[-1] - law.arm * law.value
                 return [[x] for x in gaps]
         raise AssertionError(name)
 

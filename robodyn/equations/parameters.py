@@ -25,6 +25,8 @@ from typing import Any
 from robodyn.elements.base import Element
 from robodyn.elements.joints import DryFriction, Stops
 from robodyn.elements.keys import BY_DIRECTION, WAYS, Declared, Key
+from robodyn.equations.law_terms import LawTerms, law_terms
+from robodyn.equations.named_laws import Definition
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
@@ -59,8 +61,8 @@ class Parameters:
 
     `known` holds those that are not zero, `zero` the names of those that are, in the order of a
     legend.  `scene` is the description with symbols, a Sum or a Planar, for numbers; `couplings`
-    are rows sum_k turns_k q_k + offset = 0, k joints, in symbols: offset and turns.  What the rows
-    of angles that closures keep are made of is `kept`, by closures; dry friction and compliant
+    are rows sum_k turns_k q_k + offset = 0, k joints, in symbols: offset, turns, and law.  What the
+    rows of angles that closures keep are made of is `kept`, by closures; dry friction and compliant
     stops are in `dry` and `stops` by joints, not in the scene.
     """
 
@@ -83,6 +85,7 @@ class Parameters:
         closures = [self._closure(c, closure) for c, closure in enumerate(description.closures)]
         arms = [row.arm for row in mechanism.rows if row.closure is None]
         coupled = zip(description.couplings, arms, strict=True)
+        self.laws: list[Definition] = []  # names of laws of couplings, and of their derivatives
         self.couplings = [self._coupling(c, *x) for c, x in enumerate(coupled)]
         angles = ((row.closure, row) for row in mechanism.rows if row.arm)
         self.kept = {c: self._kept(c, row) for c, row in angles if c is not None}
@@ -191,7 +194,9 @@ class Parameters:
             return ONE.times(value)
         return self._symbol(name, place, value, "", meaning, role)
 
-    def _coupling(self, c: int, coupling: Coupling, arm: float) -> tuple[Sum, dict[int, Sum]]:
+    def _coupling(
+        self, c: int, coupling: Coupling, arm: float
+    ) -> tuple[Sum, dict[int, Sum], LawTerms | None]:
         """Its row, as long as the arm that turns the angle by which it is open into a gap."""
         size, unit, kind = ONE, "m", "displacement"
         if not self._slides(coupling.joint):
@@ -213,7 +218,11 @@ class Parameters:
             place, other = (c, f"i{joint}"), "m" if self._slides(joint) else "rad"
             per = "" if unit == other else f"{unit}/{other}"
             turns[joint] = -size * self._symbol(name, place, ratio, per, meaning, Role.length)
-        return -size * angle, turns
+        law = None
+        if coupling.law is not None:
+            law, names = law_terms(c, coupling, size, lambda k: "m" if self._slides(k) else "rad")
+            self.laws += names
+        return -size * angle, turns, law
 
     def _gravity(self, gamma: complex) -> Planar:
         """gx + i gy; -i g where it acts along -Y."""

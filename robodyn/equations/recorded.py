@@ -16,7 +16,7 @@ from typing import Any
 from robodyn.elements.builder import NoDirection
 from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value
-from robodyn.engines.formulas import RECORDED, Recorded
+from robodyn.engines.formulas import RECORDED, WRITTEN, Recorded
 from robodyn.equations.entries import Entries
 from robodyn.equations.named_laws import Formula, contact_terms
 from robodyn.equations.outline import Block, Equations, Head, heads, load_unit
@@ -37,9 +37,24 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
     graph = Graph()
     parameters = Parameters(mechanism)
     numbers = _Numbers(parameters, numeric, graph)
+    defined = {x.name: x.value for x in parameters.laws}
+
+    def law_value(x: Any) -> Value:
+        """A name of a law as its formula; numbers and lengths as they are."""
+        ((monomial, _),) = x.terms.items()
+        formula = defined.get(monomial[0][0].name) if monomial else None
+        found: Value = numbers(x)
+        if isinstance(formula, Formula):
+            found = formula.value(numbers, WRITTEN)
+        return found
+
     couplings = [
-        (numbers(offset), {k: numbers(turn) for k, turn in turns.items()})
-        for offset, turns in parameters.couplings
+        (
+            numbers(offset),
+            {k: numbers(turn) for k, turn in turns.items()},
+            None if law is None else law.each(law_value),
+        )
+        for offset, turns, law in parameters.couplings
     ]
 
     def state(by_direction: bool, part: Mechanism) -> Recorded:

@@ -127,6 +127,10 @@ def equations(
             assert isinstance(entries.at, _Symbolic)
             names += entries.at.definitions(sums, write)
         names += [x.defined._replace(value=write(x.defined.value)) for x in added]
+        if head.side == "closures":
+            within = {atom.name for row in sums for x in row for atom in summed(x).atoms()}
+            laws = (x for x in parameters.laws if x.name in within)
+            names += [x._replace(value=write(x.value)) for x in laws]
         found.append(Block(head, tuple(block), tuple(names)))
     formulas: list[Any] = [entry for block in found for row in block.rows for entry in row]
     formulas += [name.value for block in found for name in block.where]

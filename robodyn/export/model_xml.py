@@ -161,6 +161,11 @@ def refuse_unsaid(
                 shown = value if isinstance(value, (int, float, str)) else None
                 what, limit = f"{place}{key}", reasons.get(key, f"{format} cannot say it")
                 raise InputError(what, where=description.source, value=shown, limit=limit)
+    for c, coupling in enumerate(description.couplings):
+        if coupling.law is not None:
+            limit = f"{format} has couplings that are linear in joints, no laws"
+            place, law = f"couplings[{c}]", coupling.law.text
+            raise InputError(place, where=description.source, value=law, limit=limit)
     for place, element in description.elements:
         if place.partition("[")[0] in more and type(element) not in kinds:
             limit = f"{format} cannot say it"

@@ -11,7 +11,6 @@ from functools import lru_cache
 
 from robodyn.errors import InputError
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
-from robodyn.scene.scene import Coupling
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,10 +203,14 @@ def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...
     found: list[tuple[int, int]] = []
     waiting = dict(enumerate(mechanism.description.couplings))
     while True:
-        unknown = {c: joints_of(coupling) - known for c, coupling in waiting.items()}
-        follows = next((c for c, joints in unknown.items() if len(joints) <= 1), None)
+        unknown = {c: set(coupling.joints - known) for c, coupling in waiting.items()}
+        # a law tells its own joint alone
+        sure = (c for c, joints in unknown.items() if len(joints) <= 1)
+        follows = next(
+            (c for c in sure if waiting[c].law is None or unknown[c] <= {waiting[c].joint}), None
+        )
         if follows is None:
-            return tuple(found), set().union(*map(joints_of, waiting.values()))
+            return tuple(found), set().union(*(x.joints for x in waiting.values()))
         del waiting[follows]
         found += [(joint, follows) for joint in unknown[follows]]
         known |= unknown[follows]
@@ -221,7 +224,7 @@ def _dependent_couplings(mechanism: Mechanism) -> str:
     rows = np.zeros((len(couplings), mechanism.n))
     for row, coupling in zip(rows, couplings, strict=True):
         row[coupling.joint] = 1.0
-        for k, ratio in coupling.terms:
+        for k, ratio in coupling.ratios:
             row[k] -= ratio
     for last in range(1, len(rows) + 1):
         some = rows[:last]
@@ -238,10 +241,6 @@ def _dependent_couplings(mechanism: Mechanism) -> str:
         joints = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in fixed)
         return f"{told} fix {joints}, which is actuated: leave out one of them"
     return ""
-
-
-def joints_of(coupling: Coupling) -> set[int]:
-    return {coupling.joint, *(k for k, _ in coupling.terms)}
 
 
 def _conditions(mechanism: Mechanism) -> list[tuple[int, tuple[ClosureRow, ...]]]:

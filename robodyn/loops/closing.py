@@ -27,6 +27,7 @@ from robodyn.dynamics.closed_form import (
     scaled_jacobian,
 )
 from robodyn.dynamics.placed import placed
+from robodyn.engines.coupling_laws import laws_of
 from robodyn.engines.factors import least_solution, svd
 from robodyn.errors import SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism
@@ -250,8 +251,10 @@ def exact_gap(mechanism: Mechanism, q: Any) -> Array:
         cosine, sine = direction(mechanism.frames[k])
         return x[k] * cosine >> BITS, x[k] * sine >> BITS
 
-    gap = []
-    for row in mechanism.rows:
+    gap: list[float] = []
+    laws = laws_of(mechanism)  # whose values are no more exact than numbers of q's kind are
+    values = {} if laws is None else dict(zip(laws.places, laws.values(np.asarray(q)), strict=True))
+    for r, row in enumerate(mechanism.rows):
         if row.held:
             gap.append(0.0)
             continue
@@ -261,7 +264,11 @@ def exact_gap(mechanism: Mechanism, q: Any) -> Array:
             real, imag = real + a * c - b * s, imag + a * s + b * c
         c, s = direction(row.line)
         total = (real * c + imag * s >> BITS) + sum(whole(a) * x[k] for k, a in row.angles)
-        gap.append(math.ldexp(float((total >> BITS) + whole(row.offset)), exponent - BITS))
+        law = 0
+        if row.law is not None:
+            value = -row.arm * values[r]
+            law = whole(float(value)) + whole(float(value - float(value)))
+        gap.append(math.ldexp(float((total >> BITS) + whole(row.offset) + law), exponent - BITS))
     return np.array(gap)
 
 

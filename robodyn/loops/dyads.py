@@ -17,11 +17,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.loops.assembly_plan import Plan, Step, joints_of, root_of
+from robodyn.engines.coupling_laws import law_values
+from robodyn.loops.assembly_plan import Plan, Step, root_of
 from robodyn.loops.closing import half_turn
 from robodyn.mechanics.parts import NOTHING
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.scene.scene import Coupling
 from robodyn.tables.arrays import Array, Complex
 
 CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
@@ -39,13 +39,13 @@ def known_joints(mechanism: Mechanism, plan: Plan, given: Array) -> tuple[Array,
     q[..., list(mechanism.actuated)] = given
     couplings = mechanism.description.couplings
     for joint, c in plan.coupled:
-        q[..., joint] = coupled_angle(couplings[c], joint, q)
+        q[..., joint] = coupled_angle(mechanism, c, joint, q)
     found = []
-    for coupling in couplings:
-        wanted = coupled_angle(coupling, coupling.joint, q)
+    for c, coupling in enumerate(couplings):
+        wanted = coupled_angle(mechanism, c, coupling.joint, q)
         off = np.abs(q[..., coupling.joint] - wanted)
         kept = off <= CLOSED * (1.0 + np.abs(wanted))
-        found.append(np.where(kept | (not joints_of(coupling) <= plan.known), 0.0, off))
+        found.append(np.where(kept | (not coupling.joints <= plan.known), 0.0, off))
     return q, found
 
 
@@ -272,8 +272,11 @@ def _ratio(a: Array, b: Array) -> Array:
     return np.asarray(a / np.where(b > 0.0, b, 1.0))
 
 
-def coupled_angle(coupling: Coupling, joint: int, q: Array) -> Array:
-    """q_joint (...) by a coupling whose other joints are known."""
+def coupled_angle(mechanism: Mechanism, c: int, joint: int, q: Array) -> Array:
+    """q_joint (...) by coupling c, whose other joints are known in q (..., n)."""
+    coupling = mechanism.description.couplings[c]
+    if coupling.law is not None:
+        return law_values(mechanism, c, q)
     ratios = {coupling.joint: -1.0, **dict(coupling.terms)}  # sum of ratio q = -angle
     total = np.full(q.shape[:-1], coupling.angle)
     for k, ratio in ratios.items():

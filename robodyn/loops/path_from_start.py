@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import closure_gap
-from robodyn.loops.assembly_plan import Plan, joints_of
+from robodyn.loops.assembly_plan import Plan
 from robodyn.loops.closing import close_positions, half_turn, loop_size, wrapped
 from robodyn.loops.dyads import CLOSED, by_dyads, known_joints
 from robodyn.mechanics.mechanism import Mechanism
@@ -159,7 +159,7 @@ def from_start(
     here[:, actuated] = target.reshape(len(here), -1)
     missing = np.maximum(open_by(mechanism, here, plan.rows), CLOSED) * size
     missing = np.where(arrived, 0.0, missing)
-    counting = set().union(*map(joints_of, geared))
+    counting = set().union(*(x.joints for x in geared))
     turning = [k for k in plan.rest if k not in counting and k not in mechanism.slides]
     here[:, turning] = half_turn(here[:, turning])
     q, _ = known_joints(mechanism, plan, here[:, actuated])

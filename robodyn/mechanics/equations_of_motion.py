@@ -39,7 +39,8 @@ from robodyn.elements.program import (
     Slot,
     Unknown,
 )
-from robodyn.mechanics.planar_model import Mechanism
+from robodyn.mechanics.expression_rows import Slotted
+from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.scene import Law, Signal, Table
 
 
@@ -292,7 +293,28 @@ class EquationsOfMotion(Builder):
                 angle = program.number(turn)
                 total.append((angle, self.coordinate(k)))
                 self.moments[k].append((angle, mu))
+            if row.law is not None:
+                total.append(self._law(row, mu))
             gap = program.sum(*total, constant=program.number(row.offset))
             gaps.append(program.sum() if row.held else gap)
             self._rows.append(program.add(Derivative(program.add(Derivative(gap)))))
         return multipliers
+
+    def _law(self, row: ClosureRow, mu: Slot) -> Term:
+        """What the law f of a coupling adds to its gap, -arm f; mu turns the joints of f by it."""
+        from robodyn.mechanics.law_rows import LawRows
+
+        assert row.law is not None
+        program, laws = self.program, LawRows(self.program, self.variable)
+        value = laws.value(row.law)
+        names = sorted(row.law.names)
+        for name, slope in zip(names, laws.slopes(value, names), strict=True):
+            joint = int(name[1:])
+            if isinstance(slope, Slotted):
+                c, pull = program.number(-row.arm), program.add(Product(int(slope), mu))
+            else:
+                c, pull = program.number(-row.arm * slope), mu
+            self.moments[joint].append((c, pull))
+            if (above := self.mechanism.above[joint]) is not None:
+                self.moments[above].append((-c, pull))
+        return program.number(-row.arm), laws.made.slot(value)

@@ -88,7 +88,7 @@ def coupling_rows(description: Description) -> list[ClosureRow]:
                 angles[d] = angles.get(d, 0.0) + ratio * arm
         kept = tuple((k, value) for k, value in angles.items() if value != 0.0)
         row = ClosureRow(None, 0j, (), -arm * coupling.angle, kept, arm, lengths=tree.lengths)
-        found.append(row)
+        found.append(row._replace(law=coupling.law))
     return found
 
 

@@ -273,7 +273,7 @@ def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:
         return k
 
     in_loops: set[int] = set()
-    coupled = [{x.joint, *(k for k, _ in x.terms)} for x in description.couplings]
+    coupled = [x.joints for x in description.couplings]
     for loop in tree.loops(description.closures):
         in_loops |= loop
         for k in loop:

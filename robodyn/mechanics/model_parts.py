@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
+from robodyn.elements.values import Law
+
 T = TypeVar("T")
 Terms = Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
 
@@ -64,6 +66,7 @@ class ClosureRow(NamedTuple):
     and arm * lambda is the torque on the coupling's joint, N m.  Of an angle that a closure keeps
     the gap is arm times the sine of what it is off, arm * lambda the moment on the first side's
     link.  A joint that is `held` where it is has a row of rates alone: its gap counts as zero.
+    Of a coupling with a `law` f the row is that of its joint alone, and the gap has -arm f more.
     """
 
     closure: int | None  # None: of a coupling
@@ -75,6 +78,7 @@ class ClosureRow(NamedTuple):
     line: int | None = None
     ground: complex = 0j
     held: bool = False
+    law: Law | None = None
     lengths: Mapping[int, float] = {}  # that displacements are compared by, m
 
     @property

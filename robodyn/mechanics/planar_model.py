@@ -220,6 +220,11 @@ class Mechanism:
         return tuple(r for r, row in enumerate(self.rows) if row.held)
 
     @cached_property
+    def laws(self) -> tuple[int, ...]:
+        """The rows of couplings that have a law."""
+        return tuple(r for r, row in enumerate(self.rows) if row.law is not None)
+
+    @cached_property
     def has_angles(self) -> bool:
         """Whether rows have terms that are linear in x."""
         return any(row.angles for row in self.rows)

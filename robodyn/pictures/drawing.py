@@ -293,7 +293,7 @@ def _wheels(mechanism: Mechanism, w: float) -> Iterator[Shape]:
     """
     links = mechanism.description.links
     for coupling in mechanism.description.couplings:
-        pair = [coupling.joint, *(k for k, _ in coupling.terms)]
+        pair = [coupling.joint, *(k for k, _ in coupling.terms)]  # a law has no pitch circle
         if len(pair) != 2 or any(links[k].hangs_from.link is not None for k in pair):
             continue
         ratio = abs(coupling.terms[0][1])

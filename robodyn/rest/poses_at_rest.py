@@ -120,7 +120,7 @@ def equilibria(
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     sprung = {x.at for x in mechanism.elements if x.free is not None}
     counting = {*sprung, *(x.joint for x in mechanism.ranges), *mechanism.slides}
-    coupled = {k for x in mechanism.description.couplings for k in (x.joint, *dict(x.terms))}
+    coupled = {k for x in mechanism.description.couplings for k in x.joints}
     turning = [k for k in range(mechanism.n) if k not in counting]
     alone = [k for k in turning if k not in coupled]
     there: list[Found] = []
@@ -293,7 +293,7 @@ def _starts(
 ) -> Iterator[Array]:
     """Random closed poses, the held joints as in `near`, others in turns if `turns` has some."""
     rng, driven = np.random.default_rng(0), list(mechanism.actuated)
-    coupled = {k for x in mechanism.description.couplings for k in (x.joint, *dict(x.terms))}
+    coupled = {k for x in mechanism.description.couplings for k in x.joints}
     yield near
     drawn_first = 0
     for count in DRAWN:

@@ -14,6 +14,7 @@ from robodyn.elements.keys import Key
 from robodyn.elements.values import FRAMES
 from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
+from robodyn.scene.expressions import names_of
 from robodyn.scene.point_values import PointReader
 from robodyn.scene.quantities import parse_coupling
 from robodyn.scene.scene import (
@@ -23,6 +24,7 @@ from robodyn.scene.scene import (
     Closure,
     Coupling,
     Description,
+    Law,
     Line,
     Link,
     Point,
@@ -230,8 +232,9 @@ class _Reader(PointReader, SignalReader):
     # -- couplings ---------------------------------------------------------------------------
 
     def couplings(self, node: Node, place: str) -> tuple[Coupling, ...]:
-        """A list of equations, or a single one, `q3 = -2 q1 + 0.1`."""
-        single = isinstance(node, Scalar)
+        """A list of couplings, or a single one, `q3 = -2 q1 + 0.1`."""
+        keys = node.pairs if isinstance(node, Mapping) else []
+        single = isinstance(node, Scalar) or any(key.text == "law" for key, _ in keys)
         found: dict[int, Coupling] = {}  # by the joint that they give
         for c, entry in enumerate([node] if single else self.items(node, place)):
             where = place if single else f"{place}[{c}]"
@@ -245,15 +248,24 @@ class _Reader(PointReader, SignalReader):
         return tuple(found.values())
 
     def coupling(self, node: Node, place: str, count: int) -> Coupling | None:
+        """An equation, or a mapping of one, {law: "q2 = ..."}."""
+        if isinstance(node, Mapping):
+            found = self.keys(node, place, ["law"], ["law"], "key")
+            if "law" not in found:
+                return None
+            node, place = found["law"], f"{place}.law"
         text = self.name(node, place)
         units = ["m" if k in self.slides else "rad" for k in range(count)]
         try:
-            joint, ratios, constant = parse_coupling(text, units)
+            said = parse_coupling(text, units)
         except ValueError as error:
             if text:  # else it is told that it is no name
                 self.fault(place, node, str(error), self.shown(node))
             return None
-        return Coupling(joint, tuple((k, x) for k, x in ratios.items() if x), constant)
+        if said.text:
+            return Coupling(said.joint, law=Law(said.text, said.law, names_of(said.law)))
+        terms = tuple((k, x) for k, x in said.ratios.items() if x)
+        return Coupling(said.joint, terms, said.constant)
 
 
 def _scalars(node: Node) -> Iterator[tuple[str, Scalar]]:

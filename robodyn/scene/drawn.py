@@ -23,7 +23,7 @@ import numpy as np
 
 from robodyn.scene.grammar import FORMS
 from robodyn.scene.point_names import Places
-from robodyn.scene.scene import Coupling, Description, Point
+from robodyn.scene.scene import Description, Point
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.tables.arrays import Array
 
@@ -549,7 +549,7 @@ class Drawing:
         n, couplings = len(self.bars), np.zeros((len(description.couplings), len(self.bars)))
         for row, coupling in zip(couplings, description.couplings, strict=True):
             row[coupling.joint] = 1.0
-            for k, ratio in coupling.terms:
+            for k, ratio in coupling.ratios:
                 row[k] -= ratio
         drawn, moved = self._psi(self.z), self._psi(self._elsewhere())
         rank = _rank(np.vstack([*drawn, couplings]))
@@ -626,7 +626,7 @@ class Drawing:
         loops = [{*np.flatnonzero(np.abs(x).max(axis=0) > SINGULAR).tolist()} for x in rows]
         in_loops = set().union(*loops)
         groups: list[set[int]] = []
-        for joints in [*loops, *map(_joints, description.couplings)]:
+        for joints in [*loops, *(set(x.joints) for x in description.couplings)]:
             apart = [group for group in groups if not group & joints]
             groups = [*apart, joints.union(*(group for group in groups if group & joints))]
         followers = {coupling.joint for coupling in description.couplings}
@@ -635,10 +635,6 @@ class Drawing:
             if group & in_loops and not group & driven:
                 driven |= set(sorted(group - followers)[:1])
         return sorted(driven)
-
-
-def _joints(coupling: Coupling) -> set[int]:
-    return {coupling.joint, *(k for k, _ in coupling.terms)}
 
 
 def _rank(rows: Array) -> int:

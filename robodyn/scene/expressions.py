@@ -54,6 +54,10 @@ class ExpressionError(ValueError):
         self.node = node
 
 
+class NotLinearError(ValueError):
+    """A tree is no sum of multiples of names."""
+
+
 def fold(
     node: Node,
     leaf: Callable[[Any], T],
@@ -195,7 +199,7 @@ def _operated(operation: str, parts: list[_Scaled]) -> _Scaled:
 def linear(node: Node) -> dict[str, float]:
     """The sum of multiples of names that a tree is: their coefficients, that of "" the constant.
 
-    Raises ValueError for what is none, ArithmeticError where a coefficient is none.
+    Raises NotLinearError for what is none, ArithmeticError where a coefficient is none.
     """
     return fold(node, lambda x: {x: 1.0} if isinstance(x, str) else {"": x}, _linear)
 
@@ -218,7 +222,7 @@ def _linear(node: tuple[Any, ...], parts: list[dict[str, float]]) -> dict[str, f
             return {name: factor * x for name, x in other.items()}
         case "/" if plain[1]:
             return {name: x / numbers[1] for name, x in a.items()}
-    raise ValueError("is no sum of multiples of joints")
+    raise NotLinearError("is no sum of multiples of joints")
 
 
 # -- code --------------------------------------------------------------------------------------

@@ -120,7 +120,7 @@ class _Writer:
         return self.mapping(closure)
 
     def couplings(self, couplings: tuple[Coupling, ...]) -> list[str]:
-        return [f"q{x.joint + 1} = {' + '.join(_terms(x))}" for x in couplings]
+        return [f"q{x.joint + 1} = {_right_side(x)}" for x in couplings]
 
     # -- what varies ---------------------------------------------------------------------------
 
@@ -138,6 +138,10 @@ class _Writer:
 
     def varying_vector(self, parts: list[float | Signal]) -> list[Any]:
         return [self.varying(part) for part in parts]
+
+
+def _right_side(coupling: Coupling) -> str:
+    return " + ".join(_terms(coupling)) if coupling.law is None else coupling.law.text
 
 
 def _terms(coupling: Coupling) -> Iterator[str]:

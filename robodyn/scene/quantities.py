@@ -23,6 +23,9 @@ from robodyn.scene.dimensions import (
 from robodyn.scene.expressions import (
     TOO_LARGE,
     ExpressionError,
+    NotLinearError,
+    changed,
+    check_smooth,
     linear,
     names_of,
     number_of,
@@ -193,8 +196,18 @@ def is_plain(text: str) -> bool:
     return PLAIN_NUMBER.fullmatch(text) is not None
 
 
-def parse_coupling(text: str, units: Sequence[str]) -> tuple[int, dict[int, float], float]:
-    """`q3 = -2 q1 + 0.1` as 2, {0: -2.0} and 0.1: the joint, its multiples of others, a constant.
+class Equation(NamedTuple):
+    """q_joint = sum of ratio q_k plus a constant, or a law (text, and tree with t, q0, q1, ..)."""
+
+    joint: int
+    ratios: dict[int, float]
+    constant: float
+    text: str = ""
+    law: Node = 0.0
+
+
+def parse_coupling(text: str, units: Sequence[str]) -> Equation:
+    """`q3 = -2 q1 + 0.1` as joint 2, {0: -2.0} and 0.1; or with a law, as of `q3 = 0.1 cos(q1)`.
 
     `units` are those of the joints, rad or m.  Raises ValueError with the reason if it is none.
     """
@@ -208,20 +221,45 @@ def parse_coupling(text: str, units: Sequence[str]) -> tuple[int, dict[int, floa
         k = int(name[1:])
         return dimension_of(units[k - 1]) if 1 <= k <= n else None
 
+    known = Variables(lambda x: x if _JOINT.fullmatch(x) else None, "", of)
+    ratios: dict[int, float] = {}
+    constant, law, own = 0.0, False, right.strip()
     try:
-        found = _one(right, Variables(lambda x: x if _JOINT.fullmatch(x) else None, "", of))
-        parts = {name: _finite(x) for name, x in linear(found.node).items()}
+        found = _one(right, known)
+        names = {int(name[1:]) - 1 for name in found.names}
+        if unknown := [k + 1 for k in (joint, *sorted(names)) if not 0 <= k < n]:
+            raise _JointError(f"names q{unknown[0]}; the joints are q1 to q{n}")
+        try:
+            parts = {name: _finite(x) for name, x in linear(found.node).items()}
+            constant = parts.pop("", 0.0)
+            ratios = {int(name[1:]) - 1: ratio for name, ratio in parts.items()}
+        except NotLinearError:
+            law = True
+    except _JointError:
+        raise
     except (ValueError, ArithmeticError) as error:
-        raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {right.strip()} {error}") from None
-    constant = parts.pop("", 0.0)
-    ratios = {int(name[1:]) - 1: ratio for name, ratio in parts.items()}
-    if unknown := [k + 1 for k in (joint, *ratios) if not 0 <= k < n]:
-        raise ValueError(f"names q{unknown[0]}; the joints are q1 to q{n}")
-    if joint in ratios:
+        raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {own} {error}") from None
+    if law:
+        try:
+            check_smooth([found.node])
+        except NotAllowedError as error:
+            raise ValueError(f"has {error}") from None
+    if joint in names:
         raise ValueError(f"has q{joint + 1} on both sides")
     if limit := misfit(found.measure, units[joint]):
         raise ValueError(limit)
-    return joint, ratios, constant
+    if not law:
+        return Equation(joint, ratios, constant)
+
+    def counted(leaf: float | str) -> float | str:
+        return f"q{int(leaf[1:]) - 1}" if isinstance(leaf, str) and leaf != "t" else leaf
+
+    node = changed(found.node, lambda x: x, counted)
+    return Equation(joint, {}, 0.0, own, node)
+
+
+class _JointError(ValueError):
+    """An equation names a joint that is none."""
 
 
 def parse_vector(

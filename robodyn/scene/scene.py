@@ -23,6 +23,7 @@ from robodyn.elements.values import told as told
 BRANCHES = ("open", "crossed")
 MASS = ("m", "r", "I")  # what a link has of its own, or has not, all three
 ROUNDING = 4e-16  # part of J that m r^2 may miss it by in a point mass
+SOME_SLOPE = 0.5773502691896258  # of a law, where a rank is asked for
 JOINTS = ("revolute", "prismatic", "fixed")
 
 
@@ -316,12 +317,31 @@ class Closure(Declared):
 class Coupling(Declared):
     """A gear, rack or belt between joints: q_joint = sum of ratio q_k over `terms`, plus `angle`.
 
-    All in rad, or in m where a joint slides.
+    All in rad, or in m where a joint slides.  With a `law` it is q_joint = law, and `terms` and
+    `angle` are empty.
     """
 
     joint: int
-    terms: tuple[tuple[int, float], ...]
-    angle: float
+    terms: tuple[tuple[int, float], ...] = ()
+    angle: float = 0.0
+    law: Law | None = None
+
+    @property
+    def others(self) -> frozenset[int]:
+        """The joints of the right side."""
+        if self.law is None:
+            return frozenset(k for k, _ in self.terms)
+        return frozenset(int(name[1:]) for name in self.law.names if name != "t")
+
+    @property
+    def ratios(self) -> tuple[tuple[int, float], ...]:
+        """`terms`; of a law its joints, each with a slope that the law may have somewhere."""
+        return self.terms or tuple((k, SOME_SLOPE) for k in sorted(self.others))
+
+    @property
+    def joints(self) -> frozenset[int]:
+        """All joints that it ties to one another."""
+        return self.others | {self.joint}
 
 
 class Written:
@@ -398,7 +418,9 @@ class Description(Declared):
         "load", "list of forces and torques on links", listed=True, default=()
     )
     couplings: tuple[Coupling, ...] = key(
-        "couplings", "gears and belts: equations such as q3 = -2 q1 + 0.1", default=()
+        "couplings",
+        "equations of gears, belts, cams: q3 = -2 q1 + 0.1, q2 = 20 mm sin(q1)",
+        default=(),
     )
     points: tuple[tuple[str, Point], ...] = key(
         "points",

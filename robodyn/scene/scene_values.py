@@ -238,12 +238,14 @@ def _numbers(
         yield name, place
     if kind == "pin":
         yield name, replace(place, pair=True)
+    if kind == "couplings" and not isinstance(node, Sequence):
+        return
     if isinstance(node, Sequence):
         inner = _INNER.get(kind or "", "number")
         for k, item in enumerate(node.items):
             unit = "m" if kind in ("point", "moving_point") else place.unit
             yield from _numbers(_Place(node, k, unit), item, f"{name}[{k}]", inner)
-    elif isinstance(node, yaml_tree.Mapping):
+    elif isinstance(node, yaml_tree.Mapping) and kind is not None:
         given = {key.text: value for key, value in node.pairs}
         if kind == "link" and getattr(given.get("joint"), "text", "") == JOINTS[2]:
             kind = "weld"

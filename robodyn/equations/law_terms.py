@@ -1,0 +1,167 @@
+"""Laws of couplings in equations: each by a name, and so are its derivatives.
+
+A coupling's law h1 has the derivative h1_2 by q2, and h1_2_3 of that by q3.  What they are follows
+from the rows of the law (`mechanics/law_rows.py`), read as expressions again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from typing import Any
+
+from robodyn.elements.program import (
+    Function,
+    Given,
+    Number,
+    Power,
+    Primitive,
+    Product,
+    Program,
+    Quotient,
+    Slot,
+    Sum,
+)
+from robodyn.equations import symbolic
+from robodyn.equations.named_laws import Definition, Formula, formula_of
+from robodyn.equations.symbolic import ONE, Atom, Role, of
+from robodyn.mechanics.expression_rows import Part, Slotted
+from robodyn.mechanics.law_rows import LawRows
+from robodyn.scene.scene import Coupling, Law
+from robodyn.scene.syntax import Node
+
+Value = Any
+
+
+@dataclass(frozen=True)
+class LawTerms:
+    """A law in the gap -arm h, with its slopes by joints and by pairs of joints; zeros left out."""
+
+    arm: Value
+    value: Value
+    slopes: Mapping[int, Value]
+    second: Mapping[tuple[int, int], Value]
+
+    def each(self, change: Callable[[Value], Value]) -> LawTerms:
+        """The same with changed values."""
+        slopes = {k: change(x) for k, x in self.slopes.items()}
+        second = {pair: change(x) for pair, x in self.second.items()}
+        return LawTerms(change(self.arm), change(self.value), slopes, second)
+
+    def bend(self, qd: Any) -> Value:
+        """The sum of second slopes times both rates, of rates qd (n)."""
+        total: Value = 0.0
+        for (k, j), x in self.second.items():
+            part = x * qd[k] * qd[j]
+            total = total + (part if k == j else part * 2)
+        return total
+
+
+def law_terms(
+    c: int, coupling: Coupling, arm: symbolic.Sum, units: Callable[[int], str]
+) -> tuple[LawTerms, tuple[Definition, ...]]:
+    """The terms of coupling c's law by names, and what the names stand for.
+
+    `units` has the unit of a joint, rad or m.
+    """
+    law = coupling.law
+    assert law is not None
+    program = Program()
+
+    def variable(name: str) -> Slot:
+        return program.add(Given(name))
+
+    rows, joints = LawRows(program, variable), sorted(coupling.others)
+    value = rows.value(law)
+    definitions: list[Definition] = []
+    own, letter = units(coupling.joint), f"h{c + 1}"
+
+    def named(part: Part, by: tuple[int, ...], meaning: str) -> symbolic.Sum:
+        """A name for what is no number."""
+        if not isinstance(part, Slotted):
+            return ONE.times(part)
+        name = "_".join([letter, *(str(k + 1) for k in by)])
+        formula = _formula(law, program, int(part)) if by else formula_of(law, {})
+        unit = _unit(own, [units(k) for k in by])
+        definitions.append(Definition(name, formula, unit, meaning))
+        return of(Atom(Role.length, (c, name), name))
+
+    told = f"law of coupling {c + 1}"
+    h = named(value, (), told)
+    slopes: dict[int, Any] = {}
+    second: dict[tuple[int, int], Any] = {}
+    names = [f"q{k}" for k in joints]
+    first = dict(zip(joints, rows.slopes(value, names), strict=True))
+    for k, part in first.items():
+        if isinstance(part, Slotted) or part:
+            slopes[k] = named(part, (k,), f"derivative of {letter} by q{k + 1}")
+    for k, j in combinations_with_replacement(joints, 2):
+        (part,) = rows.slopes(first[k], [f"q{j}"])
+        if isinstance(part, Slotted) or part:
+            by = f"q{k + 1} and q{j + 1}" if k != j else f"q{k + 1} twice"
+            second[k, j] = named(part, (k, j), f"derivative of {letter} by {by}")
+    return LawTerms(arm, h, slopes, second), tuple(definitions)
+
+
+def _unit(above: str, below: list[str]) -> str:
+    """The unit of a quotient."""
+    left = below.copy()
+    if above in left:
+        left.remove(above)
+        above = ""
+    if not left:
+        return above
+    squared = len(left) == 2 and left[0] == left[1]
+    under = f"{left[0]}²" if squared else left[0] if len(left) == 1 else f"({' '.join(left)})"
+    return f"{above or '1'}/{under}"
+
+
+def _formula(law: Law, program: Program, slot: Slot) -> Formula:
+    """What stands in a slot, as an expression."""
+    tree = _tree(program, slot)
+    names = formula_of(law, {}).names
+    return Formula(tree, names)
+
+
+def _tree(program: Program, slot: Slot) -> Node:
+    """The rows of a slot as a tree of an expression."""
+
+    def of_slot(x: Slot) -> Node:
+        return _tree(program, x)
+
+    match program.rows[slot]:
+        case Given(name=name):
+            return name
+        case Sum(constant=constant, terms=terms):
+            total: Node | None = None
+            for c, x in terms:
+                by, part = _number(program, c), of_slot(x)
+                if type(part) is tuple and part[0] == "neg":
+                    by, part = -by, part[1]
+                if type(part) is tuple and part[0] == "*" and isinstance(part[1], float):
+                    by, part = by * part[1], part[2]
+                part = part if abs(by) == 1.0 else ("*", abs(by), part)
+                if total is None:
+                    total = ("neg", part) if by < 0.0 else part
+                else:
+                    total = ("-" if by < 0.0 else "+", total, part)
+            number = _number(program, constant)
+            if total is None or not number:
+                return number if total is None else total
+            return ("+", total, number) if number > 0.0 else ("-", total, -number)
+        case Product(x=x, y=y) if x == y:
+            return "**", of_slot(x), 2.0
+        case Product(x=x, y=y):
+            return "*", of_slot(x), of_slot(y)
+        case Quotient(x=x, y=y):
+            return "/", of_slot(x), of_slot(y)
+        case Power(x=x, exponent=exponent):
+            return ("sqrt", of_slot(x)) if exponent == 0.5 else ("**", of_slot(x), exponent)
+        case Function(name=name, x=x) | Primitive(name=name, x=x):
+            return name, of_slot(x)
+    raise AssertionError(program.rows[slot])
+
+
+def _number(program: Program, c: float | Number) -> float:
+    return program.numbers[c.place] * c.sign if isinstance(c, Number) else c
