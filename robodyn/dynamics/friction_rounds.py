@@ -18,12 +18,13 @@ import numpy as np
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.dynamics import pins_at
-from robodyn.dynamics.pin_friction import Rubbing, rubbing_at, without_rubbing
+from robodyn.dynamics.pin_friction import Rubbing, rubbing_at
 from robodyn.dynamics.placed import absolute_rates, finite, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of, reactions, sides_of
 from robodyn.dynamics.sticking import Smooth
 from robodyn.errors import RobodynError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.parts import without_rubbing
 from robodyn.tables.arrays import Array, Complex
 
 SETTLED = 1e-13  # part of the largest friction that a round changes in the end

@@ -10,7 +10,6 @@ without the radius for slides.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +17,6 @@ from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.placed import Placed, as_states, columns, matvec, placed
-from robodyn.elements.base import Element
-from robodyn.elements.pin_friction import PinFriction
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import Closure
 from robodyn.tables.arrays import Array, Complex
@@ -34,17 +31,6 @@ class Rubbing(NamedTuple):
     D: Array
     part: Array
     along: Complex
-
-
-@lru_cache(maxsize=64)
-def without_rubbing(mechanism: Mechanism) -> Mechanism:
-    """The mechanism without friction by the forces in pins."""
-    from dataclasses import replace
-
-    kept: tuple[Element, ...] = tuple(
-        x for x in mechanism.elements if not isinstance(x, PinFriction)
-    )
-    return replace(mechanism, elements=kept)
 
 
 def rubbing_at(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Rubbing:

@@ -357,7 +357,7 @@ def bodies_of(mechanism: Mechanism) -> Bodies:
 
 
 def sides_of(mechanism: Mechanism) -> Array:
-    """Return +1 and -1 where link k carries the first and the second side of a closure, (closures, n)."""
+    """Return +1 and -1 where link k carries the first and the second side, (closures, n)."""
     carried = bodies_of(mechanism).carried
     sides = np.zeros((len(mechanism.description.closures), mechanism.n))
     for row, closure in zip(sides, mechanism.description.closures, strict=True):

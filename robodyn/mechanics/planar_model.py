@@ -132,9 +132,10 @@ class Mechanism:
         return f"links[{place}] ({name}).friction"
 
     def check_rubbing(self, what: str) -> None:
-        """Raise InputError if there is friction by the forces in pins, which `what` has not."""
+        """Raise InputError if there is friction by the forces in pins, which `what` lack."""
         for friction in self.rubbing:
-            limit = f"{what} has no friction by the force in a pin or slide"
+            limit = f"is of the force in a pin or slide, and {what} have no such friction; torque, "
+            limit += "accel, reactions, energy and simulate by DOP853, RK45 or Radau do"
             value = f"{friction.coefficient:g}"
             place = f"{self.rubbing_place(friction)}.coefficient"
             raise InputError(place, where=self.source, value=value, limit=limit)
