@@ -28,7 +28,6 @@ from robodyn.loops.branches import scene_start
 from robodyn.mechanics.loop_rows import loop_class
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
-from robodyn.mechanics.parts import without_rubbing
 
 STATES = 200
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains
@@ -49,15 +48,14 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
       robodyn check 2r --format json
     """
     mechanism = model.load()
-    smooth = without_rubbing(mechanism)
-    if smooth is not mechanism:
+    if mechanism.rubbing:
         note("Note: friction by the forces in pins and slides is left out of these checks")
-    free = in_mode(smooth, Mode()) if mechanism.switches else smooth
+    free = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
     unknown = False
     try:
         count = max(1, min(STATES, ENTRIES // mechanism.n**2))
         with remarks(), progress("closing") as watch:
-            sample = sample_states(smooth, count, watch)
+            sample = sample_states(mechanism, count, watch)
     except InputError as error:
         unknown = True
         note(f"Note: no self-test over closed states: {error}")
