@@ -116,6 +116,10 @@ class _Reader(PointReader, SignalReader):
         return described._replace(branches=words, points=tuple(self.places.points.items()))
 
     def assembly(self, node: Node, place: str) -> str | tuple[str, ...]:
+        if not (self.closures or self.faults):
+            limit = "tells how closures are assembled, and the scene has none: leave it out"
+            self.fault(place, node, limit, self.shown(node))
+            return ()
         if not isinstance(node, Sequence):
             return self.word(node, place, BRANCHES)
         if not 0 < len(node.items) <= self.closures:  # a closure may close in one way alone
