@@ -421,3 +421,26 @@ def test_an_event_of_a_force_while_a_joint_sticks() -> None:
     assert run.outcome is Outcome.EVENT
     assert abs(run.to_dict()["contact1"][-1] - end) < 1e-6 * end
     assert run.t[-1] > whole.t[still][-1]
+
+
+def test_friction_of_the_bearing_and_of_the_guide() -> None:
+    """Friction by the forces of the cam's pin and of the follower's guide, by hand."""
+    text = SCENE.format(law=LIFTS["harmonic"][0], cam="roller: 8 mm", y=S0)
+    text = text.replace(
+        "I: 0.002}", "I: 0.002, friction: {coefficient: 0.1, radius: 12 mm, speed: 0.5}}"
+    ).replace("I: 0.0,\n", "I: 0.0, friction: {coefficient: 0.15, speed: 0.01},\n")
+    mechanism, (s, s1, s2) = build(from_text(text, "scene.yaml")), LIFTS["harmonic"][1](THETA)
+    q = np.stack([THETA, s], axis=-1)
+    qd, qdd = np.stack([np.full(12, W), s1 * W], axis=-1), np.stack([0 * s, s2 * W * W], axis=-1)
+    tau, contact, tc = State(mechanism, q, qd, qdd).columns(["tau1", "contact1", "tc1"]).T
+    angle = np.arctan((s1 - E) / (s + S0))
+    force = M * (s2 * W * W + G) + K * (s + PRELOAD)
+    rubs = 0.15 * np.tanh(s1 * W / 0.01)
+    N = force / (np.cos(angle) - rubs * np.abs(np.sin(angle)))
+    np.testing.assert_allclose(contact, N, rtol=1e-11)
+    np.testing.assert_allclose(tc, N * np.cos(angle), rtol=1e-11)
+    bearing = np.hypot(N * np.sin(angle), 1.0 * G + N * np.cos(angle))
+    turned = N * np.cos(angle) * s1 + 0.1 * 0.012 * np.tanh(W / 0.5) * bearing
+    np.testing.assert_allclose(tau, turned, rtol=1e-11, atol=1e-12)
+    caused = State(mechanism, q, qd, tau=np.stack([tau, 0 * tau], axis=-1))
+    np.testing.assert_allclose(caused.columns(["qdd1", "contact1"]).T[1], N, rtol=1e-10)

@@ -395,3 +395,13 @@ def test_chains_with_more_closures_than_joints(robodyn, scene):
         given = robodyn("check", scene(f"links:\n{links}closures:\n{pins}"))
         assert told in given.err
         assert given.code == (1 if n == 30 else 0)
+
+
+@pytest.mark.parametrize(("right", "told"), [("0.5", True), ("0.5 + q1", False)])
+def test_a_coupling_that_is_constant_is_told_of_welds(
+    robodyn: Run, scene: Callable[[str], Path], right: str, told: bool
+) -> None:
+    links = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 1}, {name: b, m: 1, l: 1, r: 0.5, I: 1}]\n"
+    given = robodyn("check", scene(links + f'couplings: ["q2 = {right}"]\n')).succeeds()
+    note = "Note: a coupling keeps q2 (b) constant: `joint: fixed` with an `angle` says that"
+    assert (note in given.err) is told

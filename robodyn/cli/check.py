@@ -49,6 +49,13 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
       robodyn check 2r --format json
     """
     mechanism = model.load()
+    if mechanism.rubbing:
+        note("Note: friction by the forces in pins and slides is left out of these checks")
+    for coupling in mechanism.description.couplings:
+        if coupling.law is None and not coupling.terms:
+            name = mechanism.link_names[coupling.joint]
+            told = f"Note: a coupling keeps q{coupling.joint + 1} ({name}) constant"
+            note(f"{told}: `joint: fixed` with an `angle` says that of a joint which turns")
     free = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
     unknown = False
     try:

@@ -117,6 +117,10 @@ class _Reader(PointReader, SignalReader):
         return described._replace(branches=words, points=tuple(self.places.points.items()))
 
     def assembly(self, node: Node, place: str) -> str | tuple[str, ...]:
+        if not (self.closures or self.faults):
+            limit = "tells how closures are assembled, and the scene has none: leave it out"
+            self.fault(place, node, limit, self.shown(node))
+            return ()
         if not isinstance(node, Sequence):
             return self.word(node, place, BRANCHES)
         if not 0 < len(node.items) <= self.closures:  # a closure may close in one way alone
@@ -209,7 +213,11 @@ class _Reader(PointReader, SignalReader):
         self.closures += 1
         if not isinstance(node, Mapping):
             return Closure(*self.pair(node, place, "sides"))
-        return self.record("closure", node, place)  # type: ignore[no-any-return]
+        made: Closure = self.record("closure", node, place)
+        if made.friction is None:
+            return made
+        friction = made.friction._replace(joint=None, closure=self.closures - 1)
+        return made._replace(friction=friction)
 
     def frame(self, node: Node, place: str) -> bool:
         """Whether a force turns with its link."""
