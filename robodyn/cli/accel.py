@@ -16,8 +16,8 @@ def accel(
     """The accelerations that torques cause, and the pin forces.
 
     Columns: qdd1.. (rad/s^2) of all joints, for each closure the pin force fx1,fy1 (N, ground
-    axes) on the side that the scene names first, and tc1 (N m), the torque of each coupling.
-    Rows of STATES pass through with these added.
+    axes) on the side that the scene names first, tc1 (N m), the torque of each coupling, and
+    contact1 (N), the force of a cam on its follower.  Rows of STATES pass through with these added.
 
     \b
     Examples:

@@ -408,8 +408,9 @@ def simulate(
     Start values of other actuated joints are held, passive joints follow, and a controller keeps
     its model.  The summary has their errors; cells are empty from where no derivative is found.
 
-    An event happens when a comparison becomes true, or a function of t, q1.., qd1.. passes zero;
-    what holds at the start is none.  Its time is found to rounding.
+    An event happens when a comparison becomes true, or a function of t, q1.., qd1.. and forces
+    (fx1, tc1, contact1) passes zero; what holds at the start is none.  Its time is found to
+    rounding.
 
     With e = q_ref - q and ed = qd_ref - qd the controllers are pd: tau = kp e + kd ed; pd+g: that
     and the torque that holds the control model at rest at q; computed-torque: the torque that
@@ -421,6 +422,7 @@ def simulate(
       robodyn simulate 2r --q 30deg,45deg --time 10 > motion.csv
       robodyn simulate four-bar --q 60deg --tau "2*sin(3*t)" -o run.csv
       robodyn simulate 2r --q 0,0 --until "q1 < -90deg" --event apex=qd1
+      robodyn simulate disc-cam --q 0 --qd 120 --until "contact1 < 0"
       robodyn simulate 2r --q 0,0 --quiet | robodyn torque 2r - | tail -1
       robodyn simulate 2r --q 0,0 --force forearm=0,-20 | robodyn summary
       robodyn simulate 2r --q 0,0 --time 1 --sensitivity links.forearm.m,q1

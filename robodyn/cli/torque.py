@@ -26,10 +26,10 @@ def torque(
 
     Columns: tau1.. (N m) of the actuated joints under their own joint number, for each closure
     the pin force fx1,fy1 (N, ground axes) on the side that the scene names first, and tc1 (N m),
-    the torque of each coupling.  For each actuated joint with a motor there are its torque motor1
-    (N m), which is tau1/ratio, its speed motor_speed1 (rad/s), and by its constants volt1 (V), amp1
-    (A) and watt1 (W).  Rows of STATES pass through with these columns added; --columns chooses, as
-    power1.. (W) = tau1 qd1.
+    the torque of each coupling; contact1 (N), the force of a cam on its follower.  For each
+    actuated joint with a motor there are its torque motor1 (N m), which is tau1/ratio, its speed
+    motor_speed1 (rad/s), and by its constants volt1 (V), amp1 (A) and watt1 (W).  Rows of STATES
+    pass through with these columns added; --columns chooses, as power1.. (W) = tau1 qd1.
 
     With fewer actuators than freedoms the motion must be one that the mechanism makes: a torque
     that is left at a free joint, residual2 (N m, or N), refuses its row unless it is below 1e-9 of

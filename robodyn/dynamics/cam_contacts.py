@@ -1,6 +1,8 @@
 """The cams of a mechanism: where each touches its follower, by which force, and its whole profile.
 
-The geometry is `cams.py`; laws and their derivatives are those of the couplings.
+The geometry is `cams.py`; laws and their derivatives are those of the couplings.  The contact force
+does the work of the law: N (nu . V) = tc, with nu the normal away from the cam, and V the velocity
+of the follower's point by its joint.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics.cams import Contact, Follower, contact
+from robodyn.dynamics.cams import Contact, Follower, contact, convex_radius
 from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.dynamics import coupling_torques
 from robodyn.dynamics.placed import Placed
@@ -148,7 +150,8 @@ def contacts_on_links(
     mechanism: Mechanism, q: Array, at: Placed, multipliers: ArrayLike
 ) -> list[ContactForce]:
     """The forces of all cams at q (..., n), where the mechanism is `at`."""
-    cams = cams_of(mechanism)
+    if not (cams := cams_of(mechanism)):
+        return []
     torques = coupling_torques(mechanism, multipliers)
     slopes = [law_derivatives(mechanism, cam.coupling, cam.driver, q)[1] for cam in cams]
     own = [torques[..., cam.coupling] for cam in cams]
@@ -197,17 +200,9 @@ def profile_of(mechanism: Mechanism, cam: Cam) -> Profile:
     def touch(theta: Array) -> Contact:
         return contact_along(mechanism, cam, theta)
 
-    def radius(theta: Array) -> Array:
-        """The radius of curvature; of a roller's profile that of the pitch curve less its own."""
-        now = touch(theta)
-        if follower.face is not None:
-            return _inverse(now.curvature)
-        bent = now.pitch_curvature
-        return np.where(bent > 0.0, _inverse(bent) - follower.radius, np.inf)
-
     base, _ = _least(lambda x: np.abs(touch(x).profile), low, high)
     most, _ = _least(lambda x: -np.abs(touch(x).pressure), low, high)
-    least, where = _least(radius, low, high)
+    least, where = _least(lambda x: convex_radius(follower, touch(x)), low, high)
     offset, face = None, None
     if follower.axis is not None:
         at = follower.at if follower.face is None else 0j
@@ -230,11 +225,6 @@ def profile_of(mechanism: Mechanism, cam: Cam) -> Profile:
         closed=bool(apart <= CLOSED * np.abs(whole.profile).max()),
         one_side=bool((turned > 0.0).all()),
     )
-
-
-def _inverse(x: Array) -> Array:
-    with np.errstate(divide="ignore"):
-        return 1.0 / x
 
 
 def _least(f: Callable[[Array], Array], low: float, high: float) -> tuple[float, float]:

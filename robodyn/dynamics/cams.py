@@ -13,9 +13,6 @@ turns).  The profile is its envelope: the line moves along itself at the contact
     s = (w' . i D) / b      b = 1 - f' (turning), 1 (sliding)      D' = -i b D
 
 and since the profile runs along D, its radius of curvature is -(w' . D + s') / b, counted along D.
-
-The contact force N acts on the follower along the outward normal nu.  It does the work of the law:
-N (nu . V) = tc, V the velocity of the contact by the follower's joint.
 """
 
 from __future__ import annotations
@@ -56,8 +53,7 @@ class Contact(NamedTuple):
     is the angle from the velocity of the follower's point to the normal, rad, NaN where that point
     stands for any rate.  `curvature` is that of the profile, 1/m, positive where it is convex,
     `pitch_curvature` that of the pitch curve (of a flat face that of the profile).  `along` is the
-    place of the contact on the face, m from its point (0 of a roller).  `lever` is the way of
-    the follower's point along the normal by its joint, m or 1: tc over it is the contact force.
+    place of the contact on the face, m from its point (0 of a roller).
     """
 
     pitch: Complex
@@ -67,7 +63,6 @@ class Contact(NamedTuple):
     curvature: Array
     pitch_curvature: Array
     along: Array
-    lever: Array
 
 
 def contact(
@@ -117,20 +112,22 @@ def _contact(follower: Follower, theta: Array, f: Array, f1: Array, f2: Array) -
         curvature = bent = side * b / speed
         contact_arm = arm + along * own * follower.face
         way = 1j * contact_arm if turns else way
-    lever = _dot(way, normal / back)
-    outward = np.where(lever < 0.0, -way, way)
+    outward = np.where(_dot(way, normal / back) < 0.0, -way, way)
     pressure = np.where(way == 0.0, np.nan, np.angle(normal / back * outward.conj()))
-    return Contact(w, profile, normal, pressure, curvature, bent, along, lever)
+    return Contact(w, profile, normal, pressure, curvature, bent, along)
 
 
-def undercut(follower: Follower, touch: Contact) -> Array:
-    """Where the profile is undercut, (...) of bool: it would have to run back.
+def convex_radius(follower: Follower, touch: Contact) -> Array:
+    """The radius of curvature of convex parts, (...) m: below zero where the profile is undercut.
 
-    A roller is larger than the radius of a convex pitch curve; a flat face meets a hollow.
+    A roller is then larger than the radius of the pitch curve, or a flat face meets a hollow.
+    Infinite where the pitch curve of a roller is hollow or straight.
     """
-    if follower.face is not None:
-        return np.asarray(touch.curvature < 0.0)
-    return np.asarray(follower.radius * touch.pitch_curvature > 1.0)
+    with np.errstate(divide="ignore"):
+        if follower.face is not None:
+            return np.asarray(1.0 / touch.curvature)
+        bent = touch.pitch_curvature
+        return np.where(bent > 0.0, 1.0 / bent - follower.radius, np.inf)
 
 
 def _dot(a: Complex, b: Complex) -> Array:
