@@ -21,7 +21,8 @@ def reactions(
 
     Columns, forces in N along the ground's axes: for each link k the force rx1,ry1 on it at its
     own joint, from the link (or the ground) that it hangs from; for each closure the pin force
-    fx1,fy1 on the side that the scene names first; contact1, the force of a cam; shake_fx,shake_fy the total force of the
+    fx1,fy1 on the side that the scene names first; contact1 the force of a cam on its follower;
+    shake_fx,shake_fy the total force of the
     mechanism on the ground, by joints, closures and sliders there; shake_m (N m) its moment about
     the origin.  Torques and damping of ground joints act on the ground too, with the opposite
     sign: they are in shake_m.  Those between links are internal.

@@ -1,7 +1,6 @@
 """Events as people write them: `q1 > 90deg`, or `qd1`, a function whose changes of sign count.
 
-An expression knows the time t, the joints' q1.. and qd1.., and takes what torques take; besides
-these the forces of couplings and cams, tc1.. and contact1.., which the torques of a run decide.
+An expression knows the time t, the joints' q1.. and qd1.., and takes what torques take.
 
 Between the zeros of its switches an expression is smooth: `abs(x)` bends where x passes zero,
 `floor(x)` jumps where sin(pi x) does, `a if b > c else d` may jump where b - c does, `sqrt(x)` ends
@@ -17,23 +16,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from robodyn.dynamics.columns import FORCES, column_names, scene_units, unit_of
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.time_samples import FUNCTIONS
-from robodyn.scene.dimensions import dimension_of
 from robodyn.scene.expressions import changed, code_of, fold, names_of, walk
-from robodyn.scene.quantities import Variables, expressions, state_variables
+from robodyn.scene.quantities import expressions, state_variables
 from robodyn.scene.syntax import Node, NotAllowedError
-from robodyn.scene.units import Dimension
 from robodyn.tables.arrays import Array
 
 Values = Callable[[Array, Array], Array]
@@ -79,9 +75,6 @@ class EventFunction(Part):
     holds if it has an equality (not `strict`).  It is smooth where none of its `switches`, which
     are smooth between zeros of those before them, passes zero.  Where it is seen to have one sign,
     it may touch zero, but not pass.
-
-    With `forces`, names of columns, its parts take states (k, 2n + forces) with these behind q and
-    qd: what a run looks at is `bound`.
     """
 
     name: str
@@ -89,19 +82,6 @@ class EventFunction(Part):
     strict: bool
     switches: tuple[Part, ...]
     has_one_sign: bool = False
-    forces: tuple[str, ...] = ()
-
-    def bound(self, widened: Callable[[Array, Array], Array]) -> EventFunction:
-        """The same of states (k, 2n or more); `widened` puts the forces behind q and qd."""
-        if not self.forces:
-            return self
-
-        def of_states(function: Values) -> Values:
-            return lambda t, y: function(t, widened(t, y))
-
-        cuts = (Part(of_states(x.values), of_states(x.noise)) for x in self.switches)
-        values, noise = of_states(self.values), of_states(self.noise)
-        return replace(self, values=values, noise=noise, around=None, switches=tuple(cuts))
 
 
 @lru_cache(maxsize=256)
@@ -110,9 +90,8 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
 
     Raises InputError, naming `where`, for what is neither.
     """
-    known = column_names(mechanism, FORCES)
     try:
-        found = expressions(text, _variables(mechanism, known))
+        found = expressions(text, state_variables(mechanism.n, mechanism.slides))
     except NotAllowedError as error:
         what = _INSTEAD.search(text)
         instead = f"; {_WRITE[what[0]]}" if what else ""
@@ -137,28 +116,12 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
         way, strict = WAYS[operation], operation in "<>"
         tree = "-", left, right
     n = mechanism.n
-    forces = tuple(x for x in known if x in names_of(tree))
-    names = *_states(n), *forces
     cuts = tuple(
-        Part(_vectorised(x, names), bound_of(x, n, names), around=around_of(x, names))
-        for x in switches(tree)
+        Part(_vectorised(x, n), bound_of(x, n), around=around_of(x, n)) for x in switches(tree)
     )
-    made: tuple[Any, ...] = _vectorised(tree, names), bound_of(tree, n, names)
-    made += name, way, strict, cuts, has_one_sign(tree), forces
-    return EventFunction(*made, around=around_of(tree, names))
-
-
-def _variables(mechanism: Mechanism, forces: Sequence[str]) -> Variables:
-    """t, q1.., qd1.., and the columns of forces."""
-    own, units = state_variables(mechanism.n, mechanism.slides), scene_units(mechanism)
-
-    def named(name: str) -> str | None:
-        return name if name in forces else own.named(name)
-
-    def of(name: str) -> Dimension | None:
-        return dimension_of(unit_of(name, units)) if name in forces else own.of(name)
-
-    return Variables(named, ", ".join([own.known, *forces]), of)
+    made: tuple[Any, ...] = _vectorised(tree, n), bound_of(tree, n)
+    made += name, way, strict, cuts, has_one_sign(tree)
+    return EventFunction(*made, around=around_of(tree, n))
 
 
 def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> tuple[EventFunction, ...]:
@@ -204,13 +167,13 @@ def _for_arrays(node: tuple[Any, ...]) -> Node:
     return ("where", *node[1:]) if node[0] == "if" else node
 
 
-def _states(n: int) -> list[str]:
-    return [f"{name}{k}" for name in ("q", "qd") for k in range(n)]
-
-
-def _vectorised(tree: Node, names: Sequence[str]) -> Values:
-    used = names_of(tree)
-    columns = [f"{name} = y[:, {k}]" for k, name in enumerate(names) if name in used]
+def _vectorised(tree: Node, n: int) -> Values:
+    columns = [
+        f"{name}{k} = y[:, {k + first}]"
+        for name, first in (("q", 0), ("qd", n))
+        for k in range(n)
+        if f"{name}{k}" in names_of(tree)
+    ]
     body = "\n    ".join([*columns, f"return {code_of(changed(tree, _for_arrays))}"])
     scope: dict[str, Any] = dict(_SCOPE)
     exec(compile(f"def values(t, y):\n    {body}\n", "<robodyn event>", "exec"), scope)
@@ -307,7 +270,6 @@ def _whole(x: Node) -> Node:
 Bounded = tuple[Any, Any]  # values, and bounds of their errors
 
 EPS = float(np.finfo(float).eps)
-FORCE = 1e-12  # of the largest of a force along a step: what solving for it may leave
 STATE = 8.0 * EPS  # of the largest of the angles, or rates, that a series or an interpolant adds
 # of functions, by their argument, how far it may be off, and the value
 SLOPES: dict[str, Callable[[Any, Any, Any], Any]] = {
@@ -332,51 +294,41 @@ def _positive(x: Any) -> Any:
     return np.maximum(x, 0.0)
 
 
-def bound_of(tree: Node, n: int, names: Sequence[str]) -> Callable[[Array, Array], Array]:
+def bound_of(tree: Node, n: int) -> Callable[[Array, Array], Array]:
     """The bound (..., k or 1) on the rounding of an expression's values along a step.
 
     Those are at its times (..., k), of its states (..., k, 2n or more).
     """
-
-    places = {name: k for k, name in enumerate(names)}
 
     def bound(t: Array, y: Array) -> Array:
         off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)
         for part in (off[..., :n], off[..., n:]) if n > 1 else ():
             part[:] = np.maximum.reduce(part, axis=-1, keepdims=True)
         off *= STATE
-        if len(names) > 2 * n:  # forces follow from the whole state
-            wide = y[..., 2 * n : len(names)]
-            most = np.maximum.reduce(np.abs(wide), axis=-2, keepdims=True)
-            off = np.concatenate([off, FORCE * most], axis=-1)
-        return np.atleast_1d(_bounded(tree, _known(t, t, y, off, places))[1])
+        return np.atleast_1d(_bounded(tree, _known(t, t, y, off, n))[1])
 
     return bound
 
 
-def around_of(tree: Node, names: Sequence[str]) -> Callable[[Array, Array, Array, Array], Bounded]:
+def around_of(tree: Node, n: int) -> Callable[[Array, Array, Array, Array], Bounded]:
     """An expression's values (k,) in the middle of boxes, and how far they go from there.
 
     Those are times from begin (k,) to end, and states as far as dy (k, 2n..) from y.
     """
 
-    places = {name: k for k, name in enumerate(names)}
-
     def around(begin: Array, end: Array, y: Array, dy: Array) -> Bounded:
-        return _bounded(tree, _known(begin, end, y, dy, places))
+        return _bounded(tree, _known(begin, end, y, dy, n))
 
     return around
 
 
-def _known(
-    begin: Array, end: Array, y: Array, dy: Array, places: Mapping[str, int]
-) -> Callable[[str], Bounded]:
+def _known(begin: Array, end: Array, y: Array, dy: Array, n: int) -> Callable[[str], Bounded]:
     def known(name: str) -> Bounded:
         if name == "t":
             half = 0.5 * (end - begin)
             t = begin + half
             return t, np.abs(half) + EPS * np.abs(t)
-        column = places[name]
+        column = int(name.lstrip("qd")) + n * name.startswith("qd")
         return y[..., column], dy[..., column]
 
     return known

@@ -110,7 +110,6 @@ class EventWatch:
     width: int | None = None
 
     def __post_init__(self) -> None:
-        self.declared = self.functions  # before a run tells them its forces
         self.kept: list[Event] = []
         self.grazes: dict[str, list[float]] = {}
         self.hidden: dict[str, list[tuple[float, float]]] = {}
@@ -126,11 +125,6 @@ class EventWatch:
         self._touched: list[tuple[float, float] | None] = [None] * len(self.signs)
         self._single: Sequence[Single] = ()  # those in the step looked at
         self._along: Sequence[int] = ()  # of that one of them which is looked at by itself
-
-    def bind(self, widened: Callable[[Sequence[str]], Callable[[Array, Array], Array]]) -> None:
-        """Have the forces that functions name from now on by `widened`, of those names."""
-        self.functions = [x.bound(widened(x.forces)) if x.forces else x for x in self.declared]
-        self.watched = self.functions
 
     def take(self, found: Found) -> None:
         """Take what was found along some steps."""

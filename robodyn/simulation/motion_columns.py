@@ -40,35 +40,6 @@ def motion_values(
     return state.columns(column_names(mechanism, MOTION))
 
 
-def with_forces(
-    mechanism: Mechanism,
-    moving: Callable[[], Mechanism],
-    actuation: Actuation,
-    names: Sequence[str],
-) -> Callable[[Array, Array], Array]:
-    """A function of times and states y (..., 2n or more): q, qd and these columns of forces.
-
-    `moving` tells what moves now, in its mode.  Forces are nan where the motion has none.
-    """
-
-    def widened(t: Array, y: Array) -> Array:
-        n, shape = mechanism.n, y.shape[:-1]
-        times = np.broadcast_to(t, shape).reshape(-1)
-        states = y.reshape(-1, y.shape[-1])
-        found = np.full((len(states), len(names)), np.nan)
-        known = np.isfinite(states[:, : 2 * n]).all(axis=1)
-        if known.any():
-            tau = applied_torques(mechanism, actuation, times[known], states[known])
-            q, qd = states[known, :n], states[known, n : 2 * n]
-            with suppress(RobodynError), np.errstate(all="ignore"):
-                state = State(mechanism, q, qd, tau=tau, t=times[known], moving=moving())
-                found[known] = state.columns(names)
-        wide = np.concatenate([states[:, : 2 * n], found], axis=1)
-        return wide.reshape(*shape, 2 * n + len(names))
-
-    return widened
-
-
 def as_actuation(
     mechanism: Mechanism,
     tau: Sequence[float]

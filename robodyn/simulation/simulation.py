@@ -41,7 +41,6 @@ from robodyn.simulation.motion_columns import (
     motion_values,
     no_hold,
     over_run,
-    with_forces,
 )
 from robodyn.simulation.phases import Phases
 from robodyn.simulation.recording import Recorder, RunStatistics, Sink, joined
@@ -458,10 +457,6 @@ def run(
     most = settings.max_evaluations
     recorder = Recorder(moving, report, sink, times, most, watch, actuation, statistics)
     recorder.events = events
-    if events is not None and any(function.forces for function in events.functions):
-        events.bind(
-            lambda names: with_forces(mechanism, lambda: recorder.mechanism, actuation, names)
-        )
     recorder.begin(y)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
