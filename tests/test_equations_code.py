@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from c_library import compiled, needs_compiler
 from sliding_scenes import SLIDING_SCENES
+from unwritten import UNWRITTEN
 
 from random_mechanisms import (
     LOOPS,
@@ -29,7 +30,7 @@ from robodyn.equations.recorded import recorded
 from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
-NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))
+NAMES = sorted({path.stem for path in ROBOTS.glob("*.yaml")} - UNWRITTEN)
 
 
 def expected(mech: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> dict:

@@ -59,6 +59,8 @@ REFUSED = {
     "engine 2": ("equations",),
     "gearbox 4": ("equilibrium",),
 }
+RUBS = ("bench", "linearize", "regressor", "identify", "fit", "equations")
+REFUSED |= {name: RUBS for name, text in SCENES.items() if "coefficient: " in text}
 
 
 def formats(command: str) -> list[str]:

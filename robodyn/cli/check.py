@@ -48,6 +48,8 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
       robodyn check 2r --format json
     """
     mechanism = model.load()
+    if mechanism.rubbing:
+        note("Note: friction by the forces in pins and slides is left out of these checks")
     free = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
     unknown = False
     try:

@@ -54,6 +54,8 @@ def terms(
     if not derivatives:
         refuse("is for --derivatives: give that too", by=by, qdd=qdd, tau=tau)
     q_, qd_ = single_state(mechanism, state.quantities())
+    if mechanism.rubbing:
+        note("Note: Q is without the friction by forces in pins and slides: it depends on qdd")
     resting = [k for k in mechanism.sticks if not qd_[k]]
     if resting:
         dry = ", ".join(mechanism.link_names[k] for k in resting)

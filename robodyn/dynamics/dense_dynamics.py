@@ -239,6 +239,25 @@ def _of_joints(mechanism: Mechanism, acceleration: Array) -> Array:
     return qdd
 
 
+def caused(mechanism: Mechanism, q: Array, loads: Array) -> Accelerations:
+    """The accelerations and multipliers that loads (T, c, n) at the joints alone cause at q (T, n).
+
+    What `forward` adds to its answer for such loads more.
+    """
+    units, (count, c, n) = mechanism.arrays.units, loads.shape
+    M = mass_matrix(mechanism, q) * units[:, None] * units
+    s = decompose(mechanism, scaled_jacobian(mechanism, q))
+    right, free = loads * units, np.zeros_like(loads)
+    for rank in set(s.rank.ravel().tolist()):
+        which = s.rank == rank
+        N, inertia = (np.repeat(x[which], c, axis=0) for x in (s.V[..., rank:], M))
+        moved = _along_freedoms(mechanism, N, inertia, right[which].reshape(-1, n))
+        free[which] = moved.reshape(-1, c, n)
+    unbalanced = matvec(M[:, None], free) - right
+    multipliers = matvec(np.swapaxes(s.inverse, -1, -2)[:, None], unbalanced)
+    return Accelerations(free * units, multipliers.reshape(count, c, len(mechanism.rows)))
+
+
 def responses(mechanism: Mechanism, q: Array, joints: Sequence[int]) -> Array:
     """qdd (k, n) that a unit of torque at each of these joints makes at q (n), through all else."""
     units = mechanism.arrays.units

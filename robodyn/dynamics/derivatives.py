@@ -110,6 +110,7 @@ def _each(
     mechanism: Mechanism, kind: str, t: ArrayLike, numbers: Sequence[str], **given: ArrayLike
 ) -> list[Array]:
     """The result and its derivatives."""
+    mechanism.check_rubbing("derivatives")
     states = together(mechanism, given)
     check_directions(mechanism, states["q"])
     shape, times = states["q"].shape, times_of(t, states["q"]).ravel()

@@ -157,6 +157,10 @@ def _smooth(
     mechanism: Mechanism, kind: str, wanted: int, states: dict[str, Array], times: Array
 ) -> tuple[Array, Array, str]:
     """`_batch` of a mechanism whose equations are the same at all states."""
+    if mechanism.rubbing:
+        from robodyn.dynamics.friction_rounds import by_rounds  # which asks for these itself
+
+        return by_rounds(mechanism, kind, states, times, _smooth)
 
     def check() -> None:
         for name, array in states.items():

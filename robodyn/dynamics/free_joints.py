@@ -31,6 +31,7 @@ from robodyn.dynamics.sticking import bounds, resting, touching
 from robodyn.errors import ResidualError
 from robodyn.loops.closing import closed_jacobians, loop_size, regular_rank
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.parts import without_rubbing
 from robodyn.tables.arrays import Array
 
 CHOICES = 1000  # of joints that count as free
@@ -140,7 +141,8 @@ def _held(
 
     The pose of a mechanism at rest need only be within 1e-9 rad of one where it rests.
     """
-    by = inverse_dynamics_derivatives(balanced_mechanism(mechanism), q, qd, qdd, t)
+    known = without_rubbing(balanced_mechanism(mechanism))
+    by = inverse_dynamics_derivatives(known, q, qd, qdd, t)
     size = np.maximum(np.abs(q), mechanism.arrays.units)
     parts = ((by.by_q, size), (by.by_qd, np.abs(qd)), (by.by_qdd, np.abs(qdd)))
     still = not (qd.any() or qdd.any())

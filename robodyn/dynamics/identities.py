@@ -27,6 +27,7 @@ from robodyn.loops.closing import random_states
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.modes import in_mode, moving_mode
+from robodyn.mechanics.parts import without_rubbing
 from robodyn.tables.arrays import Array
 
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
@@ -151,7 +152,8 @@ def _worse(one: Identity | None, other: Identity) -> Identity:
 
 
 def _of_one_mode(mechanism: Mechanism, sample: Sample) -> list[Identity]:
-    q, qd, scene = sample.q, sample.qd, build(mechanism.description)
+    mechanism = without_rubbing(mechanism)  # which no row has
+    q, qd, scene = sample.q, sample.qd, without_rubbing(build(mechanism.description))
     scene = replace(scene, elements=(*scene.elements, *mechanism.added))
     if mechanism.mode is not None:
         scene = in_mode(scene, mechanism.mode)

@@ -35,6 +35,7 @@ from robodyn.dynamics.dynamics import (
     pin_forces,
     pins_at,
 )
+from robodyn.dynamics.pin_friction import at_closures
 from robodyn.dynamics.placed import Placed, absolute_rates, as_states, frame_rates, matvec, placed
 from robodyn.elements.builder import LinkMoment, PointForce
 from robodyn.engines.row_values import rows_of
@@ -80,7 +81,8 @@ class Felt:
 
     Formulas stand in arrays of objects, complex ones as `Planar`: where they are (`at`), X'' and
     E'' (`bent`), x'' and qdd (n,).  `pins` (..., closures) N act on the sides named first, `kept`
-    (..., k) N m of those that keep an angle; `rows` gives what acts of a part (`parts.py`).
+    (..., k) N m of those that keep an angle, `rubbed` (..., closures) N m are moments of friction
+    there; `rows` gives what acts of a part (`parts.py`).
     """
 
     def __init__(
@@ -93,9 +95,10 @@ class Felt:
         pins: Complex,
         kept: Array,
         rows: Callable[[Part], Acts],
+        rubbed: Array | None = None,
     ) -> None:
         self.mechanism, self.bodies, self.at = mechanism, bodies_of(mechanism), at
-        self.pins, self.kept, self.rows = pins, kept, rows
+        self.pins, self.kept, self.rows, self.rubbed = pins, kept, rows, rubbed
         bodies = self.bodies
         # where the bodies are, (..., b) m, and the load m (gamma - a) of each, (..., b) N
         self.place = bodies.points.place(at)
@@ -111,7 +114,7 @@ class Felt:
             if link is not None:
                 forces = forces - np.multiply.outer(force, self.bodies.carried[link])
         if self.mechanism.description.closures:
-            forces = forces - matvec(_sides(self.mechanism).T, self.pins)
+            forces = forces - matvec(sides_of(self.mechanism).T, self.pins)
         return forces
 
     def slide_moments(self) -> list[Array]:
@@ -160,9 +163,13 @@ class Felt:
         """What closures do to the links of their sides: where, the force, the moment, the link."""
         kept = iter(np.moveaxis(self.kept, -1, 0))
         pins = np.moveaxis(self.pins, -1, 0)
-        for closure, pin in zip(self.mechanism.description.closures, pins, strict=True):
+        for c, (closure, pin) in enumerate(
+            zip(self.mechanism.description.closures, pins, strict=True)
+        ):
             there = self._place(tree.point(closure.first))
             held = 0.0 if closure.aligned is None else next(kept)
+            if self.rubbed is not None:
+                held = held + self.rubbed[..., c]
             for side, sign in ((closure.first, 1.0), (closure.second, -1.0)):
                 if side.link is not None:
                     yield there, pin * sign, held * sign, side.link
@@ -253,9 +260,12 @@ def _of_numbers(
     """Of numbers; what multipliers are needed for only where they are given."""
     at, xd = placed(mechanism, q), absolute_rates(mechanism, qd)
     xdd, joints = absolute_rates(mechanism, qdd, "qdd"), np.asarray(qdd, float)
-    pins, kept = np.zeros(0, complex), np.zeros(0)
+    pins, kept, rubbed = np.zeros(0, complex), np.zeros(0), None
     if lam is not None:
         pins, kept = pins_at(mechanism, lam, at.E), kept_moments(mechanism, lam)
+        if any(x.closure is not None for x in mechanism.rubbing):
+            friction, rubbed = at_closures(mechanism, q, qd, pins)
+            pins = pins + friction
 
     def rows(part: Part) -> Acts:
         if not any(x.acts for x in mechanism.elements):
@@ -267,7 +277,7 @@ def _of_numbers(
         return Acts(list(zip(forces, each, strict=True)), list(zip(couples, moments, strict=True)))
 
     bent = at.accelerations(mechanism, xd, xdd)
-    return Felt(mechanism, at, bent, xdd, joints, pins, kept, rows)
+    return Felt(mechanism, at, bent, xdd, joints, pins, kept, rows, rubbed)
 
 
 def dependent_rows(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.int64]:
@@ -286,7 +296,7 @@ def not_unique(mechanism: Mechanism, q: ArrayLike) -> tuple[tuple[int, ...], tup
     joints of the loops.  Both are empty where the closures are independent.
     """
     changes = pin_forces(mechanism, _free_multipliers(mechanism, q), q) @ [1, 1j]
-    return _felt(changes, FELT), _felt(changes @ _sides(mechanism), FELT)
+    return _felt(changes, FELT), _felt(changes @ sides_of(mechanism), FELT)
 
 
 def dependent_couplings(mechanism: Mechanism, q: ArrayLike) -> tuple[int, ...]:
@@ -346,8 +356,8 @@ def bodies_of(mechanism: Mechanism) -> Bodies:
     )
 
 
-def _sides(mechanism: Mechanism) -> Array:
-    """+1 and -1 where link k carries the first and the second side of a closure, (closures, n)."""
+def sides_of(mechanism: Mechanism) -> Array:
+    """Return +1 and -1 where link k carries the first and the second side, (closures, n)."""
     carried = bodies_of(mechanism).carried
     sides = np.zeros((len(mechanism.description.closures), mechanism.n))
     for row, closure in zip(sides, mechanism.description.closures, strict=True):

@@ -11,6 +11,7 @@ from robodyn.elements.joints import (
     Stops,
 )
 from robodyn.elements.loads import Force, Moment
+from robodyn.elements.pin_friction import PinFriction
 from robodyn.elements.springs import JointDamper, JointSpring, PointSpring
 
 KINDS: tuple[type[Element], ...] = (
@@ -21,6 +22,7 @@ KINDS: tuple[type[Element], ...] = (
     JointDamper,
     SmoothFriction,
     DryFriction,
+    PinFriction,
     Slipping,
     Stops,
     HardStop,

@@ -36,6 +36,7 @@ from robodyn.engines.factors import Factors, small_system
 from robodyn.engines.series import Series, relative, start
 from robodyn.engines.series import absolute as absolute
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.parts import without_rubbing
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.expressions import OPERATIONS, value_in
 from robodyn.scene.syntax import Node
@@ -404,7 +405,8 @@ def projection_formula(mechanism: Mechanism, generic: bool = False) -> Formula |
     None if it divides by what is zero at every state.
     """
     try:
-        return _projection(Recorded(mechanism, ("qd",), True, generic=generic))
+        moving = without_rubbing(mechanism)  # of which the closures alone are asked for
+        return _projection(Recorded(moving, ("qd",), True, generic=generic))
     except ZeroDivisionError:
         return None
 

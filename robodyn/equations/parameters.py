@@ -67,6 +67,7 @@ class Parameters:
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
+        mechanism.check_rubbing("equations")
         description = self.description = mechanism.description
         for x in mechanism.added:
             limit = "equations have no symbols for it"

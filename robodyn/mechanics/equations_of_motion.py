@@ -73,6 +73,7 @@ class EquationsOfMotion(Builder):
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
         mechanism.check_masses()
+        mechanism.check_rubbing("formulas")
         number = program.planar_number
         inertia: list[Coefficient] = [0.0] * n
         slides = set(mechanism.slides)

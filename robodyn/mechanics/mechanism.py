@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from robodyn.elements.base import Element, whole
+from robodyn.elements.contacts import HARD, STICKS
 from robodyn.elements.joints import Range, Rotor
 from robodyn.elements.kinds import place_of
 from robodyn.elements.springs import JointDamper
@@ -58,8 +59,9 @@ def load(path: str | Path) -> Mechanism:
 def build(description: Description) -> Mechanism:
     """The numeric model of a description.
 
-    Raises InputError where the products of masses and lengths leave the range of floats, and for a
-    closure of points that cannot move apart.
+    Raises InputError where the products of masses and lengths leave the range of floats, for a
+    closure of points that cannot move apart, and for friction by the forces in pins beside what
+    sticks or bounces.
     """
     try:
         description = without_welds(description)
@@ -79,6 +81,11 @@ def build(description: Description) -> Mechanism:
         raise too_large(description) from None
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
         raise too_large(description)
+    if mechanism.rubbing and mechanism.contacts & {STICKS, HARD}:
+        place = f"{mechanism.rubbing_place(mechanism.rubbing[0])}.coefficient"
+        limit = "stands beside friction with static, or stops with restitution: what sticks and "
+        limit += "bounces is decided without friction by the force in a pin"
+        raise InputError(place, where=description.source, limit=limit)
     return mechanism
 
 

@@ -8,9 +8,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 from robodyn.elements.base import Element
+from robodyn.elements.pin_friction import PinFriction
 from robodyn.errors import SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism
 
@@ -48,11 +50,23 @@ def spent(mechanism: Mechanism) -> Mechanism:
 
 
 def untimed(mechanism: Mechanism) -> Mechanism:
-    """All but loads that depend on the time, which a model of a controller does not know."""
-    if not mechanism.timed:
+    """All that a model of a controller knows.
+
+    Those are neither loads that depend on the time nor friction by the forces in pins.
+    """
+    if not (mechanism.timed or mechanism.rubbing):
         return mechanism
     left = (x.untimed() for x in mechanism.elements)
     return replace(mechanism, elements=tuple(x for x in left if x is not None))
+
+
+@lru_cache(maxsize=64)
+def without_rubbing(mechanism: Mechanism) -> Mechanism:
+    """All but friction by the forces in pins and slides."""
+    if not mechanism.rubbing:
+        return mechanism
+    kept = tuple(x for x in mechanism.elements if not isinstance(x, PinFriction))
+    return replace(mechanism, elements=kept)
 
 
 def acting(mechanism: Mechanism) -> Mechanism:

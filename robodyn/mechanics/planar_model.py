@@ -17,8 +17,9 @@ from robodyn.elements.base import conserves as conserves
 from robodyn.elements.contacts import STICKS, Mode
 from robodyn.elements.joints import DryFriction, Range, Rotor
 from robodyn.elements.link_rows import PlanarPoint as PlanarPoint
+from robodyn.elements.pin_friction import PinFriction
 from robodyn.elements.springs import JointDamper
-from robodyn.errors import MassError, printable
+from robodyn.errors import InputError, MassError, printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
 from robodyn.mechanics.model_parts import Inertias as Inertias
 from robodyn.mechanics.model_parts import OnDemand as OnDemand
@@ -114,6 +115,30 @@ class Mechanism:
     def dry(self) -> dict[int, DryFriction]:
         """Friction that sticks, by joint: see `modes.py`."""
         return {x.joint: x for x in self.of(DryFriction)}
+
+    @cached_property
+    def rubbing(self) -> tuple[PinFriction, ...]:
+        """Friction by the forces in pins and slides: see `dynamics/friction_rounds.py`."""
+        return self.of(PinFriction)
+
+    def rubbing_place(self, friction: PinFriction) -> str:
+        """Where the scene has such friction."""
+        joint = friction.joint
+        if joint is None:
+            return f"closures[{friction.closure}].friction"
+        scene = self.description.apart or self.description
+        name = self.link_names[joint]
+        place = next((i for i, x in enumerate(scene.listed) if x.name == name), joint)
+        return f"links[{place}] ({name}).friction"
+
+    def check_rubbing(self, what: str) -> None:
+        """Raise InputError if there is friction by the forces in pins, which `what` lack."""
+        for friction in self.rubbing:
+            limit = f"is of the force in a pin or slide, and {what} have no such friction; torque, "
+            limit += "accel, reactions, energy and simulate by DOP853, RK45 or Radau do"
+            value = f"{friction.coefficient:g}"
+            place = f"{self.rubbing_place(friction)}.coefficient"
+            raise InputError(place, where=self.source, value=value, limit=limit)
 
     @cached_property
     def sticks(self) -> tuple[int, ...]:

@@ -177,6 +177,7 @@ def regressor(
     Free joints count as actuated, see `free_joints.py`.  q, qd, qdd are (..., n) and broadcast.
     Raises as `inverse_dynamics` does.
     """
+    mechanism.check_rubbing("regressors")
     mechanism = balanced_mechanism(mechanism)
     states = together(mechanism, {"q": q, "qd": qd, "qdd": qdd})
     for name, array in states.items():

@@ -162,6 +162,7 @@ def linearize(
     beyond an end of a joint that no compliant stop makes, RobodynError where nothing moves,
     SingularError at a change point and where a freedom has no inertia.
     """
+    mechanism.check_rubbing("linear models")
     pose, rates, torques = (
         single(mechanism, name, x) for name, x in (("q", q), ("qd", qd), ("tau", tau))
     )

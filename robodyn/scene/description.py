@@ -208,7 +208,11 @@ class _Reader(PointReader, SignalReader):
         self.closures += 1
         if not isinstance(node, Mapping):
             return Closure(*self.pair(node, place, "sides"))
-        return self.record("closure", node, place)  # type: ignore[no-any-return]
+        made: Closure = self.record("closure", node, place)
+        if made.friction is None:
+            return made
+        friction = made.friction._replace(joint=None, closure=self.closures - 1)
+        return made._replace(friction=friction)
 
     def frame(self, node: Node, place: str) -> bool:
         """Whether a force turns with its link."""

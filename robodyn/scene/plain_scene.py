@@ -10,6 +10,7 @@ from typing import Any
 
 from robodyn.elements.base import Element
 from robodyn.elements.keys import Declared, Key
+from robodyn.elements.pin_friction import PinFriction
 from robodyn.elements.values import FRAMES, Law, Point, Signal, Table, told
 from robodyn.scene.grammar import FORMS, NUMBERS, Form
 from robodyn.scene.scene import Closure, Coupling, Description
@@ -106,11 +107,15 @@ class _Writer:
     def points(self, points: tuple[tuple[str, Point], ...]) -> dict[str, Any]:
         return {name: self.point(point) for name, point in points}
 
+    def closure_friction(self, friction: PinFriction) -> dict[str, Any]:
+        each = {x: getattr(friction, x) for x in ("coefficient", "radius", "speed")}
+        return {name: x for name, x in each.items() if x is not None}
+
     def pair(self, points: tuple[Point, Point]) -> list[Any]:
         return [self.point(point) for point in points]
 
     def closure(self, closure: Closure) -> list[Any] | dict[str, Any]:
-        if closure.along is None:
+        if closure.along is None and closure.friction is None:
             return self.pair((closure.first, closure.second))
         return self.mapping(closure)
 

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Self
 from robodyn.elements.base import Element
 from robodyn.elements.joints import DryFriction, SmoothFriction, Stops
 from robodyn.elements.keys import TOGETHER, Declared, Way, at_joints, key
+from robodyn.elements.pin_friction import PinFriction
 from robodyn.elements.values import Law as Law
 from robodyn.elements.values import Point as Point
 from robodyn.elements.values import Signal as Signal
@@ -181,7 +182,7 @@ class Link(Body):
         default=0.0,
         symbol="d: damping at the joint of {}",
     )
-    friction: SmoothFriction | DryFriction | None = key(
+    friction: SmoothFriction | DryFriction | PinFriction | None = key(
         ("friction", "slide_friction"), "Coulomb friction at its own joint", default=None
     )
     limits: Stops | None = key(("limits", "slide_limits"), "where its own joint ends", default=None)
@@ -253,12 +254,16 @@ class Closure(Declared):
     `aligned` the first point's link keeps this angle to that link, rad.
     """
 
+    pins: ClassVar[Any] = key("pair", "the two points that coincide", ways=("joined",))
     first: Point = key(
-        "point", "its name, {link, at}, or [x, y] of the ground for a line of a link", name="point"
+        "point",
+        "its name, {link, at}, or [x, y] of the ground for a line of a link",
+        name="point",
+        ways=("slider",),
     )
     second: Point
     along: complex | None = None
-    on: ClassVar[Any] = key("line", "the line")
+    on: ClassVar[Any] = key("line", "the line", ways=("slider",))
     aligned: float | None = key(
         "angle",
         "angle that the point's link keeps to the line's link (or to +X): "
@@ -266,9 +271,14 @@ class Closure(Declared):
         unit="rad",
         default=None,
         symbol="beta: angle kept by closure {}",
+        ways=("slider",),
+    )
+    friction: PinFriction | None = key(
+        "closure_friction", "friction by the force there", default=None
     )
 
     ways: ClassVar[tuple[Way, ...]] = (
+        Way("joined", "closure", "Two points that coincide, with friction in the pin.", ("pins",)),
         Way(
             "slider",
             "closure",
@@ -278,15 +288,24 @@ class Closure(Declared):
 
     @classmethod
     def from_keys(cls, values: dict[str, Any]) -> Closure:
+        if "pins" in values:
+            first, second = values.pop("pins")
+            return cls(first, second, friction=values["friction"])
         line = values.pop("on")
         return cls(**values, second=Point(line.link, line.through), along=line.along)
 
     def to_keys(self) -> dict[str, Any]:
-        assert self.along is not None
+        if self.along is None:
+            return {"pins": (self.first, self.second), "friction": self.friction}
         line = Line(self.second.link, self.second.at, self.along)
         return super().to_keys() | {"on": line}
 
     def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
+        if self.friction is not None and (self.friction.radius is None) != (self.along is not None):
+            told = "needs the radius of the pin" if self.along is None else "has no radius: a line"
+            yield "friction", told, None
+        if self.along is None:
+            return
         if self.second.link is not None and self.first.link == self.second.link:
             yield "on", "is a line of the point's own link; they must move apart", None
         elif self.first.link is None and self.second.link is None:

@@ -96,7 +96,7 @@ def _other_kinds() -> dict[str, Schema]:
         "moving_point": _any("name", "link_point"),
         "point": _any("moving_point", "vector"),
         "pair": {**pair, "items": _ref("point"), "contains": {"type": [*any_name, "object"]}},
-        "closure": _any("pair", "slider"),
+        "closure": _any("pair", "joined", "slider"),
         "law": {"type": ["string", "number"], "pattern": _expression("x|v")},
         "spring_table": _ref("name"),
         "varying": _any("number", "expression", "load_table"),

@@ -133,7 +133,7 @@ def _closed(closure: Closure, welded: Welded) -> Closure:
     if aligned is not None:
         aligned = aligned + cmath.phase(other) - cmath.phase(one)
     first, second = welded.point(closure.first), welded.point(closure.second)
-    return Closure(first, second, along, aligned)
+    return closure._replace(first=first, second=second, along=along, aligned=aligned)
 
 
 def _acting(elements: tuple[Element, ...], welded: Welded) -> list[Element]:

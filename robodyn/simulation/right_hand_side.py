@@ -30,6 +30,7 @@ import numpy as np
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import other_forces
+from robodyn.dynamics.friction_rounds import NotSettledError, settled
 from robodyn.engines import straightline
 from robodyn.errors import SignalError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across
@@ -38,9 +39,11 @@ from robodyn.loops.misses import Misses
 from robodyn.loops.projection import Projection, best_closing, dense_closing, written_out
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.parts import without_rubbing
 from robodyn.tables.arrays import Array
 
 Rates = Callable[[float, Array], Any]
+Moved = Callable[[Array, Array, Array, float], tuple[Array, Any]]
 
 SINGULAR = 1e-4  # relative pivot below which the written-out solve loses digits to the dense one
 NEAR = 0.1  # relative pivot of a closure below which a state is projected before evaluation
@@ -159,15 +162,39 @@ def _projecting(
 
 
 def _best_kind(mechanism: Mechanism) -> str:
-    if not dense_dynamics.elimination_is_safe(mechanism):
+    if mechanism.rubbing or not dense_dynamics.elimination_is_safe(mechanism):
         return "dense"
     if mechanism.rows and regular_rank(mechanism) < len(mechanism.rows):
         return "dense"  # closures that depend on one another leave no pivot
     return "straight-line" if written_out(mechanism) else "dense"
 
 
+def _rubbed(mechanism: Mechanism, baumgarte: float) -> Moved:
+    """qdd (n,), and the load (n,) of friction by the forces in pins and slides."""
+    plain = without_rubbing(mechanism)
+
+    def moved(q: Array, qd: Array, tau: Array, t: float) -> tuple[Array, Array]:
+        many = q[None], qd[None], tau[None]
+        first = dense_dynamics.forward(plain, *many, baumgarte, t)
+        found = settled(mechanism, "forward", many, t, first.qdd, first.multipliers)
+        return found.joints[0], found.load[0]
+
+    return moved
+
+
+def _moved(mechanism: Mechanism, baumgarte: float) -> Moved:
+    """qdd (n,), and no such load."""
+    if mechanism.rubbing:
+        return _rubbed(mechanism, baumgarte)
+    return lambda q, qd, tau, t: (
+        dense_dynamics.accelerations(mechanism, q, qd, tau, baumgarte, t),
+        0.0,
+    )
+
+
 def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgarte: float) -> Rates:
     """dy/dt by dense algebra."""
+    moved = _moved(mechanism, baumgarte)
     n = mechanism.n
     torques = actuation.function(n)
     damping = np.array(mechanism.damping)
@@ -183,10 +210,11 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             return np.full(len(y), np.nan)
         q, qd, tau = y[:n], y[n : 2 * n], np.array(found[:n])
         try:
-            qdd = dense_dynamics.accelerations(mechanism, q, qd, tau, baumgarte, t)
+            qdd, rubbed = moved(q, qd, tau, t)
             if work and forced:
                 tau = tau + other_forces(mechanism, q, qd, t)
-        except SignalError:  # a shorter step may not
+            tau = tau + rubbed
+        except (SignalError, NotSettledError):  # a shorter step may not
             return np.full(len(y), np.nan)
         power = [float(tau @ qd - damping @ qd**2)] if work else []
         return [*values[n : 2 * n], *qdd.tolist(), *found[n:], *power]

@@ -495,6 +495,8 @@ def refused(mechanism: Mechanism) -> str:
 
     Of a mechanism with contacts, each mode is one for itself.
     """
+    if mechanism.rubbing:
+        return "friction by the forces in pins and slides has no series"
     if mechanism.switches:
         return "contacts change how it moves"
     if loop_terms(mechanism) > LARGEST:

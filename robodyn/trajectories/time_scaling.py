@@ -345,6 +345,7 @@ def _shortest_by_torque(
     if mechanism.timed:
         reason = "has loads that depend on the time: give the time of the motion"
         raise InputError("duration", where=mechanism.source, value="min", limit=reason)
+    mechanism.check_rubbing("shortest times by torque limits")
 
     def parts(u: Array, piece: Pieces, scale: float) -> tuple[Array, Array, Array]:
         """a, b, g (T, actuated) of tau = a x^2 + b x + g, from x = 1/2, 1 and 3/2 times scale."""

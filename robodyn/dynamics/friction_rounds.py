@@ -1,0 +1,169 @@
+"""Forward and inverse dynamics with friction by the forces in pins and slides.
+
+Friction f (c,) is a load D^T f at the joints.  The forces N of the contacts follow from it:
+accelerations, torques and multipliers are linear in a load, and N in these, so
+
+    f = part |N0 + B f|
+
+with N0 of the mechanism without this friction, and B of loads alone.  That is solved by rounds
+from f = part |N0| on, to 1e-13 of f.  Where they do not settle friction is too large: it locks the
+mechanism, or no motion, or no torque, keeps the equations.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from robodyn.dynamics import dense_dynamics
+from robodyn.dynamics.dynamics import pins_at
+from robodyn.dynamics.pin_friction import Rubbing, rubbing_at
+from robodyn.dynamics.placed import absolute_rates, finite, matvec, placed
+from robodyn.dynamics.reaction_forces import bodies_of, reactions, sides_of
+from robodyn.dynamics.sticking import Smooth
+from robodyn.errors import RobodynError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.parts import without_rubbing
+from robodyn.tables.arrays import Array, Complex
+
+SETTLED = 1e-13  # part of the largest friction that a round changes in the end
+ROUNDS = 400  # beyond which they do not settle: each leaves more than 0.93 of the change before
+
+
+class NotSettledError(RobodynError):
+    """Friction that depends on the forces in pins has no solution that rounds come to."""
+
+
+class Friction(NamedTuple):
+    """Solutions with friction (T, n), (T, r), and the load (T, n) of friction at the joints."""
+
+    joints: Array
+    multipliers: Array
+    load: Array
+
+
+def by_rounds(
+    mechanism: Mechanism, kind: str, states: dict[str, Array], times: Array, smooth: Smooth
+) -> tuple[Array, Array, str]:
+    """Accelerations or torques of states (..., n), the multipliers (..., r), and a remark.
+
+    `smooth` solves for a mechanism without this friction.  Raises NotSettledError for the first
+    state at which rounds do not settle.
+    """
+    for name, array in states.items():
+        finite(name, array)
+    plain, shape, n = without_rubbing(mechanism), states["q"].shape, mechanism.n
+    flat = {name: array.reshape(-1, n) for name, array in states.items()}
+    at = np.broadcast_to(times.ravel(), len(flat["q"])) if mechanism.timed else times
+    joints, forces, remark = smooth(plain, kind, 2, flat, at)
+    found = settled(mechanism, kind, tuple(flat.values()), at, joints, forces)
+    return found.joints.reshape(shape), found.multipliers.reshape(*shape[:-1], -1), remark
+
+
+def settled(
+    mechanism: Mechanism,
+    kind: str,
+    states: tuple[Array, ...],
+    times: Array | float,
+    joints: Array,
+    multipliers: Array,
+) -> Friction:
+    """Add friction to the solution without it of states q, qd and qdd or tau, (T, n) each.
+
+    `joints` (T, n) are torques, or accelerations, and `multipliers` (T, r).
+    """
+    plain, (q, qd, third) = without_rubbing(mechanism), states
+    at = rubbing_at(mechanism, q, qd)
+    if kind == "inverse":
+        by_torque = dense_dynamics.balanced(plain, q[:, None], -at.D)
+        answer, lam, moved = by_torque.tau, by_torque.multipliers, np.zeros_like(at.D)
+        qdd = third
+    else:
+        caused = dense_dynamics.caused(plain, q, at.D)
+        answer, lam = caused.qdd, caused.multipliers
+        qdd, moved = joints, answer
+    N = _first_forces(mechanism, at, q, qd, qdd, multipliers, times)
+    B = _responses(mechanism, at, q, moved, lam)
+    f = _rounds(mechanism, at.part, N, B, q)
+    return Friction(
+        joints + (f[..., None] * answer).sum(axis=-2),
+        multipliers + (f[..., None] * lam).sum(axis=-2),
+        (f[..., None] * at.D).sum(axis=-2),
+    )
+
+
+def _first_forces(
+    mechanism: Mechanism,
+    at: Rubbing,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    multipliers: Array,
+    times: Array | float,
+) -> Complex:
+    """The forces (T, c) in the contacts without friction there."""
+    plain = without_rubbing(mechanism)
+    pins = pins_at(plain, multipliers, placed(plain, q).E)
+    R = np.zeros((*pins.shape[:-1], mechanism.n), complex)
+    if any(x.joint is not None for x in mechanism.rubbing):
+        R = reactions(plain, q, qd, qdd, multipliers, times) @ np.array([1.0, 1j])
+    return _felt(mechanism, at.along, R, pins)
+
+
+def _responses(mechanism: Mechanism, at: Rubbing, q: Array, qdd: Array, lam: Array) -> Complex:
+    """How much of force in each contact (last) a unit of friction at each other makes, (T, c, c).
+
+    Accelerations qdd (T, c, n) and multipliers (T, c, r) are those that the units make.
+    """
+    plain, here = without_rubbing(mechanism), q[:, None]
+    place = placed(plain, here)
+    pins = pins_at(plain, lam, place.E)
+    R = np.zeros((*pins.shape[:-1], mechanism.n), complex)
+    if any(x.joint is not None for x in mechanism.rubbing):
+        bodies, sides = bodies_of(plain), sides_of(plain)
+        bent = place.accelerations(plain, np.zeros_like(qdd), absolute_rates(plain, qdd, "qdd"))
+        R = matvec(bodies.below.T, bodies.points.moved(bent) * bodies.mass)
+        pushed = pins.copy()
+        for i, contact in enumerate(mechanism.rubbing):  # along its line each pushes its sides
+            if contact.closure is not None and contact.radius is None:
+                pushed[..., i, contact.closure] += at.along[..., i]
+        R = R - matvec(sides.T, pushed)
+    return _felt(mechanism, at.along[:, None], R, pins)
+
+
+def _felt(mechanism: Mechanism, along: Complex, R: Complex, pins: Complex) -> Complex:
+    """The force (..., c) in each contact, by those of joints (..., n) and of closures."""
+    found = []
+    for i, contact in enumerate(mechanism.rubbing):
+        if contact.closure is not None:
+            found.append(pins[..., contact.closure])
+        elif contact.radius is None:
+            across = (along[..., i].conj() * R[..., contact.joint]).imag
+            found.append(across.astype(complex))
+        else:
+            found.append(R[..., contact.joint])
+    return np.stack(found, axis=-1)
+
+
+def _rounds(mechanism: Mechanism, part: Array, N: Complex, B: Complex, q: Array) -> Array:
+    """f (T, c) with f = part |N + f B|."""
+    f: Array = part * np.abs(N)
+    change = np.zeros_like(f)
+    for _ in range(ROUNDS):
+        before = f
+        f = part * np.abs(N + (f[..., None] * B).sum(axis=-2))
+        change = np.abs(f - before)
+        left = change > SETTLED * np.abs(f).max(axis=-1, keepdims=True)
+        if not left.any():
+            return f
+    state, contact = map(int, np.argwhere(left)[0])
+    contact = int(np.argmax(change[state]))
+    friction = mechanism.rubbing[contact]
+    at = ", ".join(f"{x:.6g}" for x in q[state])
+    limit = f"friction has no solution that rounds come to, at q = {at}: it locks the mechanism"
+    limit += " there, or is too large"
+    place = f"{mechanism.rubbing_place(friction)}.coefficient"
+    raise NotSettledError(
+        place, where=mechanism.source, value=f"{friction.coefficient:g}", limit=limit
+    )

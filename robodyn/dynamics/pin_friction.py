@@ -1,0 +1,111 @@
+"""Where friction by the forces in pins and slides acts, and how large it is.
+
+Each of c contacts has a slip rate D qd, D (c, n), and gives f = part |N| along it, so D^T f at the
+joints; N is the force in the pin, or that across the line of a slide, and
+
+    part = -coefficient radius tanh(slip/speed),
+
+without the radius for slides.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robodyn.dynamics.closed_form import points_of
+from robodyn.dynamics.placed import Placed, as_states, columns, matvec, placed
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import Closure
+from robodyn.tables.arrays import Array, Complex
+
+
+class Rubbing(NamedTuple):
+    """The contacts of states: D (..., c, n), `part` (..., c), and the direction of each slide.
+
+    `along` (..., c) is a unit vector; zero for pins.
+    """
+
+    D: Array
+    part: Array
+    along: Complex
+
+
+def rubbing_at(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Rubbing:
+    """The contacts at states q, qd (..., n), which broadcast."""
+    q, qd = np.broadcast_arrays(as_states(mechanism, "q", q), as_states(mechanism, "qd", qd))
+    contacts, at = mechanism.rubbing, placed(mechanism, q)
+    D = np.zeros((*q.shape[:-1], len(contacts), mechanism.n))
+    along = np.zeros(D.shape[:-1], complex)
+    for i, contact in enumerate(contacts):
+        if contact.joint is not None:
+            D[..., i, contact.joint] = 1.0
+            if contact.joint in mechanism.slides:
+                along[..., i] = _axis(mechanism, contact.joint, at)
+        else:
+            assert contact.closure is not None
+            closure = mechanism.description.closures[contact.closure]
+            if closure.along is None:
+                D[..., i, :] = _turning(mechanism, closure)
+            else:
+                along[..., i] = _line(mechanism, contact.closure, at)
+                D[..., i, :] = _sliding(mechanism, closure, at, along[..., i])
+    sizes = np.array([x.coefficient * (x.radius or 1.0) for x in contacts])
+    speeds = np.array([x.speed for x in contacts])
+    return Rubbing(D, -sizes * np.tanh(matvec(D, qd) / speeds), along)
+
+
+def _axis(mechanism: Mechanism, joint: int, at: Placed) -> Complex:
+    """The direction (...) in which a link slides."""
+    turned, frame = mechanism.tree.turned(joint, 1.0 + 0j), mechanism.frames[joint]
+    return np.asarray(turned * (1.0 + 0j if frame is None else at.E[..., frame]))
+
+
+def _line(mechanism: Mechanism, closure: int, at: Placed) -> Complex:
+    """The direction (...) of the line of a closure."""
+    row = next(x for x in mechanism.rows if x.closure == closure and not x.arm)
+    turned = 1.0 + 0j if row.line is None else at.E[..., row.line]
+    return np.asarray(-1j * row.direction * turned)
+
+
+def _turning(mechanism: Mechanism, closure: Closure) -> Array:
+    """The rate (n,) of the link named first against the other, by those of joints."""
+    found = np.zeros(mechanism.n)
+    for side, sign in ((closure.first, 1.0), (closure.second, -1.0)):
+        frame = None if side.link is None else mechanism.frames[side.link]
+        if frame is not None:
+            found += sign * mechanism.arrays.J[frame]
+    return found
+
+
+def _sliding(mechanism: Mechanism, closure: Closure, at: Placed, along: Complex) -> Array:
+    """The rate (..., n) of the point along the line, by those of joints.
+
+    The line's turning moves a point on it across it alone.
+    """
+    points = [mechanism.tree.point(x) for x in (closure.first, closure.second)]
+    c = points_of(mechanism, points).c
+    moved = columns(mechanism, c, at.X[..., None, :], at.E[..., None, :]) @ mechanism.arrays.J
+    between = moved[..., 0, :] - moved[..., 1, :]
+    return np.asarray((along.conj()[..., None] * between).real)
+
+
+def at_closures(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, pins: Complex
+) -> tuple[Complex, Array]:
+    """Friction on the sides of closures named first: forces N and moments N m, (..., closures).
+
+    `pins` (..., closures) are the forces of the closures, N.
+    """
+    at = rubbing_at(mechanism, q, qd)
+    forces, moments = np.zeros_like(pins), np.zeros(pins.shape)
+    for i, contact in enumerate(mechanism.rubbing):
+        if contact.closure is not None:
+            f = at.part[..., i] * np.abs(pins[..., contact.closure])
+            if contact.radius is None:
+                forces[..., contact.closure] += f * at.along[..., i]
+            else:
+                moments[..., contact.closure] += f
+    return forces, moments
