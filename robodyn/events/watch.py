@@ -425,7 +425,9 @@ class EventWatch:
                 self._hidden(i, stretch)
                 continue
             touched = self._touched[i]
-            told = self._hidden_until(i, stretch.begin) or function.has_one_sign
+            told = (
+                self._hidden_until(i, stretch.begin) or function.has_one_sign or function.computed
+            )
             if self.signs[i] not in (0, sign):
                 if function.way in (0, sign):
                     t = step.begin
