@@ -1,6 +1,7 @@
 """Events as people write them: `q1 > 90deg`, or `qd1`, a function whose changes of sign count.
 
-An expression knows the time t, the joints' q1.. and qd1.., and takes what torques take.
+An expression knows the time t, the joints' q1.. and qd1.., and the columns of states by their names
+(`state_columns.py`); it takes what torques take.
 
 Between the zeros of its switches an expression is smooth: `abs(x)` bends where x passes zero,
 `floor(x)` jumps where sin(pi x) does, `a if b > c else d` may jump where b - c does, `sqrt(x)` ends
@@ -25,10 +26,11 @@ from typing import Any
 import numpy as np
 
 from robodyn.errors import InputError
+from robodyn.events.state_columns import PREFIX, ROUGH, StateColumns, variables
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.time_samples import FUNCTIONS
 from robodyn.scene.expressions import changed, code_of, fold, names_of, walk
-from robodyn.scene.quantities import expressions, state_variables
+from robodyn.scene.quantities import expressions
 from robodyn.scene.syntax import Node, NotAllowedError
 from robodyn.tables.arrays import Array
 
@@ -74,7 +76,8 @@ class EventFunction(Part):
     `way` 1: where it becomes positive, -1: negative, 0: both.  Where it stays at zero a comparison
     holds if it has an equality (not `strict`).  It is smooth where none of its `switches`, which
     are smooth between zeros of those before them, passes zero.  Where it is seen to have one sign,
-    it may touch zero, but not pass.
+    it may touch zero, but not pass.  `computed`: columns of states are among
+    what it names.
     """
 
     name: str
@@ -82,16 +85,28 @@ class EventFunction(Part):
     strict: bool
     switches: tuple[Part, ...]
     has_one_sign: bool = False
+    computed: bool = False
+
+
+def event_function(
+    mechanism: Mechanism, name: str, text: str, where: str, columns: StateColumns | None = None
+) -> EventFunction:
+    """The event at which a comparison becomes true, or at which a function passes zero.
+
+    Raises InputError, naming `where`, for what is neither.  Columns of states that it names are
+    those of `columns`, of a run.
+    """
+    tree, way, strict = _read(mechanism, text, where)
+    if columns is not None and any(x.startswith(PREFIX) for x in names_of(tree)):
+        return _made(mechanism.n, name, tree, way, strict, columns)
+    return _kept(mechanism.n, name, tree, way, strict)
 
 
 @lru_cache(maxsize=256)
-def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> EventFunction:
-    """The event at which a comparison becomes true, or at which a function passes zero.
-
-    Raises InputError, naming `where`, for what is neither.
-    """
+def _read(mechanism: Mechanism, text: str, where: str) -> tuple[Node, int, bool]:
+    """The function of an event, the way that counts, and whether equality is none."""
     try:
-        found = expressions(text, state_variables(mechanism.n, mechanism.slides))
+        found = expressions(text, variables(mechanism))
     except NotAllowedError as error:
         what = _INSTEAD.search(text)
         instead = f"; {_WRITE[what[0]]}" if what else ""
@@ -104,7 +119,8 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
     if len(found) != 1:
         raise InputError(repr(text), where=where, limit="must be one expression, without a comma")
     if not found[0].names:
-        raise InputError(repr(text), where=where, limit="never changes: it names no t, q or qd")
+        limit = "never changes: it names no t, q or qd, and no column"
+        raise InputError(repr(text), where=where, limit=limit)
     tree, way, strict = found[0].node, 0, True
     if any(isinstance(x, float) and abs(x) > LARGEST for x in walk(tree)):
         limit = f"has a number above {LARGEST:g}: what it makes leaves the floats"
@@ -115,26 +131,54 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
             raise InputError(repr(text), where=where, limit="compares a comparison")
         way, strict = WAYS[operation], operation in "<>"
         tree = "-", left, right
-    n = mechanism.n
-    cuts = tuple(
-        Part(_vectorised(x, n), bound_of(x, n), around=around_of(x, n)) for x in switches(tree)
+    return tree, way, strict
+
+
+@lru_cache(maxsize=256)
+def _kept(n: int, name: str, tree: Node, way: int, strict: bool) -> EventFunction:
+    return _made(n, name, tree, way, strict, None)
+
+
+def _made(
+    n: int, name: str, tree: Node, way: int, strict: bool, columns: StateColumns | None
+) -> EventFunction:
+    def parts(node: Node) -> dict[str, Any]:
+        around = None if _computed(node) else around_of(node, n)
+        made = {"values": _vectorised(node, n, columns), "noise": bound_of(node, n, columns)}
+        return {**made, "around": around}
+
+    cuts = tuple(Part(**parts(x)) for x in switches(tree))
+    return EventFunction(
+        **parts(tree),
+        name=name,
+        way=way,
+        strict=strict,
+        switches=cuts,
+        has_one_sign=has_one_sign(tree),
+        computed=bool(_computed(tree)),
     )
-    made: tuple[Any, ...] = _vectorised(tree, n), bound_of(tree, n)
-    made += name, way, strict, cuts, has_one_sign(tree)
-    return EventFunction(*made, around=around_of(tree, n))
 
 
-def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> tuple[EventFunction, ...]:
+def _computed(tree: Node) -> list[str]:
+    """The variables of an expression that are columns of states."""
+    return sorted(x for x in names_of(tree) if x.startswith(PREFIX))
+
+
+def event_functions(
+    mechanism: Mechanism, given: Mapping[str, str], columns: StateColumns | None = None
+) -> tuple[EventFunction, ...]:
     """Events by their names; InputError for a name or an expression that is none."""
     if type(given) is not dict and not isinstance(given, Mapping):
         kind = type(given).__name__
         raise InputError("events", value=kind, limit="must be a mapping of names to expressions")
-    try:
-        return _functions(mechanism, tuple(given.items()))
-    except TypeError:  # what cannot be remembered is no text
-        for name, text in given.items():
-            _check(name, text)
-        raise
+    found = []
+    for name, text in given.items():
+        _check(name, text)
+        if not _NAME.fullmatch(name):
+            limit = "must be a letter, then letters, digits, _ or -"
+            raise InputError("name of an event", value=name, limit=limit)
+        found.append(event_function(mechanism, name, text, f"event {name}", columns))
+    return tuple(found)
 
 
 def must_be_text(what: str, value: object) -> None:
@@ -148,18 +192,6 @@ def _check(name: object, text: object) -> None:
     must_be_text(f"event {name}", text)
 
 
-@lru_cache(maxsize=64)
-def _functions(
-    mechanism: Mechanism, given: tuple[tuple[str, str], ...]
-) -> tuple[EventFunction, ...]:
-    for name, text in given:
-        _check(name, text)
-        if not _NAME.fullmatch(name):
-            limit = "must be a letter, then letters, digits, _ or -"
-            raise InputError("name of an event", value=name, limit=limit)
-    return tuple(event_function(mechanism, name, text, f"event {name}") for name, text in given)
-
-
 def _for_arrays(node: tuple[Any, ...]) -> Node:
     """`a if b else c` of arrays, and comparisons as 0.0 and 1.0."""
     if node[0] in WAYS:
@@ -167,15 +199,16 @@ def _for_arrays(node: tuple[Any, ...]) -> Node:
     return ("where", *node[1:]) if node[0] == "if" else node
 
 
-def _vectorised(tree: Node, n: int) -> Values:
-    columns = [
+def _vectorised(tree: Node, n: int, columns: StateColumns | None) -> Values:
+    lines = [
         f"{name}{k} = y[:, {k + first}]"
         for name, first in (("q", 0), ("qd", n))
         for k in range(n)
         if f"{name}{k}" in names_of(tree)
     ]
-    body = "\n    ".join([*columns, f"return {code_of(changed(tree, _for_arrays))}"])
-    scope: dict[str, Any] = dict(_SCOPE)
+    lines += [f"{x} = columns({x.removeprefix(PREFIX)!r}, t, y)" for x in _computed(tree)]
+    body = "\n    ".join([*lines, f"return {code_of(changed(tree, _for_arrays))}"])
+    scope: dict[str, Any] = {**_SCOPE, "columns": None if columns is None else columns.values}
     exec(compile(f"def values(t, y):\n    {body}\n", "<robodyn event>", "exec"), scope)
     function = scope["values"]
 
@@ -294,7 +327,9 @@ def _positive(x: Any) -> Any:
     return np.maximum(x, 0.0)
 
 
-def bound_of(tree: Node, n: int) -> Callable[[Array, Array], Array]:
+def bound_of(
+    tree: Node, n: int, columns: StateColumns | None = None
+) -> Callable[[Array, Array], Array]:
     """The bound (..., k or 1) on the rounding of an expression's values along a step.
 
     Those are at its times (..., k), of its states (..., k, 2n or more).
@@ -305,7 +340,15 @@ def bound_of(tree: Node, n: int) -> Callable[[Array, Array], Array]:
         for part in (off[..., :n], off[..., n:]) if n > 1 else ():
             part[:] = np.maximum.reduce(part, axis=-1, keepdims=True)
         off *= STATE
-        return np.atleast_1d(_bounded(tree, _known(t, t, y, off, n))[1])
+        known = _known(t, t, y, off, n)
+
+        def each(name: str) -> Bounded:
+            if columns is None or not name.startswith(PREFIX):
+                return known(name)
+            values = columns.values(name.removeprefix(PREFIX), t, y)
+            return values, ROUGH * np.abs(values).max(axis=-1, keepdims=True)
+
+        return np.atleast_1d(_bounded(tree, each)[1])
 
     return bound
 

@@ -26,6 +26,7 @@ from robodyn.events.single_zeros import (
     by_boxes,
     followed,
 )
+from robodyn.events.state_columns import StateColumns
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
@@ -100,6 +101,7 @@ class EventWatch:
     `grazes` has, by name, the times at which a function touches zero as far as rounding tells,
     without passing it; `hidden` from when to when it is zero so for long; `lost` where it changes
     sign too often to be followed.  Events keep the first `width` numbers of a state; None: all.
+    `columns` are those of states that functions name.
     `signs` are those that functions have had; 0 where that is not yet known: what holds at the
     start is no event.
     """
@@ -108,6 +110,7 @@ class EventWatch:
     t_end: float
     stops: frozenset[int] = frozenset()
     width: int | None = None
+    columns: StateColumns | None = None
 
     def __post_init__(self) -> None:
         self.kept: list[Event] = []
@@ -422,7 +425,9 @@ class EventWatch:
                 self._hidden(i, stretch)
                 continue
             touched = self._touched[i]
-            told = self._hidden_until(i, stretch.begin) or function.has_one_sign
+            told = (
+                self._hidden_until(i, stretch.begin) or function.has_one_sign or function.computed
+            )
             if self.signs[i] not in (0, sign):
                 if function.way in (0, sign):
                     t = step.begin

@@ -308,6 +308,8 @@ class Recorder:
             self.mechanism = moving
         self.stopped = None
         assert self.events is not None
+        if self.events.columns is not None:
+            self.events.columns.enter(moving)
         self.events.guard(guards)
 
     def end_solver(self, solver: OdeSolver) -> None:

@@ -11,7 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from robodyn.dynamics.placed import as_states
 from robodyn.engines.row_values import near_table_end, rows_of
 from robodyn.errors import InputError, RobodynError, SingularError, printable
 from robodyn.events.functions import event_function, event_functions, must_be_text
+from robodyn.events.state_columns import StateColumns
 from robodyn.events.watch import Event, EventWatch
 from robodyn.loops import loop_rates
 from robodyn.loops.misses import Misses
@@ -400,20 +401,14 @@ def watched_events(
     """
     if not events and until is None:
         return None
-    event_function, event_functions, must_be_text, watching = _events()
-    functions, stops = event_functions(mechanism, events), NONE
+    own = StateColumns(mechanism)
+    functions, stops = event_functions(mechanism, events, own), NONE
     if until is not None:
         must_be_text(UNTIL, until)
         stops = frozenset([len(functions)])
-        functions = *functions, event_function(mechanism, UNTIL, until, UNTIL)
-    watch: EventWatch = watching(functions, t_end, stops, 2 * mechanism.n)
-    return watch
-
-
-@cache
-def _events() -> tuple[Any, ...]:
-    """What finds events: runs without any do not import it."""
-    return event_function, event_functions, must_be_text, EventWatch
+        functions = *functions, event_function(mechanism, UNTIL, until, UNTIL, own)
+    computed = own if any(x.computed for x in functions) else None
+    return EventWatch(functions, t_end, stops, 2 * mechanism.n, computed)
 
 
 def run(
@@ -457,6 +452,8 @@ def run(
     most = settings.max_evaluations
     recorder = Recorder(moving, report, sink, times, most, watch, actuation, statistics)
     recorder.events = events
+    if events is not None and events.columns is not None:
+        events.columns.enter(moving, partial(applied_torques, mechanism, actuation))
     recorder.begin(y)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED

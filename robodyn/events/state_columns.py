@@ -1,0 +1,65 @@
+"""Columns of states in the functions of events: whatever can be computed of a state, by its name.
+
+What an event asks for beyond t, q and qd (`fx1`, `power1`, `tip2_y`) needs the torques that act
+along the run and what moves there, which only the run knows: it enters both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from robodyn.dynamics.columns import scene_units, unit_of
+from robodyn.dynamics.state import State, find
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.dimensions import dimension_of
+from robodyn.scene.quantities import Variables, state_variables
+from robodyn.tables.arrays import Array
+
+PREFIX = "column_"  # of a column's name as a variable
+ROUGH = 1e-12  # of the largest value: what solving for forces and accelerations may add to each
+
+Torques = Callable[[Array, Array], Array]  # at times (k,) and states (k, 2n or more), (k, n)
+
+
+def variables(mechanism: Mechanism) -> Variables:
+    """t, q1.. and qd1.., and the columns of states by their names, with `PREFIX`."""
+    plain = state_variables(mechanism.n, mechanism.slides)
+    units = scene_units(mechanism)
+
+    def named(name: str) -> str | None:
+        return plain.named(name) or (PREFIX + name if find(mechanism, name, []) else None)
+
+    def of(name: str) -> Mapping[str, float] | None:
+        column = name.removeprefix(PREFIX)
+        return plain.of(name) if column == name else dimension_of(unit_of(column, units))
+
+    return Variables(named, f"{plain.known}, and columns of states", of)
+
+
+class StateColumns:
+    """The columns of states along a run: `enter` tells what moves, and under which torques."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism = self.moving = mechanism
+        self._torques: Torques | None = None
+        self._last: tuple[Array, Array, State] | None = None
+
+    def enter(self, moving: Mechanism, torques: Torques | None = None) -> None:
+        """The motion goes on in another mode, or under the torques of another run."""
+        self.moving, self._last = moving, None
+        self._torques = torques or self._torques
+
+    def values(self, name: str, t: Array, y: Array) -> Array:
+        """A column at times and states (..., 2n or more), (...)."""
+        if self._last is None or self._last[0] is not t or self._last[1] is not y:
+            self._last = t, y, self._state(t, y)
+        return self._last[2].columns([name])[..., 0]
+
+    def _state(self, t: Array, y: Array) -> State:
+        assert self._torques is not None
+        n, times = self.mechanism.n, np.broadcast_to(t, y.shape[:-1])
+        tau = self._torques(times.ravel(), y.reshape(-1, y.shape[-1])).reshape(*times.shape, n)
+        q, qd = y[..., :n], y[..., n : 2 * n]
+        return State(self.mechanism, q, qd, tau=tau, t=times, moving=self.moving)
