@@ -408,9 +408,8 @@ def simulate(
     Start values of other actuated joints are held, passive joints follow, and a controller keeps
     its model.  The summary has their errors; cells are empty from where no derivative is found.
 
-    An event happens when a comparison becomes true, or a function of t, q1.., qd1.. and forces
-    (fx1, tc1, contact1) passes zero; what holds at the start is none.  Its time is found to
-    rounding.
+    An event happens when a comparison becomes true, or a function of t, q1.., qd1.. passes zero;
+    what holds at the start is none.  Its time is found to rounding.
 
     With e = q_ref - q and ed = qd_ref - qd the controllers are pd: tau = kp e + kd ed; pd+g: that
     and the torque that holds the control model at rest at q; computed-torque: the torque that
