@@ -60,7 +60,7 @@ def export(
             raise InputError("--timestep", value=step, limit="must be > 0 and finite, s")
         pose = None
         if q is not None:
-            pose = single_state(mechanism, [Quantity("q", q, True)])[0].tolist()
+            pose = single_state(mechanism, [Quantity("q", q, True)], t=0.0)[0].tolist()
         elif mechanism.rows:
             pose = first_pose(mechanism).tolist()
             note(f"Note: without --q it begins at q = {', '.join(f'{x:.6g}' for x in pose)}")

@@ -40,7 +40,7 @@ from robodyn.loops.misses import Misses
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
-FloatClosing = Callable[[list[float]], tuple[list[float], float]]
+FloatClosing = Callable[[float, list[float]], tuple[list[float], float]]
 
 CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and the rates too
 # Entries of A and P up to which straight-line code is the fastest, with closures and without them.
@@ -54,14 +54,17 @@ def dense_closing(mechanism: Mechanism) -> Closing:
     n, size, units = mechanism.n, singular_size(mechanism), mechanism.arrays.units
     rank = regular_rank(mechanism)
 
-    def nearest(y: Array) -> tuple[Array, float]:
+    def nearest(t: float, y: Array) -> tuple[Array, float]:
         closed = y.copy()
-        closed[:n] = close_positions(mechanism, y[:n])
+        closed[:n] = close_positions(mechanism, y[:n], t=t)
         qd = closed[n : 2 * n] / units
-        Psi = closed_form.scaled_jacobian(mechanism, closed[:n])
+        Psi = closed_form.scaled_jacobian(mechanism, closed[:n], t)
         U, s, Vt = svd(Psi)
         held = s > CUT * s[0]
-        qd -= Vt[held].T @ ((U[:, held].T @ (Psi @ qd)) / s[held])
+        opening = Psi @ qd
+        if mechanism.driven:
+            opening = opening + closed_form.closure_drift(mechanism, closed[:n], t)
+        qd -= Vt[held].T @ ((U[:, held].T @ opening) / s[held])
         closed[n : 2 * n] = qd * units
         return closed, float((s[rank - 1] / size) ** 2)
 
@@ -74,8 +77,8 @@ def best_closing(mechanism: Mechanism) -> Closing:
         return dense_closing(mechanism)
     close = float_closing(mechanism)
 
-    def nearest(y: Array) -> tuple[Array, float]:
-        closed, quality = close(y.tolist())
+    def nearest(t: float, y: Array) -> tuple[Array, float]:
+        closed, quality = close(t, y.tolist())
         return np.array(closed), quality
 
     return nearest
@@ -95,15 +98,15 @@ def float_closing(mechanism: Mechanism) -> FloatClosing:
         limits = least, CLOSED * size, CONVERGED * size
         close = straightline.compile_closing(formula, PASSES, *limits)
 
-    def nearest(y: list[float]) -> tuple[list[float], float]:
+    def nearest(t: float, y: list[float]) -> tuple[list[float], float]:
         try:
-            found = close(y) if close is not None else None
+            found = close(t, y) if close is not None else None
         except (ZeroDivisionError, ValueError):  # a lost pivot, an infinite angle
             found = None
         if found is None:
             if not math.isfinite(sum(y)):
                 return y, 0.0
-            closed, quality = otherwise(np.array(y))
+            closed, quality = otherwise(t, np.array(y))
             found = closed.tolist(), quality
         return found
 
@@ -142,8 +145,8 @@ class Projection:
         self.mechanism, self.closing = mechanism, closing
         self.misses = misses or Misses(mechanism)
 
-    def __call__(self, y: Array) -> Array:
-        closed, quality = self.closing(y)
+    def __call__(self, t: float, y: Array) -> Array:
+        closed, quality = self.closing(t, y)
         if quality > SUSPECT:
             return closed
         q = y[: self.mechanism.n]

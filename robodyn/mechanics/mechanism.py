@@ -35,6 +35,7 @@ from robodyn.elements.joints import Range, Rotor
 from robodyn.elements.kinds import place_of
 from robodyn.elements.springs import JointDamper
 from robodyn.errors import InputError
+from robodyn.mechanics.driven import driven_joints
 from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest, places_of
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
@@ -264,6 +265,9 @@ def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:
     never actuated, and a group with a coupled joint outside of loops is driven from there.
     """
     if description.actuated is not None:
+        for k in sorted(driven_joints(description) & set(description.actuated)):
+            limit = f"names {description.links[k].name}, which a law of the time drives"
+            raise InputError("actuated", where=description.source, limit=limit)
         return description.actuated
     leader = list(range(len(description.links)))  # of each joint, in its group
 
@@ -286,7 +290,8 @@ def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:
     groups: dict[int, set[int]] = {}
     for k in in_loops.union(*coupled):
         groups.setdefault(group_of(k), set()).add(k)
+    known = driven | driven_joints(description)
     for group in groups.values():
-        if group & in_loops and not group & driven:
+        if group & in_loops and not group & known:
             driven.update(sorted(group - followers)[:1])
     return tuple(sorted(driven))

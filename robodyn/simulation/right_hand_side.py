@@ -132,7 +132,7 @@ def _projecting(
 
         def evaluate(states: Array) -> Array:
             if torques is not None:
-                held[:] = torques(t, closing(y)[0].tolist())
+                held[:] = torques(t, closing(t, y)[0].tolist())
             return np.array([beside(t, state) for state in states])
 
         try:
@@ -145,7 +145,7 @@ def _projecting(
         if project.misses.near(q):  # a stage that were closed here would bend the step
             return solved(t, y)
         if dense:  # whose closing is the cheapest test
-            closed, quality = closing(y)
+            closed, quality = closing(t, y)
             if quality > SUSPECT:
                 return solved(t, closed)
         near = project.misses.nearest(q)
@@ -153,7 +153,7 @@ def _projecting(
             led = across(t, y, near) if near.crosses else solved(t, y)
             if led is not None:
                 return led
-        return solved(t, closing(y)[0])
+        return solved(t, closing(t, y)[0])
 
     return careful
 

@@ -316,7 +316,7 @@ def simulate(
         shapes = f"{q.shape} and {qd.shape}"
         raise InputError("shapes of q and qd", value=shapes, limit="must be those of one state")
     if mechanism.rows:
-        fault = loop_rates.check_closed(mechanism, q, qd)
+        fault = loop_rates.check_closed(mechanism, q, qd, t=0.0)
         if fault is not None:
             raise fault[1]
     state = np.concatenate([q, qd])
@@ -442,6 +442,7 @@ def run(
         warnings.warn(TOO_FAST, dynamics.RobodynWarning, stacklevel=2)
     report.stabilize = settings.stabilize if mechanism.rows else "none"
     work = actuation.active or mechanism.changes_energy or mechanism.switches
+    work = work or bool(mechanism.driven)
     y = np.array([*state.tolist(), *[0.0] * (actuation.states + work)])
     y = _begun(mechanism, actuation, y, t_end, report.stabilize == "projection")
     phases, moving = None, mechanism
@@ -491,7 +492,7 @@ def _begun(
     if t_end != 0.0 and mechanism.rows:
         loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
     if projects:
-        y = Projection(mechanism, best_closing(mechanism))(y)
+        y = Projection(mechanism, best_closing(mechanism))(0.0, y)
     if actuation.told is not None:
         actuation.told.begin(y.tolist(), float(t_end))
     if mechanism.signals:
