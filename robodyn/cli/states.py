@@ -169,9 +169,9 @@ def table_source(
 ) -> Source:
     """The source in a table with this header, or in the option, which goes first."""
     everything = quantity.columns(range(mechanism.n))
-    if quantity.option is None and not driver_of(mechanism, quantity.name).actuated:
-        if not set(everything) <= set(header):
-            return option_source(mechanism, quantity)
+    free = driver_of(mechanism, quantity.name).actuated
+    if quantity.option is None and not free and not set(everything) <= set(header):
+        return option_source(mechanism, quantity)
     driven = quantity.columns(driver_of(mechanism, quantity.name).actuated)
     present = [name for name in everything if name in header]
     if quantity.option is not None and present:

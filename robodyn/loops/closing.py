@@ -233,7 +233,10 @@ HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D0082EFA98EC4E6C89 >>
 
 
 def exact_gap(mechanism: Mechanism, q: Any, t: Any) -> Array:
-    """The gap (r) of one state q (n) at the time t, of floats or of longdoubles, right to 1e-40 of the loop."""
+    """The gap (r) of one state q (n) at t, of floats or of longdoubles, right to 1e-40 of the loop.
+
+    Laws of couplings are no more exact than numbers of q's kind.
+    """
     if not np.isfinite(q).all():
         return np.full(len(mechanism.rows), np.nan)
     exponent = math.frexp(loop_size(mechanism))[1]  # in units of 2^-BITS of so many metres

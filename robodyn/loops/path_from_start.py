@@ -74,8 +74,8 @@ def closed_near(
 def start_pose(mechanism: Mechanism, plan: Plan, words: Sequence[str], near: Array) -> Closed:
     """The closed poses nearest to `near` (..., n) whose dyads are closed by their words.
 
-    All joints may change, but the actuated ones that the scene's `start` leaves out.  Laws of the time
-    are those at t = 0.
+    All joints may change, but the actuated ones that the scene's `start` leaves out.  Laws of the
+    time are those at t = 0.
     """
     start = mechanism.description.start or ()
     unsaid = [k for k in mechanism.actuated if start[k] is None]

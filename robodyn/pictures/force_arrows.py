@@ -109,7 +109,7 @@ def forces_at(
     *,
     t: float,
 ) -> list[Force]:
-    """The `forces` of a state q, qd (n,) at t that moves with qdd, or as the joint torques tau make it.
+    """The `forces` of a state q, qd (n,) at t that moves with qdd, or as joint torques tau make it.
 
     Those of the driving torques are among them.
 

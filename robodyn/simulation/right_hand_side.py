@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from robodyn.dynamics import dense_dynamics
-from robodyn.dynamics.closed_form import other_forces
+from robodyn.dynamics.closed_form import closure_drift, other_forces
 from robodyn.engines import straightline
 from robodyn.errors import SignalError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across
@@ -183,12 +183,18 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             return np.full(len(y), np.nan)
         q, qd, tau = y[:n], y[n : 2 * n], np.array(found[:n])
         try:
-            qdd = dense_dynamics.accelerations(mechanism, q, qd, tau, baumgarte, t)
+            driving = 0.0
+            if work and mechanism.driven:
+                solved = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte, t)
+                qdd = solved.qdd
+                driving = -float(closure_drift(mechanism, q, t) @ solved.multipliers)
+            else:
+                qdd = dense_dynamics.accelerations(mechanism, q, qd, tau, baumgarte, t)
             if work and forced:
                 tau = tau + other_forces(mechanism, q, qd, t)
         except SignalError:  # a shorter step may not
             return np.full(len(y), np.nan)
-        power = [float(tau @ qd - damping @ qd**2)] if work else []
+        power = [float(tau @ qd - damping @ qd**2) + driving] if work else []
         return [*values[n : 2 * n], *qdd.tolist(), *found[n:], *power]
 
     return rates
