@@ -770,7 +770,7 @@ def test_driving_torques() -> None:
     """Of a joint that turns an arc; of one that slides a force along it, of its weight here."""
     mech = robodyn.load(ROOT / "robots/rp-arm.yaml")
     q, rest = np.array([0.5, 0.3]), np.zeros(2)
-    found = {f.name: f for f in forces_at(mech, q, rest)}
+    found = {f.name: f for f in forces_at(mech, q, rest, t=0.0)}
     weights = found["m1 g"], found["m2 g"]
     moment = -sum((f.place.conjugate() * f.force).imag for f in weights)
     assert (found["tau1"].kind, found["tau1"].force, found["tau1"].place) == ("drive", 0, 0)
@@ -779,7 +779,7 @@ def test_driving_torques() -> None:
     assert found["tau2"].torque == 0.0
     expected = -(found["m2 g"].force * along.conjugate()).real * along
     assert found["tau2"].force == pytest.approx(expected)
-    given = {f.name: f for f in forces_at(mech, q, rest, tau=np.array([-3.0, 0.0]))}
+    given = {f.name: f for f in forces_at(mech, q, rest, tau=np.array([-3.0, 0.0]), t=0.0)}
     assert (given["tau1"].torque, "tau2" in given) == (-3.0, False)
 
 
@@ -793,7 +793,7 @@ def test_an_arc_turns_as_its_torque() -> None:
 def test_no_force_at_all() -> None:
     text = "gravity: 0\nlinks: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
     mech = mechanism.build(description.from_text(text, "x.yaml"))
-    assert forces_at(mech, np.ones(1), np.zeros(1)) == []
+    assert forces_at(mech, np.ones(1), np.zeros(1), t=0.0) == []
 
 
 def test_prefixes() -> None:

@@ -331,6 +331,5 @@ class EquationsOfMotion(Builder):
                 self.moments[above].append((-c, pull))
         slot = laws.made.slot(value)
         if degree(row.law.node) is None:  # its series may tell nothing of what lies ahead
-            joint = row.angles[0][0]
-            self.bends(program.add(Derivative(slot)), self.mechanism.inertias.get(joint, 1.0))
+            self.bends(program.add(Derivative(slot)), 1.0)
         return (program.number(-row.arm), slot), drift
