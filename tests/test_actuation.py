@@ -513,7 +513,7 @@ for text in sys.argv[1:]:
 TIMES_THAT_DO_NOT_SERVE = [
     ([], "two rows"),
     ([0.0], "two rows"),
-    ([0.0, 0.0], "increase"),
+    ([0.0, 0.0], "two times"),
     ([0.0, 1.0, 0.5], "increase"),
     ([1.0, 0.0], "increase"),
     ([0.0, math.nan], "increase|finite"),

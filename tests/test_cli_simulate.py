@@ -286,6 +286,21 @@ def test_the_integrator_steps_onto_the_kinks_of_a_table(robodyn: Run, tmp_path: 
     assert counts[1] < counts[0]  # without the ramps between the rows
 
 
+def test_rows_that_hold_are_a_square_wave(robodyn: Run) -> None:
+    """As samples, as steps of two rows at one time, and as an expression."""
+    samples = "t,tau1\n" + "".join(f"{k / 20},{5 * (-1) ** k}\n" for k in range(21))
+    steps = ["t,tau1"]
+    for k in range(20):
+        steps += [f"{k / 20},{5 * (-1) ** k}", f"{(k + 1) / 20},{5 * (-1) ** k}"]
+    options = ("--time", 1, "--points", 11, "--quiet", "--tau-from", "-")
+    held = robodyn(*CRANK, *options, "--tau-hold", stdin=samples).succeeds()
+    stepped = robodyn(*CRANK, *options, stdin="\n".join(steps) + "\n").succeeds()
+    assert stepped.out == held.out
+    square = ("--tau", "5*sign(sin(20*pi*t + 1e-12))")
+    wave = robodyn(*CRANK, *options[:-2], *square).succeeds()
+    assert held.column("q1") == pytest.approx(wave.column("q1"), abs=1e-8)
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("stabilize", ["projection", "baumgarte", "none"])
 def test_every_method_with_every_stabilization(robodyn: Run, method: str, stabilize: str) -> None:

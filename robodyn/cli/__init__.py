@@ -54,7 +54,7 @@ _CONTROL += "--control-model"
 _OPTIONS = {
     "simulate": {
         "Start": "--q --qd --assemble",
-        "Torques": "--force --tau --tau-from --volt",
+        "Torques": "--force --tau --tau-from --tau-hold --volt",
         "Control": _CONTROL,
         "Integration": "--time --until --method --rtol --atol --max-step --accuracy "
         "--estimate-error --order --stabilize --baumgarte-rate --max-evals",

@@ -96,6 +96,7 @@ class TorqueOptions:
 
     tau: Text = option(_TAU, "TORQUES")
     tau_from: Annotated[Text, input_file("--tau-from", _TAU_FROM)] = None
+    tau_hold: bool = switch("A row of --tau-from holds until the next one, as samples do.")
     volt: Text = option("Voltages of the motors of the actuated joints, V: as --tau.", "VOLTS")
 
 
@@ -220,6 +221,8 @@ def torque_source(
     mechanism: Mechanism, options: TorqueOptions, control: ControlOptions, duration: float | None
 ) -> tuple[Actuation, float]:
     """The torques, and the end time: that of the reference where none is given."""
+    if options.tau_hold and options.tau_from is None:
+        raise InputError("--tau-hold", limit="is for --tau-from")
     sources = [*given_of(options, "tau", "tau_from", "volt"), *given_of(control, "control")]
     if len(sources) > 1:
         raise InputError(" and ".join(sources), limit="exclude each other")
@@ -238,7 +241,8 @@ def torque_source(
     names = ["t", *(f"tau{k + 1}" for k in mechanism.actuated)]
     values, _, name, _ = read_columns(options.tau_from, lambda *_: names)
     times, torques = values[:, 0].tolist(), values[:, 1:].tolist()
-    return actuation.table(mechanism, times, torques, where=name, until=end), end
+    made = actuation.table(mechanism, times, torques, where=name, until=end, hold=options.tau_hold)
+    return made, end
 
 
 def controlled(

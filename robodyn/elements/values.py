@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, ClassVar, NamedTuple
 
 from robodyn.elements.keys import Declared, Way, key
 from robodyn.tables.records import Record
@@ -30,19 +32,67 @@ class Law(Record):
     names: frozenset[str]  # t, q0.., qd0..; of a spring x, its extension, and v, its rate
 
 
+class Lines(NamedTuple):
+    """A function that is a line on each piece between increasing knots x (k + 1,).
+
+    `first` and `last` (k,) are its values at the ends of each piece.
+    """
+
+    x: tuple[float, ...]
+    first: tuple[float, ...]
+    last: tuple[float, ...]
+
+    @property
+    def slopes(self) -> tuple[float, ...]:
+        """The slope of each piece."""
+        each = zip(pairwise(self.x), self.first, self.last, strict=True)
+        return tuple((d - c) / (b - a) for (a, b), c, d in each)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """The knots at which the value jumps."""
+        each = zip(self.x[1:-1], self.last, self.first[1:], strict=False)
+        return tuple(x for x, before, after in each if before != after)
+
+
+def lines_of(x: Sequence[float], F: Sequence[float], hold: bool) -> Lines:
+    """The function of rows x, F: linear between them, or of `hold` steps; two at one x are a step.
+
+    The value at a step is that which follows it.
+    """
+    pairs = list(zip(pairwise(x), pairwise(F), strict=True))
+    wide = [((a, b), (c, c if hold else d)) for (a, b), (c, d) in pairs if b > a]
+    knots = (*(a for (a, _), _ in wide), wide[-1][0][1])
+    return Lines(knots, tuple(c for _, (c, _) in wide), tuple(d for _, (_, d) in wide))
+
+
 class Table(Declared):
-    """A function of one variable that is linear between its rows, x increasing."""
+    """A function of one variable by rows, x increasing: linear between them, or of `hold` steps.
+
+    Over t two rows may have one time: there the value jumps.
+    """
 
     file: str = key("name", "the CSV file, from the scene file's folder", name="table")
     over: str = key("name", "t, or a joint q1, ..: its column tells where the rows are")
     column: str = key("name", "the column of the force or torque")
-    x: tuple[float, ...]
-    F: tuple[float, ...]
+    hold: bool = key(
+        "truth",
+        "true: the value of a row holds until the next; over t",
+        default=False,
+        told="false",
+    )
+    x: tuple[float, ...] = ()
+    F: tuple[float, ...] = ()
     repeats: bool = False  # after its span; else it ends there
 
     ways: ClassVar[tuple[Way, ...]] = (
         Way("load_table", "varying", "A force or torque by a table, linear between its rows."),
     )
+
+    @property
+    def lines(self) -> Lines:
+        """The lines of which it is."""
+        return lines_of(self.x, self.F, self.hold)
 
     @property
     def names(self) -> frozenset[str]:

@@ -55,4 +55,6 @@ def _flow(value: Any) -> str:
         return f"[{', '.join(map(_flow, value))}]"
     if isinstance(value, str):
         return value if PLAIN.fullmatch(value) else json.dumps(value)
+    if isinstance(value, bool):
+        return str(value).lower()
     return repr(float(value))

@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, TypeVar
 
+from robodyn.elements.values import lines_of
 from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
@@ -46,10 +48,11 @@ class Actuation:
     """Joint torques over time: constants (n), or lines that set tau0.. from t, q0.., qd0...
 
     `kinks` are the increasing times at which the torque bends or jumps; an integrator must step
-    onto them.  It calls `told`, where there is one, at the start and at each of them.  `leaves` are
-    ends of times, counted from the start: no step may be longer than one that it enters.  Torques
-    may have `states` of their own, z0..: integrated beside q and qd by the rates zd0.. that the
-    lines set.
+    onto them.  It calls `told`, where there is one, at the start and at each of them.  `jumps` are
+    increasing times at which tables over time jump, of torques or of the scene's loads: what they
+    give there is what follows.  `leaves` are ends of times, counted from the start: no step may be
+    longer than one that it enters.  Torques may have `states` of their own, z0..: integrated beside
+    q and qd by the rates zd0.. that the lines set.
     """
 
     constants: tuple[float, ...] | None
@@ -68,6 +71,7 @@ class Actuation:
     # the same torques on a mechanism with other numbers, where they depend on these or on the run
     remade: Callable[[Mechanism], Actuation] | None = None
     where: str = ""  # the argument that had the expressions
+    jumps: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, torques: Sequence[Node], where: str = "") -> Actuation:
@@ -79,6 +83,13 @@ class Actuation:
     def told(self) -> Steps | None:
         """What follows the steps of a run."""
         return self.control or self.pieces
+
+    @cached_property
+    def stops(self) -> tuple[float, ...]:
+        """The increasing times onto which an integrator must step."""
+        if set(self.jumps) <= set(self.kinks):
+            return self.kinks
+        return tuple(sorted({*self.kinks, *self.jumps}))
 
     @property
     def active(self) -> bool:
@@ -178,37 +189,51 @@ def table(
     torques: Sequence[Sequence[float]],
     where: str = "table",
     until: float = 0.0,
+    hold: bool = False,
 ) -> Actuation:
     """Torques (rows, actuated), N m, at increasing times, s, interpolated linearly between them.
 
-    Raises InputError unless there are two rows, increasing times, and all of 0 to `until`.
+    With `hold` those of a row hold until the next.  Two rows at one time are a step.
+    Raises InputError unless there are two times, which increase, and all of 0 to `until`.
     """
     first, last = min(0.0, until), max(0.0, until)
     if len(times) < 2:
         limit = "a table of torques needs two rows or more"
         raise InputError("rows", where=where, value=len(times), limit=limit)
+    several = 0  # rows before one at the same time
     for before, after in pairwise(times):
-        if not after > before:
+        several = several + 1 if after == before else 0
+        if not after >= before or several > 1:
             limit = f"times must increase; the row before has {before:g}"
+            limit += ", and that before it; two are a step" if several else ""
             raise InputError("t", where=where, value=f"{after:g}", limit=limit)
+    if times[0] == times[-1]:
+        limit = "a table of torques needs two times or more"
+        raise InputError("t", where=where, value=f"{times[0]:g}", limit=limit)
     if times[0] > first or times[-1] < last:
         limit = f"must cover the simulation, {first:g} to {last:g} s"
+        limit += ": the last row ends it" if hold else ""
         raise InputError("t", where=where, value=f"{times[0]:g} to {times[-1]:g} s", limit=limit)
     driven = mechanism.actuated
-    rows = [tuple(map(float, row)) for row in torques]
     stamps = [float(t) for t in times]
+    columns = [lines_of(stamps, [float(x) for x in x], hold) for x in zip(*torques, strict=True)]
+    knots = columns[0].x if columns else tuple(sorted(set(stamps)))
+    pieces = range(len(knots) - 1)
+    rows = [[(x.first[k], x.last[k]) for x in columns] for k in pieces]
 
     def interpolate(t: float) -> tuple[float, ...]:
-        k = min(max(bisect_right(stamps, t), 1), len(stamps) - 1)
-        part = (t - stamps[k - 1]) / (stamps[k] - stamps[k - 1])
-        return tuple(a + part * (b - a) for a, b in zip(rows[k - 1], rows[k], strict=True))
+        k = min(max(bisect_right(knots, t), 1), len(knots) - 1)
+        part = (t - knots[k - 1]) / (knots[k] - knots[k - 1])
+        return tuple(a + part * (b - a) for a, b in rows[k - 1])
 
     targets = "".join(f"tau{k}, " for k in driven)
     lines = [f"{targets}= _interpolate(t)"]
     lines += [f"tau{k} = 0.0" for k in mechanism.passive]
     span = ("table of torques", stamps[0], stamps[-1])
     scope = {"_interpolate": interpolate}
-    return Actuation(None, tuple(lines), (), scope, tuple(stamps), True, span)
+    jumps = tuple(sorted({t for x in columns for t in x.jumps}))
+    made = Actuation(None, tuple(lines), (), scope, knots, True, span)
+    return replace(made, jumps=jumps)
 
 
 def callback(

@@ -49,6 +49,30 @@ class Pieces:
             self.first = self.piece(t)
 
 
+class Ahead:
+    """The times of a piece between two of the increasing `jumps`, of what jumps at these alone.
+
+    At a jump the value is that which follows it.  A step that ends there must not see that value,
+    nor one backwards that begins there: the times of a piece end one float before its second jump.
+    """
+
+    def __init__(self, jumps: Sequence[float]) -> None:
+        self.jumps = jumps
+        self.low, self.high = -math.inf, math.inf
+
+    def begin(self, t: float, forward: bool) -> None:
+        """Keep to the piece that a step from t enters."""
+        near = NEAR * math.ulp(t)
+        jumps = self.jumps
+        k = bisect_right(jumps, t + near) if forward else bisect_left(jumps, t - near)
+        self.low = jumps[k - 1] if k else -math.inf
+        self.high = math.nextafter(jumps[k], -math.inf) if k < len(jumps) else math.inf
+
+    def __call__(self, t: float) -> float:
+        """The time of the piece that is nearest to t."""
+        return min(max(t, self.low), self.high)
+
+
 def next_kink(kinks: Sequence[float], t: float, end: float, spacings: float = 0.0) -> float:
     """The next of the increasing `kinks` from t towards `end`, or the end.
 

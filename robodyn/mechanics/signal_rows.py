@@ -1,6 +1,6 @@
 """The rows of what varies: laws of springs, and loads by expressions and tables.
 
-A table that is linear between rows x_k, F_k is, with s_k its slopes and x in interval k,
+A table that is a line on each piece from x_k on is, with F_k its values there and s_k its slopes,
 
     F = F_k + s_k xi      U = U_k + F_k xi + s_k xi^2/2      xi = x - x_k
 
@@ -103,8 +103,8 @@ class _Lines:
     def __init__(self, rows: LinkRows, table: Table, own: Mapping[str, Slot]) -> None:
         self.program, self.table = rows.program, table
         self.at = own[table.over] if table.over in own else rows.variable(table.over)
-        self.x, self.F = table.x, table.F
-        self.slopes = self._slopes(self.x, self.F)
+        self.lines = table.lines
+        self.x, self.F, self.slopes = self.lines.x, self.lines.first, self.lines.slopes
         self.xi = self._beyond(self.x)
 
     @property
@@ -114,7 +114,9 @@ class _Lines:
         if self.table.repeats:
             bends.append(abs(self.slopes[0] - self.slopes[-1]))
         wide = max(b - a for a, b in pairwise(self.x))
-        return 0.5 * wide * max(bends, default=0.0) or 1.0
+        ends = zip(self.lines.last, self.F[1:], strict=False)
+        jump = max((abs(b - a) for a, b in ends), default=0.0)
+        return 0.5 * wide * max(bends, default=0.0) + jump or 1.0
 
     def value(self) -> Slot:
         """F."""
@@ -132,7 +134,8 @@ class _Lines:
     def energy(self) -> Slot:
         """U, zero where x is, or at the first row where that lies beyond the table."""
         widths = [b - a for a, b in pairwise(self.x)]
-        parts = [0.5 * h * (a + b) for h, (a, b) in zip(widths, pairwise(self.F), strict=True)]
+        each = zip(widths, self.F, self.lines.last, strict=True)
+        parts = [0.5 * h * (a + b) for h, a, b in each]
         U = list(accumulate(parts, initial=0.0))
         free = 0.0
         for k, (a, b) in enumerate(pairwise(self.x)):
@@ -141,7 +144,7 @@ class _Lines:
         square = self.program.add(Product(self.xi, self.xi))
         return self.program.sum(
             (1.0, self._step(self.x, [u - free for u in U[:-1]])),
-            (1.0, self.program.add(Product(self._step(self.x, self.F[:-1]), self.xi))),
+            (1.0, self.program.add(Product(self._step(self.x, self.F), self.xi))),
             (0.5, self.program.add(Product(self._step(self.x, self.slopes), square))),
         )
 

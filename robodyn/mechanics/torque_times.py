@@ -122,6 +122,7 @@ def over_a_scene_run(
         return actuation
     first, last = min(0.0, t_end), max(0.0, t_end)
     times: set[float] = set()
+    jumps = set(actuation.jumps)
     torques: list[Node] = []
     for signal in mechanism.signals:
         if isinstance(signal, Law) and "t" in signal.names:
@@ -135,6 +136,7 @@ def over_a_scene_run(
                     place, where=mechanism.source, value=span, limit=f"{limit}{last:g} s"
                 )
             times.update(t for t in signal.x if first < t < last)
+            jumps.update(t for t in signal.lines.jumps if first < t < last)
     found = over_a_run(Actuation.of(torques), state, t_end, small)
     leaves = {*actuation.leaves, *found.leaves}
     if actuation.control is not None:  # it takes kinks for samples
@@ -145,7 +147,13 @@ def over_a_scene_run(
     if actuation.control is None and not times <= set(kinks):
         kinks = tuple(sorted({*kinks, *times}))
     enough = actuation.told_by_leaves and found.told_by_leaves
-    return replace(actuation, kinks=kinks, leaves=tuple(sorted(leaves)), told_by_leaves=enough)
+    return replace(
+        actuation,
+        kinks=kinks,
+        jumps=tuple(sorted(jumps)),
+        leaves=tuple(sorted(leaves)),
+        told_by_leaves=enough,
+    )
 
 
 def _pick(k: float, *values: float) -> float:

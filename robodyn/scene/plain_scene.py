@@ -69,6 +69,9 @@ class _Writer:
     def centre(self, z: complex) -> float | list[float]:
         return self.vector(z) if z.imag or z.real < 0.0 else z.real
 
+    def truth(self, value: bool) -> bool:
+        return value
+
     def by_direction(self, amount: float | tuple[float, float]) -> float | list[float]:
         return list(amount) if isinstance(amount, tuple) else amount
 

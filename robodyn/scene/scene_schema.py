@@ -75,6 +75,7 @@ def _other_kinds() -> dict[str, Schema]:
         "joints": {**_list("name"), "uniqueItems": True},
         "quantity": {"type": "string", "pattern": _quantity()},
         "vector": {**pair, "items": _ref("number")},
+        "truth": {"type": "boolean"},
         "direction": {**_ref("vector"), "contains": {"not": {"const": 0}}},
         "points": {"type": "object", "additionalProperties": _ref("moving_point")},
         "pins": {"type": "object", "additionalProperties": _ref("vector"), "minProperties": 1},

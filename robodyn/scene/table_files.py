@@ -24,7 +24,14 @@ ENDS_AGREE = 1e-9  # of the largest value
 
 
 def read_table(
-    source: str, file: str, over: str, x: str, column: str, turns: bool, known: Tables
+    source: str,
+    file: str,
+    over: str,
+    x: str,
+    column: str,
+    turns: bool,
+    known: Tables,
+    hold: bool = False,
 ) -> Table:
     """The table over the variable `over`, whose column is `x`, in a file beside the scene's.
 
@@ -45,7 +52,7 @@ def read_table(
         repeats = off <= PERIOD_OFF and apart <= ENDS_AGREE * max(map(abs, values))
         if repeats:
             places = (*places[:-1], places[0] + period)
-    return Table(file, over, column, places, values, repeats)
+    return Table(file, over, column, hold, places, values, repeats)
 
 
 def _columns(
@@ -66,10 +73,16 @@ def _columns(
     if not 2 <= len(rows) <= MOST_ROWS:
         count = f"more than {MOST_ROWS}" if len(rows) > MOST_ROWS else len(rows)
         raise ValueError(f"has {count} rows below its header; it needs 2 to {MOST_ROWS}")
+    several = 0  # rows before one at the same place: over t one more makes a step
     for (before, low), (after, high) in pairwise(rows):
-        if not after > before:
-            raise ValueError(f"{x} must increase from row to row: {after:g} follows {before:g}")
-        if not math.isfinite((high - low) / (after - before)):
+        several = several + 1 if after == before else 0
+        if after < before or several > (x == "t"):
+            limit = "must increase from row to row"
+            limit += "; two at one time are a step" if several and x == "t" else ""
+            raise ValueError(f"{x} {limit}: {after:g} follows {before:g}")
+        if after > before and not math.isfinite((high - low) / (after - before)):
             raise ValueError(f"{column} rises too steeply: its slopes overflow")
     places, values = zip(*rows, strict=True)
+    if places[0] == places[-1]:
+        raise ValueError(f"has one time, {places[0]:g}: it needs two")
     return places, values

@@ -80,17 +80,28 @@ class SignalReader(ValueReader):
             self.fault(f"{place}.over", node, limit, over)
             return None
         turns = own != "t" and int(own[1:]) not in self.slides
-        where = f"{place}.table"
-        return self.file_table(node, where, values["file"], own, over, values["column"], turns)
+        if values["hold"] and own != "t":
+            self.fault(f"{place}.hold", node, "is for tables over t alone", values["over"])
+            return None
+        where, column, hold = f"{place}.table", values["column"], values["hold"]
+        return self.file_table(node, where, values["file"], own, over, column, turns, hold)
 
     def file_table(
-        self, node: Node, place: str, file: str, over: str, x: str, column: str, turns: bool
+        self,
+        node: Node,
+        place: str,
+        file: str,
+        over: str,
+        x: str,
+        column: str,
+        turns: bool,
+        hold: bool = False,
     ) -> Table | None:
         """What a file holds; None, and a fault, where it is no table."""
         from robodyn.scene.table_files import read_table
 
         try:
-            return read_table(self.source, file, over, x, column, turns, self.tables)
+            return read_table(self.source, file, over, x, column, turns, self.tables, hold)
         except ValueError as error:
             self.fault(place, node, str(error), file)
         return None

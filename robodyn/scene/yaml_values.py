@@ -179,6 +179,13 @@ class ValueReader:
         self.fault(place, node, "must be a name", self.shown(node))
         return ""
 
+    def truth(self, node: Node, place: str) -> bool:
+        """True or false."""
+        word = node.text.lower() if isinstance(node, Scalar) and not node.quoted else ""
+        if word not in ("true", "false"):
+            self.fault(place, node, "must be true or false", self.shown(node))
+        return word == "true"
+
     def word(self, node: Node, place: str, words: tuple[str, ...]) -> str:
         word = self.name(node, place)
         if word not in words:

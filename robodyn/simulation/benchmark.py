@@ -104,7 +104,7 @@ def _followed(task: _Task, step: _Series) -> Long:
         actuation.told.begin(y.tolist(), float(times[-1]))
     for end in times.astype(LONG):
         while t < end:
-            stop = LONG(next_stop(actuation.kinks, actuation.leaves, float(t), float(end)))
+            stop = LONG(next_stop(actuation.stops, actuation.leaves, float(t), float(end)))
             stop = min(end, stop) if stop > t else end
             taken = step(t, y, stop)
             if taken is None:

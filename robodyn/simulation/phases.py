@@ -103,10 +103,14 @@ class Phases:
         """(k, n); where the phase begins on a kink those that follow it."""
         return applied_torques(self.mechanism, self.actuation, np.maximum(t, self.after), y)
 
+    def _loaded(self, t: Array) -> Array:
+        """The times of loads; where the phase begins on a jump of theirs those that follow it."""
+        return np.maximum(t, self.after) if self.actuation.jumps else t
+
     def _reach(self, t: float) -> None:
         """A phase begins at t: if on a kink, its torques are those a little later."""
         self.after = -math.inf
-        if t == 0.0 or kink_at(self.actuation.kinks, t) is not None:
+        if t == 0.0 or kink_at(self.actuation.stops, t) is not None:
             self.after = t + max(KINK * abs(self.t_end), INSTANT * math.ulp(t))
 
     # -- modes -------------------------------------------------------------------------------------
@@ -123,8 +127,9 @@ class Phases:
         self._reach(t)
         q, qd = self._split(self.y)
         tau, sorts = self._torque(t, self.y), (sorted(rests), sorted(touches))
+        loaded = float(self._loaded(np.array(t)))
         self.mode, self.still = sticking.mode_at(
-            self.mechanism, q, qd, tau, *sorts, tuple(sorted(pushing)), starting, t
+            self.mechanism, q, qd, tau, *sorts, tuple(sorted(pushing)), starting, loaded
         )
         self.started = (rests | {joint for joint, _ in touches}) - set(self.still)
         self.touches = {end for end in touches if end[0] in self.still}
@@ -191,7 +196,8 @@ class Phases:
         if guard.size is None:
             held = [x for b in self.bounds.values() for x in (b.low, b.high) if math.isfinite(x)]
             tau = self._torques(t, y)
-            acting = sticking.load_sizes(self.moving, y[:, :n], y[:, n : 2 * n], tau, t)
+            loaded = self._loaded(t)
+            acting = sticking.load_sizes(self.moving, y[:, :n], y[:, n : 2 * n], tau, loaded)
             size = np.abs(self._forces(t, y)) + acting[:, list(self.mode.held)]
             return np.asarray(size.sum(axis=1) + sum(map(abs, held)))
         return np.asarray(guard.size(y[:, :n], y[:, n : 2 * n]))
@@ -200,7 +206,7 @@ class Phases:
         """What holds each held joint, (k, held)."""
         n = self.mechanism.n
         tau = self._torques(t, y)
-        solution = motion_dynamics(self.moving, y[:, :n], y[:, n : 2 * n], tau, t)
+        solution = motion_dynamics(self.moving, y[:, :n], y[:, n : 2 * n], tau, self._loaded(t))
         return sticking.held_forces(self.moving, solution.multipliers)
 
     def _margins(self, t: Array, y: Array) -> Array:
@@ -306,7 +312,8 @@ class Phases:
         endless = any(self.restitutions[end] != 1.0 for end in last)
         over = last if endless and len(self.turns) > TURNS else set()
         ends = {*hits, *touches, *over}
-        y[n : 2 * n] = self.bounces.after(*self._split(y), tau, t, ends, over)
+        loaded = float(self._loaded(np.array(t)))
+        y[n : 2 * n] = self.bounces.after(*self._split(y), tau, loaded, ends, over)
         for joint, side in hits:
             self._tell(t, y, joint, f"hits its {end_word(side)}")
         return y

@@ -26,7 +26,7 @@ from scipy.integrate import DOP853, RK45, DenseOutput, OdeSolver, Radau
 
 from robodyn.loops.projection import Projection
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.kinks import NEAR, kink_at, next_stop
+from robodyn.mechanics.kinks import NEAR, Ahead, kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.run_control import Steps
@@ -68,12 +68,17 @@ class Projecting(_Solver):  # type: ignore[misc]
         projection: Callable[[float, Array], Array] | None = None,
         observer: Observer | None = None,
         kinks: Sequence[float] = (),
+        jumps: Sequence[float] = (),
         leaves: Sequence[float] = (),
         told: Steps | None = None,
         near: NearSingular | None = None,
         slipping: Mechanism | None = None,
         **options: Any,
     ) -> None:
+        self._ahead = Ahead(jumps)
+        if jumps:
+            self._ahead.begin(t0, t_bound >= t0)
+            fun = self._within(fun)
         super().__init__(fun, t0, y0, t_bound, **options)
         self.t: float
         self.t_bound: float
@@ -85,6 +90,7 @@ class Projecting(_Solver):  # type: ignore[misc]
         self.misses = projection.misses if isinstance(projection, Projection) else None
         self.observer = observer
         self.kinks = sorted(kinks)
+        self.stops = sorted({*kinks, *jumps})
         self.leaves = leaves
         self.told = told
         self._slipping = slipping  # whose bells a step may leap over
@@ -99,7 +105,8 @@ class Projecting(_Solver):  # type: ignore[misc]
         if self.explicit:
             self._plain = self.fun = self._counted(fun)
         if self.near is not None:
-            self._careful = self._counted(self.near.rates)
+            careful = self._within(self.near.rates) if jumps else self.near.rates
+            self._careful = self._counted(careful)
             self.near.met = False
 
     def _counted(self, fun: Callable[..., Any]) -> Callable[..., Any]:
@@ -111,12 +118,19 @@ class Projecting(_Solver):  # type: ignore[misc]
 
         return counted
 
+    def _within(self, fun: Callable[..., Any]) -> Callable[..., Any]:
+        """`fun` at times of the piece that the step is in."""
+        ahead = self._ahead
+        return lambda t, y: fun(ahead(t), y)
+
     def _step_impl(self) -> tuple[bool, str | None]:
+        if self._ahead.jumps:
+            self._ahead.begin(self.t, self.direction > 0.0)
         if self._jumped:
             self._restart()
         end = self.t_bound
         begun = self.t, self.y, self.f if self.explicit else None
-        stop = next_stop(self.kinks, self.leaves, self.t, end, NEAR)
+        stop = next_stop(self.stops, self.leaves, self.t, end, NEAR)
         self.t_bound = stop
         self._hold()
         if self._longest < abs(self.t_bound - self.t):
@@ -137,8 +151,7 @@ class Projecting(_Solver):  # type: ignore[misc]
         self.steps += 1
         if self.edge < np.inf:
             self._watch_stability()
-        if self.told is not None:
-            self._reach(self.told)
+        self._reach()
         return success, message
 
     def _leapt(self, t: float, y: Array) -> bool:
@@ -173,14 +186,20 @@ class Projecting(_Solver):  # type: ignore[misc]
         n = self.misses.mechanism.n
         self.atol[n : 2 * n] = np.maximum(self.atol[n : 2 * n], rounding)
 
-    def _reach(self, told: Steps) -> None:
+    def _reach(self) -> None:
         """Tell a kink that the step ended on.  The dense output of the step stays as it is."""
-        kink = kink_at(self.kinks, self.t)
-        if kink is not None:
-            if self.t * self.direction < kink * self.direction <= self.t_bound * self.direction:
-                self.t = kink  # missed by rounding
-            told.reach(kink, self.y.tolist())
-            self._jumped = told.restarts
+        if self.told is None and not self._ahead.jumps:
+            return
+        kink = kink_at(self.stops, self.t)
+        if kink is None:
+            return
+        if self.t * self.direction < kink * self.direction <= self.t_bound * self.direction:
+            self.t = kink  # missed by rounding
+        if self.told is not None and kink_at(self.kinks, kink) is not None:
+            self.told.reach(kink, self.y.tolist())
+            self._jumped = self.told.restarts
+        if kink_at(self._ahead.jumps, kink) is not None:
+            self._jumped = True
 
     def _restart(self) -> None:
         """Start the method afresh: beyond this time the rates are others."""
@@ -215,6 +234,8 @@ class Projecting(_Solver):  # type: ignore[misc]
         return message
 
     def _dense_output_impl(self) -> DenseOutput:
+        if self._ahead.jumps:  # it may be asked for after later steps
+            self._ahead.begin(self.t_old, self.direction > 0.0)
         dense = super()._dense_output_impl()
         return dense if self.projection is None else _ProjectedOutput(dense, self.projection)
 
@@ -267,6 +288,7 @@ def solver_of(
         slipping=recorder.mechanism if recorder.mechanism.bells else None,
         observer=recorder.step,
         kinks=actuation.kinks,
+        jumps=actuation.jumps,
         leaves=actuation.leaves,
         told=actuation.told,
         max_step=max_step,

@@ -119,7 +119,9 @@ class TaylorRun:
     def _bound(self) -> float:
         """Where the next steps end at the latest."""
         actuation = self.actuation
-        bound = next_stop(actuation.kinks, actuation.leaves, self.t, self.t_end)
+        if self.t_end < 0.0 and kink_at(actuation.jumps, self.t) is not None:
+            self.t = math.nextafter(self.t, -math.inf)  # what is at a jump is what follows it
+        bound = next_stop(actuation.stops, actuation.leaves, self.t, self.t_end)
         if abs(bound - self.t) > self.max_step:
             bound = self.t + math.copysign(self.max_step, self.t_end)
         return bound
