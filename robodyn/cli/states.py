@@ -468,6 +468,10 @@ class _Computed:
         with np.errstate(all="ignore"):
             found = self.compute(**given)
         if not np.isfinite(found[:, self.whole]).all() or np.isinf(found).any():
+            if self.mechanism.laws:
+                from robodyn.engines.coupling_laws import check_laws
+
+                check_laws(self.mechanism, given["q"], given.get("qd", 0.0 * given["q"]), t)
             if self.mechanism.signals:
                 from robodyn.engines.row_values import rows_of
                 from robodyn.mechanics.parts import acting

@@ -18,6 +18,7 @@ from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import FUNCTIONS, Graph, Value
 from robodyn.engines.formulas import RECORDED, Formula
 from robodyn.engines.series import Series, State
+from robodyn.errors import LawError
 from robodyn.mechanics.law_rows import LawRows
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Law
@@ -199,6 +200,39 @@ def law_derivatives(
     way[..., joint] = 1.0
     bends = laws.bends(at, way, t, 0.0)[..., i]
     return laws.values(at, t)[..., i], laws.slopes(at, t)[..., i, joint], bends
+
+
+def check_laws(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike) -> None:
+    """Raise LawError for a law that is not finite at states q, qd (..., n), t, or its derivatives.
+
+    It names the law, and the first such state.
+    """
+    laws = laws_of(mechanism)
+    if laws is None:
+        return
+    q, qd = np.broadcast_arrays(np.asarray(q, float), np.asarray(qd, float))
+    each = {
+        "no value": laws.values(q, t),
+        "no derivative": laws.slopes(q, t).sum(axis=-1) + laws.drifts(q, t),
+        "no second derivative": laws.bends(q, qd, t),
+    }
+    first = len(mechanism.rows) - len(mechanism.description.couplings)
+    for what, values in each.items():
+        lost = np.argwhere(~np.isfinite(values))
+        if len(lost):
+            *state, i = map(int, lost[0])
+            row = laws.places[i]
+            law = mechanism.rows[row].law
+            assert law is not None
+            now = float(np.broadcast_to(np.asarray(t, float), q.shape[:-1])[tuple(state)])
+            at = {f"q{k + 1}": float(q[(*state, k)]) for k in range(mechanism.n)}
+            at = {name: at[name] for name in at if f"q{int(name[1:]) - 1}" in law.names}
+            if "t" in law.names:
+                at["t"] = now
+            told = ", ".join(f"{name} = {x:.9g}" for name, x in at.items())
+            limit = f"has {what} at {told or 'this state'}"
+            place = f"couplings[{row - first}]"
+            raise LawError(place, where=mechanism.source, value=law.text, limit=limit)
 
 
 def _place(mechanism: Mechanism, coupling: int) -> int:

@@ -17,8 +17,10 @@ import numpy as np
 
 from robodyn.dynamics import closed_form
 from robodyn.engines import straightline
+from robodyn.engines.coupling_laws import check_laws
 from robodyn.engines.factors import svd
 from robodyn.engines.formulas import projection_formula
+from robodyn.errors import LawError
 from robodyn.loops.change_points import (
     EXACT,
     SUSPECT,
@@ -47,6 +49,8 @@ CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and 
 # Beyond, a link may have FEW: code grows as the number of loops does, dense algebra as its cube.
 STRAIGHT, STRAIGHT_OPEN, FEW = 800, 300, 8
 PASSES = 4
+KEPT = 1e-9  # part of the loop's size by which laws of the time may be missed
+LOST = 1e-9  # s/L below which a law of the time leads to a singular configuration
 
 
 def dense_closing(mechanism: Mechanism) -> Closing:
@@ -132,6 +136,32 @@ def state_led_across(
     )
 
 
+def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
+    """Raise LawError, which names the law and the time, if q (n,) does not keep a law of the time.
+
+    So it is where laws contradict one another, or lead a loop beyond its reach, or nearly to where
+    its joints are not determined.
+    """
+    gap = np.abs(closed_form.closure_gap(mechanism, q, t))
+    size = loop_size(mechanism)
+    Psi = closed_form.scaled_jacobian(mechanism, q, t)
+    why = ""
+    if not np.isfinite(gap).all():
+        check_laws(mechanism, q, np.zeros(len(q)), t)
+    if not gap.max() <= KEPT * size:
+        why = f"{gap.max():.3g} m are missing"
+    elif svd(Psi)[1][min(Psi.shape) - 1] <= LOST * size:
+        why = "the loops are at a singular configuration there, or laws repeat one another"
+    if why:
+        first = len(mechanism.rows) - len(mechanism.description.couplings)
+        worst = max(mechanism.driven, key=lambda r: gap[r])
+        law = mechanism.rows[worst].law
+        assert law is not None
+        what = f"couplings[{worst - first}]"
+        limit = f"cannot be kept at t = {t:.9g} s: {why}"
+        raise LawError(what, where=mechanism.source, value=law.text, limit=limit)
+
+
 class Projection:
     """The nearest closed state; next to a change point that of the branch which leads across.
 
@@ -147,6 +177,9 @@ class Projection:
 
     def __call__(self, t: float, y: Array) -> Array:
         closed, quality = self.closing(t, y)
+        if self.mechanism.driven:
+            check_kept(self.mechanism, closed[: self.mechanism.n], t)
+            return closed
         if quality > SUSPECT:
             return closed
         q = y[: self.mechanism.n]
