@@ -112,7 +112,7 @@ def draw(
             if not found:
                 note("Note: all forces are zero")
         elif q is None:
-            pose = first_pose(mechanism)
+            pose = first_pose(mechanism, t=t)
             note(f"Note: without --q drawn at q = {', '.join(f'{x:.6g}' for x in pose)}")
             drawn = drawing(mechanism, pose, marked)
         else:

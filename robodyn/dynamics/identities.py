@@ -268,6 +268,7 @@ def _closure_identities(
     bias = closed_form.closure_bias(mechanism, q, qd, t)
     ways, speed = absolute_rates(mechanism, directions), absolute_rates(mechanism, qd)
     slopes, turns = [], []
+    most = _top(bias) if mechanism.laws else 0.0
 
     def closing_rate(q: Array, t: Array) -> Array:
         rate = matvec(closed_form.closure_jacobian(mechanism, q, t), qd)
@@ -278,7 +279,7 @@ def _closure_identities(
         slope = along(lambda s: rows("gap", q + s * directions, t=t), ways / part)
         turned = along(lambda s: closing_rate(q + s * qd, t + s[..., 0]), speed / part)
         slopes.append(_relative(slope - matvec(Psi, directions), size))
-        turns.append(_relative(turned - bias, size * _top(qd) ** 2))
+        turns.append(_relative(turned - bias, max(size * _top(qd) ** 2, most)))
     return [
         Identity("gap = 0", max(_relative(gap, size), _relative(rows("gap", q, t=t), size))),
         Identity("Psi = dgap/dq", min(slopes)),

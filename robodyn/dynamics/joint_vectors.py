@@ -128,6 +128,8 @@ def full(
             if not np.isfinite(every).all():
                 raise overflow()
             motion[name] = every
+            if name == "q" and whole and mechanism.driven:  # a law is told before rates are sought
+                check()
         if unchecked:
             check()
     return motion

@@ -78,7 +78,7 @@ def assemble(
     flat = missing.reshape(-1)
     if flat.size and not (flat <= 0.0).all():
         worst = int(np.argmax(np.where(np.isnan(flat), np.inf, flat)))
-        state = given.reshape(-1, given.shape[-1])[worst]
+        state = given.reshape(len(flat), given.shape[-1])[worst]
         if np.isnan(flat[worst]):
             raise _undetermined(mechanism, state, q.reshape(-1, mechanism.n)[worst])
         now = float(np.broadcast_to(np.asarray(t, float), missing.shape).ravel()[worst])
@@ -127,8 +127,8 @@ def attempt(
     return q, missing
 
 
-def first_pose(mechanism: Mechanism) -> Array:
-    """A closed configuration (n,) to begin in: the scene's start, zeros, or what closes first.
+def first_pose(mechanism: Mechanism, *, t: float) -> Array:
+    """A closed configuration (n,) at t to begin in: the scene's start, zeros, or what closes first.
 
     A start that does not close at its own actuated joints is closed with all joints free.
 
@@ -143,7 +143,7 @@ def first_pose(mechanism: Mechanism) -> Array:
     try:
         assembly_plan(mechanism)
     except InputError:
-        if check_closed(mechanism, whole, t=0.0) is None:
+        if check_closed(mechanism, whole, t=t) is None:
             return whole
         raise
     slides = np.isin(mechanism.actuated, mechanism.slides)
@@ -151,9 +151,11 @@ def first_pose(mechanism: Mechanism) -> Array:
     ways = np.array([0.0, *(sign * k for k in range(1, 13) for sign in (1, -1))])
     ways = 0.25 * mechanism.unit * ways if slides.any() else np.zeros(1)
     given = np.array([start[k] or 0.0 for k in mechanism.actuated])
+    if not len(given):
+        return assemble(mechanism, given, t=t)
     steps = np.where(slides, ways[:, None, None], turns[:, None])
     with np.errstate(all="ignore"):  # a link without length has no direction
-        q, missing = attempt(mechanism, given + steps.reshape(-1, len(given)), t=0.0)
+        q, missing = attempt(mechanism, given + steps.reshape(-1, len(given)), t=t)
     closes = np.flatnonzero(missing <= 0.0)
     begin = scene_start(mechanism)
     if begin is not None and begin.closed and missing[0] > 0.0:

@@ -150,7 +150,7 @@ def from_start(
     size = loop_size(mechanism)
     here = begin.q.reshape(-1, mechanism.n)
     going = (begin.missing <= 0.0).reshape(-1)
-    way = target.reshape(here.shape[0], -1) - here[:, actuated]
+    way = target.reshape(here.shape[0], len(actuated)) - here[:, actuated]
     times = np.broadcast_to(np.asarray(t, float), target.shape[:-1]).ravel()
     geared = mechanism.description.couplings
     for place, k in enumerate(actuated):
@@ -164,7 +164,7 @@ def from_start(
         there, came = _led(mechanism, plan, words, first, round_about, times, again, watch)
         here[came] = there[came]
         arrived = arrived | came
-    here[:, actuated] = target.reshape(len(here), -1)
+    here[:, actuated] = target.reshape(len(here), len(actuated))
     missing = np.maximum(open_by(mechanism, here, plan.rows, t=times), CLOSED) * size
     missing = np.where(arrived, 0.0, missing)
     counting = set().union(*(x.joints for x in geared))

@@ -27,6 +27,7 @@ from robodyn.loops.change_points import (
     Closing,
     lead_across,
     nearest_singular,
+    nearness,
     suspect_quality,
 )
 from robodyn.loops.closing import (
@@ -50,7 +51,7 @@ CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and 
 STRAIGHT, STRAIGHT_OPEN, FEW = 800, 300, 8
 PASSES = 4
 KEPT = 1e-9  # part of the loop's size by which laws of the time may be missed
-LOST = 1e-9  # s/L below which a law of the time leads to a singular configuration
+LOST = 1e-4  # s/L below which a law of the time leads to a singular configuration
 
 
 def dense_closing(mechanism: Mechanism) -> Closing:
@@ -142,6 +143,10 @@ def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
     So it is where laws contradict one another, or lead a loop beyond its reach, or nearly to where
     its joints are not determined.
     """
+    if not np.isfinite(q).all():
+        there = np.where(np.isfinite(q), q, 0.0)
+        check_laws(mechanism, there, np.zeros(len(q)), t)
+        return  # something else is not finite: the method tells
     gap = np.abs(closed_form.closure_gap(mechanism, q, t))
     size = loop_size(mechanism)
     Psi = closed_form.scaled_jacobian(mechanism, q, t)
@@ -150,7 +155,7 @@ def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
         check_laws(mechanism, q, np.zeros(len(q)), t)
     if not gap.max() <= KEPT * size:
         why = f"{gap.max():.3g} m are missing"
-    elif svd(Psi)[1][min(Psi.shape) - 1] <= LOST * size:
+    elif nearness(mechanism, Psi) <= LOST:
         why = "the loops are at a singular configuration there, or laws repeat one another"
     if why:
         first = len(mechanism.rows) - len(mechanism.description.couplings)

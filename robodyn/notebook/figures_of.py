@@ -129,7 +129,7 @@ def draw(
         raise InputError("q", limit="missing: forces need a state")
     elif qdd is not None and tau is not None:
         raise InputError("qdd and tau", limit="exclude each other")
-    rows = np.atleast_2d(first_pose(mechanism) if q is None else _closed(mechanism, q))
+    rows = np.atleast_2d(first_pose(mechanism, t=0.0) if q is None else _closed(mechanism, q))
     found = []
     if forces:
         if len(rows) > 1:

@@ -84,7 +84,7 @@ def _first(mechanism: Mechanism) -> Array:
     start = mechanism.description.start
     if start is None:
         try:
-            return assembly.first_pose(mechanism)
+            return assembly.first_pose(mechanism, t=0.0)
         except (AssemblyError, InputError, SingularError):
             start = ()
     return np.array([x or 0.0 for x in start or (None,) * mechanism.n])
