@@ -88,14 +88,19 @@ def closed_jacobians(mechanism: Mechanism) -> Array:
     count = max(2, min(16, SEARCHED // (mechanism.n * rows * min(mechanism.n, rows))))
     rng = np.random.default_rng(0)
     drawn = random_states(mechanism, rng, count)
-    t = rng.uniform(0.0, SAMPLED, count) if mechanism.driven else np.zeros(count)
-    q = _closed(mechanism, drawn, t, list(range(mechanism.n)), 0.0)
-    gap = np.abs(closure_gap(mechanism, q, t)).max(axis=-1)
-    closed = gap <= 1e-9 * loop_size(mechanism)
-    # Newton's method closes many loops in a row from nowhere, but Psi is as regular beside
-    if not closed.any():
-        return scaled_jacobian(mechanism, drawn, t)
-    return scaled_jacobian(mechanism, q[closed], t[closed])
+    # where laws of the time have values at random times, else at 0
+    tried = [rng.uniform(0.0, SAMPLED, count)] if mechanism.driven else []
+    for t in (*tried, np.zeros(count)):
+        with np.errstate(all="ignore"):
+            q = _closed(mechanism, drawn, t, list(range(mechanism.n)), 0.0)
+        inside = np.isfinite(q).all(axis=-1)
+        q, t = q[inside], t[inside]
+        gap = np.abs(closure_gap(mechanism, q, t)).max(axis=-1)
+        closed = gap <= 1e-9 * loop_size(mechanism)
+        # Newton's method closes many loops in a row from nowhere, but Psi is as regular beside
+        if closed.any():
+            return scaled_jacobian(mechanism, q[closed], t[closed])
+    return scaled_jacobian(mechanism, drawn, np.zeros(count))
 
 
 @lru_cache(maxsize=64)
@@ -197,6 +202,9 @@ def _closed(
         gap = gap_at(mechanism, mechanism.arrays, at, t)[..., kept]
         open_by = np.abs(gap).max(axis=-1)
         closed = open_by <= CLOSED * size
+        if mechanism.laws and np.isnan(open_by).any():  # where a law has no value a state stays
+            closed |= np.isnan(open_by)
+            gap = np.where(np.isnan(open_by)[..., None], 0.0, gap)
         step = np.zeros_like(q)
         if not exact and closed.all():
             return closed, step
