@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from robodyn.control.laws import controller as controller
     from robodyn.control.state_feedback import StateFeedback as StateFeedback
     from robodyn.control.tracking import ReferenceTable as ReferenceTable
-    from robodyn.dynamics.closed_form import closure_gap as closure_gap
-    from robodyn.dynamics.closed_form import closure_jacobian as closure_jacobian
     from robodyn.dynamics.closed_form import coriolis_matrix as coriolis_matrix
     from robodyn.dynamics.closed_form import gravity_vector as gravity_vector
     from robodyn.dynamics.closed_form import kinetic_energy as kinetic_energy
@@ -49,9 +47,11 @@ if TYPE_CHECKING:
     from robodyn.errors import ResidualError as ResidualError
     from robodyn.errors import RobodynError as RobodynError
     from robodyn.errors import SingularError as SingularError
-    from robodyn.loops.assembly import assemble as assemble
-    from robodyn.loops.loop_rates import loop_accelerations as loop_accelerations
-    from robodyn.loops.loop_rates import loop_velocities as loop_velocities
+    from robodyn.loops.public import assemble as assemble
+    from robodyn.loops.public import closure_gap as closure_gap
+    from robodyn.loops.public import closure_jacobian as closure_jacobian
+    from robodyn.loops.public import loop_accelerations as loop_accelerations
+    from robodyn.loops.public import loop_velocities as loop_velocities
     from robodyn.mechanics.mechanism import Mechanism as Mechanism
     from robodyn.mechanics.voltages import voltages as voltages
     from robodyn.notebook.figures_of import animate as animate
@@ -79,10 +79,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _ROOMS = {
-    "loops.assembly": ["assemble"],
     "dynamics.closed_form": [
-        "closure_gap",
-        "closure_jacobian",
         "coriolis_matrix",
         "gravity_vector",
         "kinetic_energy",
@@ -110,7 +107,13 @@ _ROOMS = {
         "SingularError",
     ],
     "dynamics.named_points": ["points"],
-    "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
+    "loops.public": [
+        "assemble",
+        "closure_gap",
+        "closure_jacobian",
+        "loop_accelerations",
+        "loop_velocities",
+    ],
     "mechanics.mechanism": ["Mechanism"],
     "dynamics.state": ["State", "motor_loads"],
     "mechanics.voltages": ["voltages"],

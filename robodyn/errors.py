@@ -175,6 +175,10 @@ class SignalError(RobodynError):
     """A table or an expression of a scene has no value at a state."""
 
 
+class LawError(RobodynError):
+    """A law of a coupling cannot be kept, or has no value or no derivative (exit code 1)."""
+
+
 def overflow() -> RobodynError:
     """Return the error for a result that is not finite."""
     return RobodynError("the result is not finite", limit="the state or the scene is too large")

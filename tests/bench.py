@@ -241,8 +241,8 @@ def four_bar_batch(bench: Bench) -> list[Row]:
     mechanism = robodyn.load(ROOT / "robots/four-bar.yaml")
     crank, rate, acceleration = bench.random_motion(1)
     q = robodyn.assemble(mechanism, crank)
-    qd = loop_velocities(mechanism, q, rate)
-    qdd = loop_accelerations(mechanism, q, qd, acceleration)
+    qd = loop_velocities(mechanism, q, rate, t=0.0)
+    qdd = loop_accelerations(mechanism, q, qd, acceleration, t=0.0)
     states = (mechanism, q, qd)
     inverse = batch(
         bench,
@@ -314,7 +314,7 @@ def right_hand_sides(bench: Bench) -> list[Row]:
         ours, hand = right_hand_side(mechanism, unforced).rates, by_hand(mechanism)
         crank = np.random.default_rng(1).uniform(-np.pi, np.pi, (2000, len(mechanism.actuated)))
         q = robodyn.assemble(mechanism, crank)
-        states = list(np.hstack([q, loop_velocities(mechanism, q, np.ones_like(crank))]))
+        states = list(np.hstack([q, loop_velocities(mechanism, q, np.ones_like(crank), t=0.0)]))
         for y in states:
             np.testing.assert_allclose(ours(0.0, y), hand(0.0, y), rtol=1e-9, atol=1e-9)
         times = in_turn(

@@ -55,7 +55,10 @@ def dry(moving: float, static: float, stribeck: float | None = None, name: str =
 def kkt(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, joint: int, e: float) -> np.ndarray:
     """Rates after an impact at one joint, in 40 digits."""
     n, r = mechanism.n, len(mechanism.rows)
-    M, Psi = closed_form.mass_matrix(mechanism, q), closed_form.closure_jacobian(mechanism, q)
+    M, Psi = (
+        closed_form.mass_matrix(mechanism, q),
+        closed_form.closure_jacobian(mechanism, q, t=0.0),
+    )
     with mpmath.workdps(40):
         K = mpmath.zeros(n + r + 1)
         for i, k in product(range(n), range(n)):

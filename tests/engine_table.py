@@ -88,10 +88,10 @@ def by_closed_form(one):
     found["C"] = cf.coriolis_matrix(mech, q, qd)
     found["Q"] = other_forces(mech, q, qd, one.t) - np.array(mech.damping) * qd
     found |= {"KE": cf.kinetic_energy(mech, q, qd), "PE": cf.potential_energy(mech, q)}
-    found |= {"gap": cf.closure_gap(mech, q), "Psi": cf.closure_jacobian(mech, q)}
+    found |= {"gap": cf.closure_gap(mech, q, one.t), "Psi": cf.closure_jacobian(mech, q, one.t)}
     on_links = forces_on_links(mech, q, qd, one.t)
     found["on links"] = np.column_stack([on_links.real, on_links.imag])
-    return found | {"bias": cf.closure_bias(mech, q, qd)}
+    return found | {"bias": cf.closure_bias(mech, q, qd, one.t)}
 
 
 def by_dense_algebra(one):

@@ -27,6 +27,6 @@ def start(scene: str, rate: float) -> tuple[Mechanism, Array, Array]:
     given = parse_vector(tried[1] if tried else "50deg", where="q", unit="rad")
     if not mechanism.rows:
         return mechanism, np.array(given), np.full(mechanism.n, rate)
-    q = assemble(mechanism, given)
+    q = assemble(mechanism, given, t=0.0)
     rates = np.full(len(mechanism.actuated), rate)
-    return mechanism, q, loop_rates.loop_velocities(mechanism, q, rates)
+    return mechanism, q, loop_rates.loop_velocities(mechanism, q, rates, t=0.0)

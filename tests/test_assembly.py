@@ -102,7 +102,7 @@ def branches_of(mech, q):
     """The branches that lead to the closed configuration q (all of them tried), at most one."""
     found = []
     for choice in itertools.product(BRANCHES, repeat=len(mech.description.closures)):
-        closed, missing = assembly.attempt(mech, driven(mech, q), choice)
+        closed, missing = assembly.attempt(mech, driven(mech, q), choice, t=0.0)
         if missing <= 0.0 and np.abs(turn(closed - q)).max() < 1e-9:
             found.append(choice)
     return found
@@ -115,7 +115,7 @@ class TestBranches:
 
     @pytest.mark.parametrize("branch", BRANCHES)
     def test_four_bar_equals_freudenstein(self, branch):
-        q = assembly.assemble(lecture_four_bar(), self.ANGLES[:, None], [branch])
+        q = assembly.assemble(lecture_four_bar(), self.ANGLES[:, None], [branch], t=0.0)
         expected = [oracles.four_bar_position(FOUR_BAR, theta, branch) for theta in self.ANGLES]
         assert_close(turn(q - expected), np.zeros_like(q), 2 * np.pi)
         assert np.array_equal(q[:, 0], self.ANGLES)
@@ -126,7 +126,7 @@ class TestBranches:
         """Naming the rocker first makes A its pivot and D the crank's tip."""
         mech = lecture_four_bar(closure=closure)
         for theta in self.ANGLES:
-            q = assembly.assemble(mech, [theta], [branch])
+            q = assembly.assemble(mech, [theta], [branch], t=0.0)
             pose = Pose(oracle_tree(mech.description), q)
             A, D, P = pose.joints[1], pose.joints[2], pose.position((2, FOUR_BAR.l3))
             if closure == "[rocker, coupler]":
@@ -138,7 +138,7 @@ class TestBranches:
         """Crank and coupler are unknown: A the crank's pivot, P the joint between, D the pin."""
         mech = lecture_four_bar(actuated="rocker")
         for rocker in np.linspace(1.8, 2.4, 10):
-            q = assembly.assemble(mech, [rocker], [branch])
+            q = assembly.assemble(mech, [rocker], [branch], t=0.0)
             pose = Pose(oracle_tree(mech.description), q)
             A, P, D = pose.joints[0], pose.joints[1], pose.position((2, FOUR_BAR.l3))
             assert left_of(A, D, P) == (branch == "open")
@@ -158,7 +158,7 @@ class TestBranches:
         """A, D and P wherever on the links they are; of a chain, P is its middle joint."""
         scene = seeded_scene(seed, LOOPS[name])
         mech = scene.mechanism
-        q, missing = assembly.attempt(mech, driven(mech, scene.q), [branch])
+        q, missing = assembly.attempt(mech, driven(mech, scene.q), [branch], t=0.0)
         assert missing <= 0.0
         pose = Pose(oracle_tree(mech.description), q)
         pin, _ = oracle_closures(mech.description)[0]
@@ -172,7 +172,7 @@ class TestBranches:
         mech = slider_crank(0.1, 0.32, 0.02, along)
         direction = mech.description.closures[0].along
         for theta in self.ANGLES:
-            q = assembly.assemble(mech, [theta], [branch])
+            q = assembly.assemble(mech, [theta], [branch], t=0.0)
             pose = Pose(oracle_tree(mech.description), q)
             piston = pose.position((1, 0.32)) - pose.joints[1]
             assert ((np.conj(direction) * piston).real > 0.0) == (branch == "open")
@@ -181,7 +181,7 @@ class TestBranches:
     def test_slider_crank_in_closed_form(self, branch):
         """x = r cos theta +- sqrt(l^2 - (y - r sin theta)^2) of the offset slider-crank."""
         mech = slider_crank(0.1, 0.32, 0.02)
-        q = assembly.assemble(mech, self.ANGLES[:, None], [branch])
+        q = assembly.assemble(mech, self.ANGLES[:, None], [branch], t=0.0)
         side = 1.0 if branch == "open" else -1.0
         drop = 0.02 - 0.1 * np.sin(self.ANGLES)
         x = 0.1 * np.cos(self.ANGLES) + side * np.sqrt(0.32**2 - drop**2)
@@ -193,8 +193,8 @@ class TestBranches:
         q = seeded_scene(1, LOOPS["four-bar"]).q
         for branch in BRANCHES:
             mech = mechanism(text + f"assembly: {branch}\n")
-            expected = assembly.assemble(mech, [q[0]], [branch])
-            assert np.array_equal(assembly.assemble(mech, [q[0]]), expected)
+            expected = assembly.assemble(mech, [q[0]], [branch], t=0.0)
+            assert np.array_equal(assembly.assemble(mech, [q[0]], t=0.0), expected)
 
 
 class TestPositions:
@@ -205,7 +205,7 @@ class TestPositions:
         scene = seeded_scene(seed, DYADIC[name])
         mech = scene.mechanism
         (choice,) = branches_of(mech, scene.q)
-        q = assembly.assemble(mech, driven(mech, scene.q), choice)
+        q = assembly.assemble(mech, driven(mech, scene.q), choice, t=0.0)
         assert np.array_equal(driven(mech, q), driven(mech, scene.q))
         assert_close(turn(q - scene.q), np.zeros(scene.n), 2 * np.pi, 1e-13)
 
@@ -216,7 +216,7 @@ class TestPositions:
         mech, size = scene.mechanism, sizes(scene.mechanism.description).loop
         angles = np.linspace(-np.pi, np.pi, 12)[:, None] + driven(mech, scene.q)
         for choice in itertools.product(BRANCHES, repeat=len(mech.description.closures)):
-            q, missing = assembly.attempt(mech, angles, choice)
+            q, missing = assembly.attempt(mech, angles, choice, t=0.0)
             assert np.isfinite(missing).all()
             for state in q[missing <= 0.0]:
                 assert_close(gaps(mech, state), np.zeros(len(choice)), size, 1e-14)
@@ -228,9 +228,9 @@ class TestPositions:
         mech = scene.mechanism
         count = int(np.prod(shape))
         angles = driven(mech, scene.q) + np.linspace(0.0, 0.05, max(count, 1))[:, None]
-        flat = assembly.assemble(mech, angles, branches_of(mech, scene.q)[0])
+        flat = assembly.assemble(mech, angles, branches_of(mech, scene.q)[0], t=0.0)
         shaped = assembly.assemble(
-            mech, angles[:count].reshape(*shape, 2), branches_of(mech, scene.q)[0]
+            mech, angles[:count].reshape(*shape, 2), branches_of(mech, scene.q)[0], t=0.0
         )
         assert np.array_equal(shaped, flat[:count].reshape(*shape, 4))
 
@@ -244,21 +244,21 @@ class TestPositions:
             "closures: [{point: arm, on: {through: [0, 0.3], along: [1, 0]}}]\n"
             "actuated: [arm]\n"
         )
-        hub, arm = assembly.assemble(mech, [0.4], [branch])
+        hub, arm = assembly.assemble(mech, [0.4], [branch], t=0.0)
         expected = np.arcsin(0.3) if branch == "open" else np.pi - np.arcsin(0.3)
         assert arm == 0.4
         assert hub + arm == pytest.approx(expected, abs=1e-15)
 
     def test_an_open_chain_needs_no_closing(self):
         mech = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]")
-        assert assembly.assemble(mech, [4.0]).tolist() == [4.0]
+        assert assembly.assemble(mech, [4.0], t=0.0).tolist() == [4.0]
 
     def test_a_loop_driven_at_every_joint_is_checked(self):
         scene = seeded_scene(1, LOOPS["four-bar"])
         mech = mechanism(scene.text.replace("actuated: [link0]", "actuated: [link0, link1, link2]"))
-        assert np.array_equal(assembly.assemble(mech, scene.q), scene.q)
+        assert np.array_equal(assembly.assemble(mech, scene.q, t=0.0), scene.q)
         with pytest.raises(AssemblyError, match="m are missing"):
-            assembly.assemble(mech, scene.q + np.array([0.1, 0.0, 0.0]))
+            assembly.assemble(mech, scene.q + np.array([0.1, 0.0, 0.0]), t=0.0)
 
 
 class TestRates:
@@ -268,9 +268,9 @@ class TestRates:
         """Psi qd = 0 and Psi qdd + Psidot qd = 0, with qd and qdd made without robodyn."""
         scene = seeded_scene(seed, LOOPS[name])
         mech, (q, qd, qdd) = scene.mechanism, scene.states
-        found = loop_rates.loop_velocities(mech, q, driven(mech, qd))
+        found = loop_rates.loop_velocities(mech, q, driven(mech, qd), t=0.0)
         assert_close(found, qd, np.abs(qd).max(), 1e-12)
-        found = loop_rates.loop_accelerations(mech, q, qd, driven(mech, qdd))
+        found = loop_rates.loop_accelerations(mech, q, qd, driven(mech, qdd), t=0.0)
         assert_close(found, qdd, np.abs(qdd).max() + np.abs(qd).max() ** 2, 1e-12)
 
     @pytest.mark.parametrize("name", ["four-bar", "slider-crank", "six-bar, dyad on the coupler"])
@@ -281,12 +281,12 @@ class TestRates:
         (choice,) = branches_of(mech, scene.q)
         speed, push, h = 1.5, -4.0, 1e-3
         t = h * np.array([[-2.0], [-1.0], [0.0], [1.0], [2.0]])
-        q = assembly.assemble(mech, scene.q[:1] + speed * t + push * t**2 / 2, choice)
+        q = assembly.assemble(mech, scene.q[:1] + speed * t + push * t**2 / 2, choice, t=0.0)
         q = scene.q + turn(q - scene.q)
         first = (q[0] - 8 * q[1] + 8 * q[3] - q[4]) / (12 * h)
         second = (-q[0] + 16 * q[1] - 30 * q[2] + 16 * q[3] - q[4]) / (12 * h**2)
-        qd = loop_rates.loop_velocities(mech, scene.q, [speed])
-        qdd = loop_rates.loop_accelerations(mech, scene.q, qd, [push])
+        qd = loop_rates.loop_velocities(mech, scene.q, [speed], t=0.0)
+        qdd = loop_rates.loop_accelerations(mech, scene.q, qd, [push], t=0.0)
         size = np.abs(qdd).max() + np.abs(qd).max() ** 2
         assert_close(first, qd, size, 1e-8)
         assert_close(second, qdd, size, 1e-8)
@@ -298,17 +298,17 @@ class TestRates:
         q = oracles.four_bar_position(FOUR_BAR, rng.uniform(-np.pi, np.pi))
         k, k_prime = oracles.four_bar_coefficients(FOUR_BAR, q)
         mech = lecture_four_bar()
-        assert_close(loop_rates.loop_velocities(mech, q, [3.0]), 3.0 * k, 3.0, 1e-12)
-        qdd = loop_rates.loop_accelerations(mech, q, 3.0 * k, [5.0])
+        assert_close(loop_rates.loop_velocities(mech, q, [3.0], t=0.0), 3.0 * k, 3.0, 1e-12)
+        qdd = loop_rates.loop_accelerations(mech, q, 3.0 * k, [5.0], t=0.0)
         assert_close(qdd, 5.0 * k + 9.0 * k_prime, np.abs(qdd).max() + 9.0, 1e-12)
 
     @pytest.mark.parametrize("name", LOOPS)
     def test_nearest_rates_keep_the_loops_and_change_no_rates_that_do(self, name):
         """The orthogonal projection of any rates onto Psi qd = 0."""
         scene = seeded_scene(4, LOOPS[name])
-        mech, Psi = scene.mechanism, cf.closure_jacobian(scene.mechanism, scene.q)
+        mech, Psi = scene.mechanism, cf.closure_jacobian(scene.mechanism, scene.q, t=0.0)
         rates = np.random.default_rng(0).normal(size=(6, scene.n))
-        found = loop_rates.nearest_velocities(mech, np.tile(scene.q, (6, 1)), rates)
+        found = loop_rates.nearest_velocities(mech, np.tile(scene.q, (6, 1)), rates, t=0.0)
         assert_close(found @ Psi.T, np.zeros((6, len(mech.rows))), 10.0)
         moves = np.linalg.svd(Psi)[2][len(mech.rows) :]
         assert_close((found - rates) @ moves.T, np.zeros((6, len(moves))), 10.0)
@@ -319,17 +319,19 @@ class TestRates:
         k = np.array([1.0, -1.0, 1.0, 1.0])
         q = k * np.linspace(0.3, 2.8, 30)[:, None]
         q += 1e-12 * np.random.default_rng(0).normal(size=q.shape)
-        found = loop_rates.nearest_velocities(mech, q, np.tile(k, (30, 1)))
+        found = loop_rates.nearest_velocities(mech, q, np.tile(k, (30, 1)), t=0.0)
         assert_close(found, np.tile(k, (30, 1)), 1.0, 1e-9)
 
     def test_leading_axes_broadcast(self):
         scene = seeded_scene(2, LOOPS["five-bar"])
         mech, rates = scene.mechanism, np.random.default_rng(0).normal(size=(3, 4, 2))
-        together = loop_rates.loop_velocities(mech, scene.q, rates)
+        together = loop_rates.loop_velocities(mech, scene.q, rates, t=0.0)
         assert together.shape == (3, 4, 4)
-        alone = loop_rates.loop_velocities(mech, scene.q, rates[2, 1])
+        alone = loop_rates.loop_velocities(mech, scene.q, rates[2, 1], t=0.0)
         assert_close(together[2, 1], alone, np.abs(alone).max(), 1e-14)
-        assert loop_rates.loop_velocities(mech, np.zeros((0, 4)), np.zeros((0, 2))).shape == (0, 4)
+        assert loop_rates.loop_velocities(
+            mech, np.zeros((0, 4)), np.zeros((0, 2)), t=0.0
+        ).shape == (0, 4)
 
 
 class TestReach:
@@ -345,10 +347,10 @@ class TestReach:
         assume(abs(missing) > 1e-6)
         mech = four_bar(l1, l2, l3, d)
         if missing < 0.0:
-            assert gaps(mech, assembly.assemble(mech, [theta], [branch])).max() < 1e-14 * 10
+            assert gaps(mech, assembly.assemble(mech, [theta], [branch], t=0.0)).max() < 1e-14 * 10
         else:
             with pytest.raises(AssemblyError) as failure:
-                assembly.assemble(mech, [theta], [branch])
+                assembly.assemble(mech, [theta], [branch], t=0.0)
             (told,) = re.findall(r": (\S+) m are missing", str(failure.value))
             assert float(told) == pytest.approx(missing, rel=1e-5)
 
@@ -357,17 +359,19 @@ class TestReach:
         mech = load(ROOT / "tests/hard_cases/third-crank.yaml")
         assert assembly.assembly_plan(mech).two_way == (0,)  # the third crank has no choice left
         with pytest.raises(AssemblyError) as caught:
-            assembly.assemble(mech, [-1.0])
+            assembly.assemble(mech, [-1.0], t=0.0)
         assert "q1 (crank) can reach [-0.00" in str(caught.value)  # from 0 to 180, by tolerance
         assert "with assembly [crossed, open] it closes" in str(caught.value)
         assert_close(
-            assembly.assemble(mech, [-1.0], ("crossed", "open")), [-1.0, 1.0, -1.0, -1.0], 1.0
+            assembly.assemble(mech, [-1.0], ("crossed", "open"), t=0.0),
+            [-1.0, 1.0, -1.0, -1.0],
+            1.0,
         )
 
     def test_message_tells_where_what_and_the_range(self):
         """AD <= 1.1 where cos theta >= (0.81 + 1 - 1.21) / 1.8: up to 70.52878 deg, cut to 1e-4."""
         with pytest.raises(AssemblyError) as failure:
-            assembly.assemble(four_bar(0.9, 0.5, 0.6, 1.0), [np.pi / 2])
+            assembly.assemble(four_bar(0.9, 0.5, 0.6, 1.0), [np.pi / 2], t=0.0)
         assert str(failure.value) == (
             "scene.yaml: cannot be closed at q1 = 90 deg: 0.245362 m are missing: "
             "q1 (crank) can reach [-70.5287, 70.5287] deg"
@@ -386,7 +390,7 @@ class TestReach:
     )
     def test_reachable_range_is_that_of_the_triangle(self, lengths, limits):
         """cos theta = (l1^2 + d^2 - AD^2) / (2 l1 d) at the limits of AD."""
-        found = assembly.reachable(four_bar(*lengths), [0.0], 0)
+        found = assembly.reachable(four_bar(*lengths), [0.0], 0, t=0.0)
         assert len(found) == len(limits)
         l1, l2, l3, d = lengths
         for interval, expected in zip(found, limits, strict=True):
@@ -400,15 +404,15 @@ class TestReach:
         """Whoever types a limit of the message back gets a configuration, not another error."""
         mech = four_bar(*lengths)
         with pytest.raises(AssemblyError) as failure:
-            assembly.assemble(mech, [3.0])
+            assembly.assemble(mech, [3.0], t=0.0)
         told = re.findall(r"\[(\S+), (\S+)\] deg", str(failure.value))
         assert told
         for limit in itertools.chain(*told):
-            assert assembly.attempt(mech, [np.radians(float(limit))])[1] <= 0.0
+            assert assembly.attempt(mech, [np.radians(float(limit))], t=0.0)[1] <= 0.0
 
     def test_no_angle_at_all(self):
         with pytest.raises(AssemblyError, match=r"q1 \(crank\) can reach no angle"):
-            assembly.assemble(four_bar(0.1, 0.2, 0.3, 2.0), [0.0])
+            assembly.assemble(four_bar(0.1, 0.2, 0.3, 2.0), [0.0], t=0.0)
 
     def test_each_of_several_actuated_joints_has_its_range(self):
         """Five-bar with rods too short for cranks that point apart."""
@@ -422,7 +426,7 @@ class TestReach:
             + "closures: [[b, d]]\nactuated: [a, c]\n"
         )
         with pytest.raises(AssemblyError) as failure:
-            assembly.assemble(mech, [np.pi, 0.0])
+            assembly.assemble(mech, [np.pi, 0.0], t=0.0)
         text = str(failure.value)
         assert "q1 = 180 deg, q3 = 0 deg: 0.5 m are missing" in text
         assert "q1 (a) can reach [-" in text
@@ -433,15 +437,15 @@ class TestReach:
         """|y - r sin theta| <= l: crank 1, rod 0.5, line at 0.8: sin theta >= 0.3."""
         mech = slider_crank(1.0, 0.5, 0.8)
         with pytest.raises(AssemblyError) as failure:
-            assembly.assemble(mech, [-np.pi / 2])
+            assembly.assemble(mech, [-np.pi / 2], t=0.0)
         assert "1.3 m are missing" in str(failure.value)
-        ((low, high),) = assembly.reachable(mech, [0.0], 0)
+        ((low, high),) = assembly.reachable(mech, [0.0], 0, t=0.0)
         assert np.sin([low, high]) == pytest.approx([0.3, 0.3], abs=1e-8)
 
     def test_the_worst_of_many_states_is_told(self):
         mech = four_bar(0.9, 0.5, 0.6, 1.0)
         with pytest.raises(AssemblyError, match=r"q1 = 180 deg: 0\.8 m are missing"):
-            assembly.assemble(mech, [[0.3], [np.pi], [np.pi / 2]])
+            assembly.assemble(mech, [[0.3], [np.pi], [np.pi / 2]], t=0.0)
 
 
 class TestSingular:
@@ -463,37 +467,37 @@ class TestSingular:
         ],
     )
     def test_is_named(self, mech, angle, kind):
-        q = assembly.assemble(mech, [angle])
-        assert loop_rates.singular_kind(mech, q) == kind
+        q = assembly.assemble(mech, [angle], t=0.0)
+        assert loop_rates.singular_kind(mech, q, t=0.0) == kind
         if not kind:
-            assert np.isfinite(loop_rates.loop_velocities(mech, q, [1.0])).all()
+            assert np.isfinite(loop_rates.loop_velocities(mech, q, [1.0], t=0.0)).all()
             return
         with pytest.raises(SingularError, match=rf"singular configuration \({kind}\) at q = "):
-            loop_rates.loop_velocities(mech, q, [1.0])
+            loop_rates.loop_velocities(mech, q, [1.0], t=0.0)
         with pytest.raises(SingularError, match=rf"\({kind}\)"):
-            loop_rates.loop_accelerations(mech, q, np.zeros(mech.n), [1.0])
+            loop_rates.loop_accelerations(mech, q, np.zeros(mech.n), [1.0], t=0.0)
 
     def test_standing_still_is_possible_there(self):
         mech = four_bar(0.3, 0.7, 0.3, 0.7)
-        q = assembly.assemble(mech, [0.0])
-        assert loop_rates.loop_velocities(mech, q, [0.0]).tolist() == [0.0] * 3
+        q = assembly.assemble(mech, [0.0], t=0.0)
+        assert loop_rates.loop_velocities(mech, q, [0.0], t=0.0).tolist() == [0.0] * 3
 
     def test_one_singular_state_among_others_is_told(self):
         mech = four_bar(0.3, 0.7, 0.3, 0.7)
-        q = assembly.assemble(mech, [[1.0], [0.0], [2.0]])
+        q = assembly.assemble(mech, [[1.0], [0.0], [2.0]], t=0.0)
         with pytest.raises(SingularError, match="at q = 0, 0, 0: "):
-            loop_rates.loop_velocities(mech, q, [1.0])
+            loop_rates.loop_velocities(mech, q, [1.0], t=0.0)
 
     def test_both_branches_meet_at_the_limit_of_reach(self):
         mech = four_bar(0.9, 0.5, 0.6, 1.0)
         limit = np.arccos((0.81 + 1.0 - 1.21) / 1.8)
-        both = [assembly.assemble(mech, [limit], [branch]) for branch in BRANCHES]
+        both = [assembly.assemble(mech, [limit], [branch], t=0.0) for branch in BRANCHES]
         assert_close(turn(both[0] - both[1]), np.zeros(3), 1.0, 1e-6)
-        assert loop_rates.singular_kind(mech, both[0]) == "dead centre"
+        assert loop_rates.singular_kind(mech, both[0], t=0.0) == "dead centre"
 
     def test_an_open_chain_has_none(self):
         mech = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]")
-        assert loop_rates.singular_kind(mech, [0.0]) == ""
+        assert loop_rates.singular_kind(mech, [0.0], t=0.0) == ""
 
 
 class TestLargerLoops:
@@ -502,7 +506,7 @@ class TestLargerLoops:
     @each("seed", SEEDS)
     def test_start_itself(self, seed):
         scene = seeded_scene(seed, FAR_LINK)
-        q = assembly.assemble(scene.mechanism, scene.q[4:])
+        q = assembly.assemble(scene.mechanism, scene.q[4:], t=0.0)
         assert_close(turn(q - scene.q), np.zeros(5), 1.0, 1e-13)
 
     @pytest.mark.parametrize("seed", SEEDS)
@@ -513,10 +517,10 @@ class TestLargerLoops:
         by_crank = mechanism("\n".join(lines).replace("actuated: [link4]", "actuated: [link0]"))
         (choice,) = branches_of(by_crank, scene.q)
         steps = np.array([[-0.02], [-0.01], [0.01], [0.02]])
-        expected, missing = assembly.attempt(by_crank, scene.q[:1] + steps, choice)
+        expected, missing = assembly.attempt(by_crank, scene.q[:1] + steps, choice, t=0.0)
         expected = expected[missing <= 0.0]
         assert len(expected) >= 2
-        q = assembly.assemble(scene.mechanism, expected[:, 4:])
+        q = assembly.assemble(scene.mechanism, expected[:, 4:], t=0.0)
         assert_close(turn(q - expected), np.zeros_like(q), 1.0, 1e-11)
 
     @pytest.mark.parametrize("seed", SEEDS if FRESH else SEEDS[:2])
@@ -528,7 +532,7 @@ class TestLargerLoops:
         scene = seeded_scene(seed, FAR_LINK)
         for direction in (-1.0, 1.0):
             way = np.linspace(0.0, 3.1, 32 if FRESH else 12)[:, None]
-            _, missing = assembly.attempt(scene.mechanism, scene.q[4:] + direction * way)
+            _, missing = assembly.attempt(scene.mechanism, scene.q[4:] + direction * way, t=0.0)
             closes = missing <= 0.0
             assert closes[0]
             assert (closes[1:] <= closes[:-1]).all(), "closes again beyond a gap"
@@ -537,11 +541,11 @@ class TestLargerLoops:
     def test_neighbours_lie_close_together(self, seed):
         """The configurations along the way form one motion: no jumps up to the limits."""
         scene = seeded_scene(seed, FAR_LINK)
-        ((low, high),) = assembly.reachable(scene.mechanism, scene.q[4:], 0)
+        ((low, high),) = assembly.reachable(scene.mechanism, scene.q[4:], 0, t=0.0)
         way = np.append(
             np.arange(max(low, scene.q[4] - 3.1), min(high, scene.q[4] + 3.1), 0.02), high
         )
-        q, missing = assembly.attempt(scene.mechanism, way[:, None])
+        q, missing = assembly.attempt(scene.mechanism, way[:, None], t=0.0)
         assert (missing <= 0.0).all()
         assert len(q) > 5
         assert np.abs(turn(np.diff(q, axis=0))).max() < 0.7
@@ -549,7 +553,7 @@ class TestLargerLoops:
     def test_out_of_reach_tells_the_range_about_the_start(self):
         scene = seeded_scene(1, FAR_LINK)
         with pytest.raises(AssemblyError) as failure:
-            assembly.assemble(scene.mechanism, scene.q[4:] + 3.0)
+            assembly.assemble(scene.mechanism, scene.q[4:] + 3.0, t=0.0)
         text = str(failure.value)
         ((low, high),) = re.findall(r"q5 \(link4\) can reach \[(\S+), (\S+)\] deg", text)
         assert float(low) < np.degrees(scene.q[4]) < float(high)
@@ -560,25 +564,25 @@ class TestLargerLoops:
         """Both ends can be reached; just beyond, short of half a turn, nothing closes."""
         scene = seeded_scene(seed, FAR_LINK)
         mech, start = scene.mechanism, scene.q[4]
-        ((low, high),) = assembly.reachable(mech, scene.q[4:], 0)
-        _, missing = assembly.attempt(mech, [[low], [high]])
+        ((low, high),) = assembly.reachable(mech, scene.q[4:], 0, t=0.0)
+        _, missing = assembly.attempt(mech, [[low], [high]], t=0.0)
         assert missing.tolist() == [0.0, 0.0]
         for beyond in (low - 0.005, high + 0.005):
             if abs(beyond - start) < np.pi:
-                assert assembly.attempt(mech, [beyond])[1] > 0.0
+                assert assembly.attempt(mech, [beyond], t=0.0)[1] > 0.0
 
     def test_start_may_be_rough_and_leave_out_the_driven_joint(self):
         scene = seeded_scene(2, FAR_LINK)
         angles = ", ".join(f"link{k}: {scene.q[k] + 0.02 * (-1) ** k}" for k in range(4))
         text = re.sub("start: .*", f"start: {{{angles}}}", scene.text)
-        q = assembly.assemble(mechanism(text), scene.q[4:])
+        q = assembly.assemble(mechanism(text), scene.q[4:], t=0.0)
         assert_close(turn(q - scene.q), np.zeros(5), 1.0, 1e-12)
 
     def test_without_a_start_is_an_input_error(self):
         scene = seeded_scene(0, FAR_LINK)
         lines = [line for line in scene.text.splitlines() if not line.startswith("start")]
         with pytest.raises(InputError, match=r"cannot assemble q1 \(link0\), .*add a `start`"):
-            assembly.assemble(mechanism("\n".join(lines)), [0.0])
+            assembly.assemble(mechanism("\n".join(lines)), [0.0], t=0.0)
 
 
 class TestUndetermined:
@@ -590,7 +594,7 @@ class TestUndetermined:
         scene = seeded_scene(1, LOOPS["loop in a tree"])
         mech = mechanism(scene.text.replace("[link0, link2, link3]", "[link0, link2]"))
         with pytest.raises(InputError, match=r"q4 \(link3\): neither actuated nor held by a loop"):
-            assembly.assemble(mech, [0.0, 0.0])
+            assembly.assemble(mech, [0.0, 0.0], t=0.0)
 
     @pytest.mark.parametrize("start", [False, True])
     def test_fewer_actuators_than_freedoms(self, start):
@@ -601,12 +605,12 @@ class TestUndetermined:
             angles = ", ".join(f"link{k}: {angle}" for k, angle in enumerate(scene.q))
             text += f"start: {{{angles}}}\n"
         with pytest.raises(RobodynError, match="actuat"):
-            assembly.assemble(mechanism(text), scene.q[:1] + 0.1)
+            assembly.assemble(mechanism(text), scene.q[:1] + 0.1, t=0.0)
 
     def test_rates_of_fewer_actuators_than_freedoms(self):
         text = self.FIVE_BAR.text.replace("actuated: [link0, link2]", "actuated: [link0]")
         with pytest.raises(RobodynError):
-            loop_rates.loop_velocities(mechanism(text), self.FIVE_BAR.q, [1.0])
+            loop_rates.loop_velocities(mechanism(text), self.FIVE_BAR.q, [1.0], t=0.0)
 
     @pytest.mark.parametrize(
         ("values", "place"),
@@ -618,7 +622,7 @@ class TestUndetermined:
     )
     def test_values_that_do_not_fit(self, values, place):
         with pytest.raises(InputError, match=place):
-            assembly.assemble(self.FIVE_BAR.mechanism, values)
+            assembly.assemble(self.FIVE_BAR.mechanism, values, t=0.0)
 
 
 DIRECTIONLESS = {
@@ -638,7 +642,7 @@ class TestDirectionsOfNothing:
         mech, joints = DIRECTIONLESS[name]
         told = f"singular configuration at q1 = {360 * turns:g} deg.*{re.escape(joints)} here"
         with pytest.raises(SingularError, match=told):
-            assembly.assemble(mech, [2 * np.pi * turns], [branch])
+            assembly.assemble(mech, [2 * np.pi * turns], [branch], t=0.0)
 
     @pytest.mark.parametrize(
         ("rocker", "closure"),
@@ -657,22 +661,22 @@ class TestDirectionsOfNothing:
             f"{rocker}closures: [{closure}]\nactuated: [crank, forearm]\n"
         )
         with pytest.raises(SingularError, match=re.escape("q2 (coupler)")):
-            assembly.assemble(mech, [0.0, np.pi])
-        assert np.isfinite(assembly.assemble(mech, [0.0, 3.0])).all()
+            assembly.assemble(mech, [0.0, np.pi], t=0.0)
+        assert np.isfinite(assembly.assemble(mech, [0.0, 3.0], t=0.0)).all()
 
     @each("name", DIRECTIONLESS)
     def test_beside_them_the_loops_close(self, name):
         mech, _ = DIRECTIONLESS[name]
         given = np.array([-0.1, -1e-6, 0.0, 1e-6, 0.1])[:, None]
-        q, missing = assembly.attempt(mech, given)
+        q, missing = assembly.attempt(mech, given, t=0.0)
         assert np.isnan(missing).tolist() == [False, False, True, False, False]
         closed = q[~np.isnan(missing)]
-        assert np.abs(cf.closure_gap(mech, closed)).max() < 1e-15
+        assert np.abs(cf.closure_gap(mech, closed, t=0.0)).max() < 1e-15
 
     def test_the_slot_points_from_the_levers_pivot_to_the_pin(self):
         """A triangle with equal sides: its base turns by half the crank's angle and a quarter."""
         for angle, error in ((1e-9, 1e-6), (0.5, 1e-14), (2.0, 1e-14)):
-            _, lever = assembly.assemble(mechanism(LEVER), [angle])
+            _, lever = assembly.assemble(mechanism(LEVER), [angle], t=0.0)
             assert lever == pytest.approx(np.pi / 2 + angle / 2, abs=error)
 
     @pytest.mark.parametrize("text", [SCISSORS, SCISSORS + STARTED])
@@ -680,15 +684,15 @@ class TestDirectionsOfNothing:
         """On the other branch the arms lie on one another, and the table hangs free."""
         mech = mechanism(text)
         for angle in (0.3, np.pi / 6, 1.0):
-            q = assembly.assemble(mech, [angle])
+            q = assembly.assemble(mech, [angle], t=0.0)
             wanted = [angle, np.pi - angle, -2.0 * angle]
             assert np.abs(q - wanted).max() < 1e-14
             with pytest.raises(SingularError, match=re.escape("q2 (table)")):
-                assembly.assemble(mech, [angle], ["crossed", "open"])
+                assembly.assemble(mech, [angle], ["crossed", "open"], t=0.0)
         assert assembly.scene_branches(mech)[0] == "open"
 
     def test_a_range_runs_through_them(self):
-        assert assembly.reachable(mechanism(LEVER), [1.0], 0) == [(-np.pi, np.pi)]
+        assert assembly.reachable(mechanism(LEVER), [1.0], 0, t=0.0) == [(-np.pi, np.pi)]
 
 
 class TestProjection:
@@ -701,16 +705,18 @@ class TestProjection:
         rough[:, held] = scene.q[held]
         size = sizes(mech.description).loop
         for fixed in ((), held):
-            q = assembly.close_positions(mech, rough, fixed)
-            assert_close(cf.closure_gap(mech, q), np.zeros((20, len(mech.rows))), size, 1e-15)
+            q = assembly.close_positions(mech, rough, fixed, t=0.0)
+            assert_close(
+                cf.closure_gap(mech, q, t=0.0), np.zeros((20, len(mech.rows))), size, 1e-15
+            )
             assert np.abs(q - rough).max() < 1.0
             assert np.array_equal(q[:, list(fixed)], rough[:, list(fixed)])
 
     def test_an_open_chain_and_no_states_are_left_alone(self):
         chain = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]")
-        assert assembly.close_positions(chain, [[1.0], [2.0]]).tolist() == [[1.0], [2.0]]
+        assert assembly.close_positions(chain, [[1.0], [2.0]], t=0.0).tolist() == [[1.0], [2.0]]
         four = seeded_scene(1, LOOPS["four-bar"]).mechanism
-        assert assembly.close_positions(four, np.zeros((0, 3))).shape == (0, 3)
+        assert assembly.close_positions(four, np.zeros((0, 3)), t=0.0).shape == (0, 3)
 
 
 class TestCheckClosed:
@@ -720,7 +726,7 @@ class TestCheckClosed:
         return [np.tile(state, (5, 1)) for state in self.scene.states]
 
     def test_a_closed_motion_passes(self):
-        assert loop_rates.check_closed(self.scene.mechanism, *self.many()) is None
+        assert loop_rates.check_closed(self.scene.mechanism, *self.many(), t=0.0) is None
 
     @pytest.mark.parametrize(
         ("which", "text"),
@@ -730,14 +736,16 @@ class TestCheckClosed:
         states = self.many()
         states[which][3] += 0.01
         states[which][4] += 0.02
-        index, error = loop_rates.check_closed(self.scene.mechanism, *states)
+        index, error = loop_rates.check_closed(self.scene.mechanism, *states, t=0.0)
         assert index == 3
         assert isinstance(error, InputError)
         assert text in str(error)
 
     def test_the_gap_told_is_the_distance(self):
         """Links of 1 m: the coupler's tip at (1, 1), the rocker's at (2, 0)."""
-        _, error = loop_rates.check_closed(four_bar(1, 1, 1, 1), np.array([0.0, np.pi / 2, 0.0]))
+        _, error = loop_rates.check_closed(
+            four_bar(1, 1, 1, 1), np.array([0.0, np.pi / 2, 0.0]), t=0.0
+        )
         assert "gap in position = 1.41421 m" in str(error)
 
     IN_LINE = np.array([np.pi / 2, -np.pi])  # a crank and a rod of 0.2 m, folded across the slide
@@ -745,9 +753,9 @@ class TestCheckClosed:
     @each("rates", [(2.0, 0.0), (2.0, -4.0), (-0.1, 0.2), (0.0, 0.0), (2.0, -4.0000001)])
     def test_rates_along_a_branch_close(self, rates):
         mech = slider_crank(0.2, 0.2, 0.0)
-        assert loop_rates.check_closed(mech, self.IN_LINE, np.array(rates)) is None
+        assert loop_rates.check_closed(mech, self.IN_LINE, np.array(rates), t=0.0) is None
         many = np.tile(self.IN_LINE, (5, 1)), np.tile(rates, (5, 1))
-        assert loop_rates.check_closed(mech, *many) is None
+        assert loop_rates.check_closed(mech, *many, t=0.0) is None
 
     @each("rates", [(0.0, 3.0), (1.0, 1.0), (1e-3, 0.0011), (2.0, -3.999)])
     def test_rates_that_no_motion_has(self, rates):
@@ -758,7 +766,7 @@ class TestCheckClosed:
         q, qd = np.tile([1.0, -2.0], (5, 1)), np.tile([1.0, -2.0], (5, 1))
         q[3], qd[3] = self.IN_LINE, rates
         for qdd in (None, np.zeros((5, 2))):
-            index, error = loop_rates.check_closed(mech, q, qd, qdd)
+            index, error = loop_rates.check_closed(mech, q, qd, qdd, t=0.0)
             assert index == 3
             assert f"no motion has these rates: gap in acceleration = {gap:.6g} m/s^2" in str(error)
         with pytest.raises(InputError, match="no motion has these rates"):
@@ -774,7 +782,9 @@ class TestCheckClosed:
         rocker = crank + ground / length * b
         gap = abs(length * crank**2 + ground * b**2 - length * rocker**2)
         mech = four_bar(length, ground, length, ground)
-        fault = loop_rates.check_closed(mech, np.zeros(3), np.array([crank, b - crank, rocker]))
+        fault = loop_rates.check_closed(
+            mech, np.zeros(3), np.array([crank, b - crank, rocker]), t=0.0
+        )
         if off:
             assert f"gap in acceleration = {gap:.6g} m/s^2" in str(fault[1])
         else:
@@ -788,17 +798,17 @@ class TestCheckClosed:
         for way in (beside, -beside):
             for q, qd in (([way, 0.0], [1.0, 0.0]), ([way, -2.0 * way], [1.0, -2.0])):
                 q = self.IN_LINE + q
-                assert loop_rates.check_closed(mech, q, np.array(qd)) is None
+                assert loop_rates.check_closed(mech, q, np.array(qd), t=0.0) is None
 
     def test_a_motion_that_misses_a_change_point_closes(self):
         """With a rod that is too short by a little the crank turns back before it is upright."""
         mech = slider_crank(0.2, 0.2 - 1e-13, 0.0)
-        q = assembly.assemble(mech, [np.pi / 2 - 0.1], ["crossed"])
-        qd = loop_rates.loop_velocities(mech, q, [1.0])
+        q = assembly.assemble(mech, [np.pi / 2 - 0.1], ["crossed"], t=0.0)
+        qd = loop_rates.loop_velocities(mech, q, [1.0], t=0.0)
         motion = simulate(mech, q, qd, 0.2)
         assert motion.outcome.label == "finished"
         for k in range(len(motion.t)):
-            assert loop_rates.check_closed(mech, motion.q[k], motion.qd[k]) is None
+            assert loop_rates.check_closed(mech, motion.q[k], motion.qd[k], t=0.0) is None
 
     def test_closures_that_depend_on_one_another_everywhere(self):
         """A parallelogram with two couplers moves as one with one of them."""
@@ -813,12 +823,12 @@ class TestCheckClosed:
         )
         angles = np.linspace(-3.0, 3.0, 7)[:, None]
         q, qd = angles * [1, -1, 1, -1], np.tile([1.0, -1.0, 1.0, -1.0], (7, 1))
-        assert loop_rates.check_closed(mech, q, qd) is None
+        assert loop_rates.check_closed(mech, q, qd, t=0.0) is None
 
     def test_open_chains_and_no_states_have_nothing_to_check(self):
         chain = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]")
-        assert loop_rates.check_closed(chain, np.zeros(1)) is None
-        assert loop_rates.check_closed(self.scene.mechanism, np.zeros((0, 4))) is None
+        assert loop_rates.check_closed(chain, np.zeros(1), t=0.0) is None
+        assert loop_rates.check_closed(self.scene.mechanism, np.zeros((0, 4)), t=0.0) is None
 
 
 def test_shapes_that_need_a_start_are_no_chains_of_dyads():

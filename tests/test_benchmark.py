@@ -391,7 +391,7 @@ def test_fewer_closed_states_than_are_checked(monkeypatch):
 
 
 def test_no_closed_states_is_an_error(monkeypatch):
-    none = identities.Sample(np.zeros((0, 2)), np.zeros((0, 2)), 0.0)
+    none = identities.Sample(np.zeros((0, 2)), np.zeros((0, 2)), 0.0, np.zeros(0))
     monkeypatch.setattr(identities, "sample_states", lambda *given: none)
     with pytest.raises(RobodynError, match=r"2r\.yaml: bench --evaluators: no closed states"):
         measured(load(ROOT / "robots/2r.yaml"))

@@ -13,9 +13,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from robodyn import inverse_dynamics, simulate
+from robodyn import closure_jacobian, inverse_dynamics, simulate
 from robodyn.dynamics.cam_contacts import cam_named, cams_of, contact_along, outline, profile_of
-from robodyn.dynamics.closed_form import closure_jacobian, point_motion
+from robodyn.dynamics.closed_form import point_motion
 from robodyn.dynamics.state import State
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.link_tree import Tree
@@ -444,3 +444,16 @@ def test_friction_of_the_bearing_and_of_the_guide() -> None:
     np.testing.assert_allclose(tau, turned, rtol=1e-11, atol=1e-12)
     caused = State(mechanism, q, qd, tau=np.stack([tau, 0 * tau], axis=-1))
     np.testing.assert_allclose(caused.columns(["qdd1", "contact1"]).T[1], N, rtol=1e-10)
+
+
+def test_a_cam_whose_joint_is_driven() -> None:
+    """A law of the time turns the cam: the follower leaves it where the cosine tells."""
+    text = SCENE.format(law="q2 = 10 mm (1 - cos(q1))", cam="roller: 8 mm", y=S0)
+    turned = text.replace("couplings:\n", 'couplings:\n  - "q1 = 130 rad/s t"\n')
+    mechanism = build(from_text(turned, "scene.yaml"))
+    cosine = -(M * G + K * (PRELOAD + 0.01)) / (0.01 * (M * 130.0**2 - K))
+    run = simulate(mechanism, [0, 0], [130.0, 0], 1.0, until="contact2 < 0")
+    assert run.outcome is Outcome.EVENT
+    np.testing.assert_allclose(run.t[-1], math.acos(cosine) / 130.0, rtol=1e-9)
+    with pytest.raises(DescriptionError, match="names t: the law of a cam"):
+        from_text(text.replace("q2 = 10 mm", "q2 = 1 m/s t + 10 mm"), "scene.yaml")

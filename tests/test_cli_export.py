@@ -43,7 +43,7 @@ def test_mjcf_of_every_scene(robodyn: Run, name: str) -> None:
         assert (given.code, given.err, model.keys) == (0, "", {})
         assert given.out == mjcf(mechanism)
         return
-    begin = first_pose(mechanism)
+    begin = first_pose(mechanism, t=0.0)
     told = ", ".join(f"{x:.6g}" for x in begin)
     notes = f"Note: without --q it begins at q = {told}\n"
     if mechanism.description.points:

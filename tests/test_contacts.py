@@ -238,7 +238,7 @@ def test_an_impact_goes_through_mass_and_closures(
     assert after[joint] == pytest.approx(-0.4 * was[joint], rel=1e-12)
     assert side * was[joint] > 0.0
     if mechanism.rows:
-        Psi = closed_form.closure_jacobian(mechanism, hit.y[:n])
+        Psi = closed_form.closure_jacobian(mechanism, hit.y[:n], t=0.0)
         assert np.abs(Psi @ after).max() < 1e-13
         assert motion.report.largest_gap < 1e-12
         assert motion.report.largest_gap_rate < 1e-11

@@ -38,7 +38,7 @@ def choices(
     From rest, by virtual power: qdd = N z with Psi N = 0, forces of friction at most `static`.
     """
     joints, n = mechanism.dry, mechanism.n
-    N = null_space(closed_form.closure_jacobian(mechanism, q))
+    N = null_space(closed_form.closure_jacobian(mechanism, q, t=0.0))
     M = closed_form.mass_matrix(mechanism, q)
     load = N.T @ M @ robodyn.forward_dynamics(plain, q, 0 * q, tau)
     found = []

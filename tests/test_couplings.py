@@ -123,7 +123,7 @@ class TestEvaluators:
         exact = [float(x) for x in _accelerations(mech, q, qd, np.array([0.4, 0.0, 0.0, 0.0]))]
         assert found == pytest.approx(exact, rel=1e-11, abs=1e-11)
         y = np.concatenate([q, qd]) + 1e-4
-        closed = side.projection(side.projection(y))
+        closed = side.projection(0.0, side.projection(0.0, y))
         assert np.abs(closure_gap(mech, closed[:4])).max() < 1e-14
 
     @EACH_KIND

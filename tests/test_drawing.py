@@ -338,14 +338,14 @@ def posed(mech, angles: np.ndarray) -> np.ndarray:
     q = np.array(angles[: len(free)])
     for place, k in enumerate(free):
         if k in mech.slides:
-            q[place] = first_pose(mech)[k] + 0.1 * mech.unit * q[place]
+            q[place] = first_pose(mech, t=0.0)[k] + 0.1 * mech.unit * q[place]
     return robodyn.assemble(mech, q) if mech.rows else q
 
 
 @each("path", ROBOTS)
 def test_links_keep_their_shape_from_pose_to_pose(path) -> None:
     mech = robodyn.load(path)
-    pose = first_pose(mech)
+    pose = first_pose(mech, t=0.0)
     free = list(mech.actuated) if mech.rows else list(range(mech.n))
     q = np.array([pose, posed(mech, pose[free] + 0.7)])
     drawn = drawing(mech, q)
@@ -440,30 +440,30 @@ def test_span_and_size() -> None:
 @each("path", ROBOTS)
 def test_the_first_pose_closes(path) -> None:
     mech = robodyn.load(path)
-    assert np.abs(robodyn.closure_gap(mech, first_pose(mech))).max(initial=0.0) < 1e-9
+    assert np.abs(robodyn.closure_gap(mech, first_pose(mech, t=0.0))).max(initial=0.0) < 1e-9
 
 
 def test_the_first_pose_goes_by_the_start_and_takes_what_closes() -> None:
     arm = "links:\n  - {name: a, m: 1, l: 1, r: 0.5, I: 0}\n"
-    assert first_pose(build(from_text(arm, "x.yaml"))) == 0.0
-    assert first_pose(build(from_text(arm + "start: {a: 0.4}\n", "x.yaml"))) == 0.4
+    assert first_pose(build(from_text(arm, "x.yaml")), t=0.0) == 0.0
+    assert first_pose(build(from_text(arm + "start: {a: 0.4}\n", "x.yaml")), t=0.0) == 0.4
     slider = "{point: b, on: {through: [0, 1.9], along: [1, 0]}}"
     loop = arm + f"  - {{name: b, m: 1, l: 1, r: 0.5, I: 0}}\nclosures: [{slider}]\n"
-    pose = first_pose(build(from_text(loop, "x.yaml")))
+    pose = first_pose(build(from_text(loop, "x.yaml")), t=0.0)
     assert pose[0] == pytest.approx(np.pi / 2)  # the one twelfth at which the crank is above 0.9
     with pytest.raises(AssemblyError, match="give --q"):
-        first_pose(build(from_text(loop.replace("1.9", "2.9"), "x.yaml")))
+        first_pose(build(from_text(loop.replace("1.9", "2.9"), "x.yaml")), t=0.0)
 
 
 def test_the_first_pose_where_actuated_joints_do_not_decide_it() -> None:
     link = "{{name: {0}, m: 1, l: 1, r: 0.5, I: 0.1, from: {1}}}"
     links = ", ".join(link.format(*x) for x in (("a", "[0, 0]"), ("b", "a"), ("c", "b")))
     text = f"links: [{links}]\nactuated: []\ncouplings: [q3 = -2 q2 %s]\n%s"
-    assert first_pose(build(from_text(text % ("", ""), "x.yaml"))).tolist() == [0, 0, 0]
+    assert first_pose(build(from_text(text % ("", ""), "x.yaml")), t=0.0).tolist() == [0, 0, 0]
     started = build(from_text(text % ("+ 1", "start: {a: 0.4, b: 0.2, c: 0.6}\n"), "x.yaml"))
-    assert first_pose(started).tolist() == [0.4, 0.2, 0.6]
+    assert first_pose(started, t=0.0).tolist() == [0.4, 0.2, 0.6]
     with pytest.raises(InputError, match="give all 3 joint angles"):
-        first_pose(build(from_text(text % ("+ 1", ""), "x.yaml")))
+        first_pose(build(from_text(text % ("+ 1", ""), "x.yaml")), t=0.0)
 
 
 def test_the_first_pose_tries_displacements() -> None:
@@ -479,11 +479,11 @@ actuated: [rod]
 """
     for begin, expected in ((0.0, 0.5), (1.9, -0.5), (0.6, 0.0)):
         mech = scene(text % begin)
-        pose = first_pose(mech)
+        pose = first_pose(mech, t=0.0)
         assert pose[2] == pytest.approx(expected)
         assert np.abs(robodyn.closure_gap(mech, pose)).max() < 1e-9
     with pytest.raises(AssemblyError, match="give --q"):
-        first_pose(scene(text % 50.0))
+        first_pose(scene(text % 50.0), t=0.0)
 
 
 # Frames, scale bars and labels
@@ -577,9 +577,9 @@ def test_the_zigzag_of_a_spring_is_even_and_steep(length: float) -> None:
 
 def test_no_centre_line_runs_along_a_spring() -> None:
     mech = robodyn.load(ROOT / "robots/spring-slider-crank.yaml")
-    assert not shapes_of(drawing(mech, first_pose(mech)), "axis")
+    assert not shapes_of(drawing(mech, first_pose(mech, t=0.0)), "axis")
     mech = robodyn.load(ROOT / "robots/slider-crank.yaml")
-    assert shapes_of(drawing(mech, first_pose(mech)), "axis")
+    assert shapes_of(drawing(mech, first_pose(mech, t=0.0)), "axis")
 
 
 @pytest.mark.parametrize("at", [[0.44, -0.14], [0.3, 0.3], [-0.2, 0.1]])
@@ -770,7 +770,7 @@ def test_driving_torques() -> None:
     """Of a joint that turns an arc; of one that slides a force along it, of its weight here."""
     mech = robodyn.load(ROOT / "robots/rp-arm.yaml")
     q, rest = np.array([0.5, 0.3]), np.zeros(2)
-    found = {f.name: f for f in forces_at(mech, q, rest)}
+    found = {f.name: f for f in forces_at(mech, q, rest, t=0.0)}
     weights = found["m1 g"], found["m2 g"]
     moment = -sum((f.place.conjugate() * f.force).imag for f in weights)
     assert (found["tau1"].kind, found["tau1"].force, found["tau1"].place) == ("drive", 0, 0)
@@ -779,7 +779,7 @@ def test_driving_torques() -> None:
     assert found["tau2"].torque == 0.0
     expected = -(found["m2 g"].force * along.conjugate()).real * along
     assert found["tau2"].force == pytest.approx(expected)
-    given = {f.name: f for f in forces_at(mech, q, rest, tau=np.array([-3.0, 0.0]))}
+    given = {f.name: f for f in forces_at(mech, q, rest, tau=np.array([-3.0, 0.0]), t=0.0)}
     assert (given["tau1"].torque, "tau2" in given) == (-3.0, False)
 
 
@@ -793,7 +793,7 @@ def test_an_arc_turns_as_its_torque() -> None:
 def test_no_force_at_all() -> None:
     text = "gravity: 0\nlinks: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
     mech = mechanism.build(description.from_text(text, "x.yaml"))
-    assert forces_at(mech, np.ones(1), np.zeros(1)) == []
+    assert forces_at(mech, np.ones(1), np.zeros(1), t=0.0) == []
 
 
 def test_prefixes() -> None:

@@ -247,10 +247,10 @@ def test_a_random_linkage_is_the_same_in_both_forms(seed: int, slides: bool) -> 
     drawn, explicit = built(linkage.drawn()), built(text)
     q = start_of(drawn)
     assert np.abs(np.exp(1j * q) - np.exp(1j * np.array(joints))).max() < 1e-14
-    assert np.abs(closure_gap(drawn, q)).max(initial=0.0) < 1e-14
+    assert np.abs(closure_gap(drawn, q, t=0.0)).max(initial=0.0) < 1e-14
     assert drawn.actuated == explicit.actuated
     driver = with_independent(drawn)
-    assembled = assemble(driver, q[list(driver.actuated)])
+    assembled = assemble(driver, q[list(driver.actuated)], t=0.0)
     turning = [k for k in range(drawn.n) if k not in drawn.slides]
     assert np.abs(np.exp(1j * assembled) - np.exp(1j * q))[turning].max() < 1e-6
     assert np.abs(assembled - q)[list(drawn.slides)].max(initial=0.0) < 1e-6
@@ -259,7 +259,7 @@ def test_a_random_linkage_is_the_same_in_both_forms(seed: int, slides: bool) -> 
         (mass_matrix(drawn, q), mass_matrix(explicit, q)),
         (coriolis_matrix(drawn, q, qd), coriolis_matrix(explicit, q, qd)),
         (gravity_vector(drawn, q), gravity_vector(explicit, q)),
-        (closure_jacobian(drawn, q), closure_jacobian(explicit, q)),
+        (closure_jacobian(drawn, q, t=0.0), closure_jacobian(explicit, q, t=0.0)),
     ):
         assert own.shape == other.shape
         assert np.abs(own - other).max(initial=0.0) <= 1e-14 * max(1.0, np.abs(own).max(initial=0))
@@ -334,8 +334,10 @@ def check_turns(
     first = next(iter(links))
     mechanism = built(text_of(drawn.pins, links, ground, first, more))
     q0 = start_of(mechanism)
-    assert np.abs(closure_gap(mechanism, q0)).max() < 1e-14 * max(map(abs, drawn.pins.values()))
-    q = assemble(mechanism, q0[0] + turns[:, None])
+    assert np.abs(closure_gap(mechanism, q0, t=0.0)).max() < 1e-14 * max(
+        map(abs, drawn.pins.values())
+    )
+    q = assemble(mechanism, q0[0] + turns[:, None], t=0.0)
     for row, turn in zip(q, turns, strict=True):
         wanted = list(joint_angles(links, ground.split(", "), drawn.at(turn)))
         assert np.abs(np.exp(1j * row) - np.exp(1j * np.array(wanted))).max() < 1e-9
@@ -372,7 +374,7 @@ def test_theo_jansens_leg(turn: float) -> None:
     drawn, links = jansen(turn)
     turns = np.linspace(0.0, 2 * np.pi, 73)
     mechanism = check_turns(drawn, links, "O, Z", turns)
-    q = assemble(mechanism, start_of(mechanism)[0] + turns[:, None])
+    q = assemble(mechanism, start_of(mechanism)[0] + turns[:, None], t=0.0)
     foot = points(mechanism, q, of="F").position[:, 0]
     wanted = np.array([drawn.at(x)["F"] for x in turns])
     assert np.abs(foot @ [1, 1j] - wanted).max() < 1e-11
@@ -437,7 +439,7 @@ def test_the_order_of_links_is_free(order: tuple[int, ...]) -> None:
     names = list(links)
     links = {names[k]: links[names[k]] for k in order}
     mechanism = built(text_of(pins, links, "O, Q", "crank, bob"))
-    assert np.abs(closure_gap(mechanism, start_of(mechanism))).max() < 1e-15
+    assert np.abs(closure_gap(mechanism, start_of(mechanism), t=0.0)).max() < 1e-15
 
 
 def test_a_scissor() -> None:
@@ -455,9 +457,9 @@ def test_a_scissor() -> None:
     text = text_of(pins, links, "L0, {pin: R0, along: [1, 0]}", "rise 0")
     mechanism = built(text)
     q0 = start_of(mechanism)
-    assert np.abs(closure_gap(mechanism, q0)).max() < 1e-15
+    assert np.abs(closure_gap(mechanism, q0, t=0.0)).max() < 1e-15
     for turn in (-0.3, -0.1, 0.2):
-        q = assemble(mechanism, [q0[0] + turn])
+        q = assemble(mechanism, [q0[0] + turn], t=0.0)
         z = cmath.rect(1.0, q0[0] + turn)
         of = ("R0=fall 0@" + ",".join(map(str, _at(mechanism, 1, "R0", pins))), "tip3", "tip4")
         R0, R2, L2 = points(mechanism, q, of=of).position @ [1, 1j]
@@ -487,9 +489,9 @@ def test_a_3rrr_robot() -> None:
     text = text_of(pins, links, "O0, O1, O2", "arm 0, arm 1, arm 2")
     mechanism = built(text)
     q0 = start_of(mechanism)
-    assert np.abs(closure_gap(mechanism, q0)).max() < 1e-15
+    assert np.abs(closure_gap(mechanism, q0, t=0.0)).max() < 1e-15
     driven = q0[list(mechanism.actuated)] + [0.15, -0.1, 0.05]
-    q = assemble(mechanism, driven)
+    q = assemble(mechanism, driven, t=0.0)
     names = [f"tip{mechanism.link_names.index(f'arm {k}') + 1}" for k in range(3)]
     names += [f"B{k}=tip{mechanism.link_names.index(f'rod {k}') + 1}" for k in range(3)]
     *arms, B0, B1, B2 = points(mechanism, q, of=names).position @ [1, 1j]
@@ -585,7 +587,7 @@ def test_a_branch_that_cannot_be_read() -> None:
         text = FOUR_BAR.replace("B: [1.046, 0.798]", f"B: [{B.real!r}, {B.imag!r}]")
         if not refused:
             mechanism = built(text)
-            q = assemble(mechanism, start_of(mechanism)[:1])
+            q = assemble(mechanism, start_of(mechanism)[:1], t=0.0)
             assert np.abs(q - start_of(mechanism)).max() < 1e-9
             continue
         with pytest.raises(DescriptionError, match="coupler and rocker are drawn in line"):
@@ -616,7 +618,7 @@ def test_a_third_crank_of_a_parallelogram(off: float) -> None:
             built(text)
     else:
         mechanism = built(text)
-        assert np.abs(closure_gap(mechanism, start_of(mechanism))).max() < 1e-15
+        assert np.abs(closure_gap(mechanism, start_of(mechanism), t=0.0)).max() < 1e-15
 
 
 def test_freedoms_that_no_joint_drives_are_no_fault() -> None:
@@ -653,7 +655,7 @@ ground: [Q, C]
 slots: [{pin: C, on: lever, along: [1, 3]}]
 """
     mechanism = built(text)
-    q = assemble(mechanism, [math.radians(80)])
+    q = assemble(mechanism, [math.radians(80)], t=0.0)
     assert q[1] == pytest.approx(0.45 / math.tan(math.radians(80)) - 0.15, rel=1e-12)
 
 

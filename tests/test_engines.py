@@ -211,7 +211,7 @@ def test_motions(name):
         chunk = series_table.compiled(name, which).advance(0.0, y, 0.3, times, 10**5)
         rows, found = chunk.row_y, len(chunk.row_t)
         if chunk.status is Status.SINGULAR:  # as it was left: others lead across
-            quality = float_closing(mech)(chunk.y[-1].tolist())[1]
+            quality = float_closing(mech)(0.0, chunk.y[-1].tolist())[1]
             assert quality < 2.0 * suspect_quality(mech)
         else:
             assert chunk.status is Status.REACHED

@@ -40,9 +40,9 @@ def expected(mech: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) ->
     D = np.diag(mech.damping)
     found = {"M": ((q,), M), "C": ((q, qd), C), "D": ((), D), "G": ((q,), G), "Q": ((q, qd), Q)}
     if mech.rows:
-        found["Psi"] = (q,), closed_form.closure_jacobian(mech, q)
-        found["Psidot_qd"] = (q, qd), closed_form.closure_bias(mech, q, qd)
-        found["gap"] = (q,), closed_form.closure_gap(mech, q)
+        found["Psi"] = (q,), closed_form.closure_jacobian(mech, q, t=0.0)
+        found["Psidot_qd"] = (q, qd), closed_form.closure_bias(mech, q, qd, t=0.0)
+        found["gap"] = (q,), closed_form.closure_gap(mech, q, t=0.0)
     name = "joint_torques" if mech.rows else "inverse_dynamics"
     found[name] = (q, qd, qdd), M @ qdd + C @ qd + D @ qd + G - Q
     return found

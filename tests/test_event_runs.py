@@ -212,8 +212,8 @@ def test_until_at_the_start_and_never(made: Any, how: dict[str, Any]) -> None:
 def test_limit_positions_of_a_four_bar(how: dict[str, Any], stabilize: str) -> None:
     """The rocker stands where crank and coupler are in line; found by the cosine rule."""
     mechanism = load("robots/four-bar.yaml")
-    q = assemble(mechanism, [math.radians(60)])
-    qd = loop_rates.loop_velocities(mechanism, q, np.array([5.0]))
+    q = assemble(mechanism, [math.radians(60)], t=0.0)
+    qd = loop_rates.loop_velocities(mechanism, q, np.array([5.0]), t=0.0)
     line = "sin(q2)"  # the coupler in line with the crank
     rocker = simulate(
         mechanism,
@@ -319,11 +319,11 @@ def test_all_scenes_against_fine_rows(
     given = parse_vector(tried[0].split()[0], where="q", unit="rad")
     if start is not None:
         given = [math.radians(start)]
-    q = assemble(mechanism, given) if mechanism.rows else np.array(given)
+    q = assemble(mechanism, given, t=0.0) if mechanism.rows else np.array(given)
     n = mechanism.n
     qd = np.zeros(n)
     if mechanism.rows:
-        qd = loop_rates.loop_velocities(mechanism, q, np.full(actuated, rate))
+        qd = loop_rates.loop_velocities(mechanism, q, np.full(actuated, rate), t=0.0)
     events = {f"qd{k + 1}": f"qd{k + 1}" for k in range(n)}
     events |= {f"q{k + 1}": f"sin(2*q{k + 1} - 0.3)" for k in range(n)}
     given_how: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-10, **how}
@@ -351,8 +351,8 @@ def test_all_scenes_against_fine_rows(
 def test_what_closures_keep_at_zero_is_told_to_be_zero(how: dict[str, Any]) -> None:
     """States next to a change point scatter by more than rounding: no look goes on and on."""
     mechanism = load("robots/parallelogram.yaml")
-    q = assemble(mechanism, [math.radians(5)])
-    qd = loop_rates.loop_velocities(mechanism, q, np.array([6.0]))
+    q = assemble(mechanism, [math.radians(5)], t=0.0)
+    qd = loop_rates.loop_velocities(mechanism, q, np.array([6.0]), t=0.0)
     motion = simulate(mechanism, q, qd, 0.5, events={"sum": "q2 + q3"}, max_evals=5000, **how)
     assert motion.events == []
     assert motion.report.remarks == ["sum is zero to rounding from t = 0 to 0.5 s"]

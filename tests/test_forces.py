@@ -70,7 +70,7 @@ class TestTorques:
     @pytest.mark.parametrize("scene", SCENES)
     def test_the_identities_of_check_hold(self, scene):
         mech = scene.mechanism
-        sample = identities.Sample(scene.q[None], scene.qd[None], 1.0)
+        sample = identities.Sample(scene.q[None], scene.qd[None], 1.0, np.zeros(1))
         found = identities.identities(mech, sample)
         assert {item.name for item in found} >= {identities.FORCES, identities.POWER}
         assert [item.name for item in found if not item.holds] == []
@@ -90,7 +90,7 @@ class TestTorques:
     def test_the_identities_detect_what_is_wrong(self, scene, change):
         mech = scene.mechanism
         wrong = change(mech)
-        sample = identities.Sample(scene.q[None], scene.qd[None], 1.0)
+        sample = identities.Sample(scene.q[None], scene.qd[None], 1.0, np.zeros(1))
         assert not all(item.holds for item in identities.identities(wrong, sample))
 
 

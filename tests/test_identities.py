@@ -138,15 +138,17 @@ class TestClosures:
     def test_psi_is_the_gradient_of_the_gap_and_psidot_its_rate(self, scene):
         mech, speed = scene.mechanism, speed_of(scene)
         size = sizes(mech.description).loop
-        assert_close(cf.closure_gap(mech, scene.q), np.zeros(len(mech.rows)), size, 1e-14)
-        for axis, column in zip(np.eye(scene.n), cf.closure_jacobian(mech, scene.q).T, strict=True):
-            slope = derivative(lambda s, e=axis: cf.closure_gap(mech, scene.q + s * e), 1.0)
+        assert_close(cf.closure_gap(mech, scene.q, t=0.0), np.zeros(len(mech.rows)), size, 1e-14)
+        for axis, column in zip(
+            np.eye(scene.n), cf.closure_jacobian(mech, scene.q, t=0.0).T, strict=True
+        ):
+            slope = derivative(lambda s, e=axis: cf.closure_gap(mech, scene.q + s * e, t=0.0), 1.0)
             assert_close(column, slope, size, 1e-10)
 
         def moving(s):
-            return cf.closure_jacobian(mech, scene.q + s * scene.qd) @ scene.qd
+            return cf.closure_jacobian(mech, scene.q + s * scene.qd, t=0.0) @ scene.qd
 
-        bias = cf.closure_bias(mech, scene.q, scene.qd)
+        bias = cf.closure_bias(mech, scene.q, scene.qd, t=0.0)
         assert_close(bias, derivative(moving, speed), size * (1.0 + speed) ** 2, 1e-10)
 
     @examples
@@ -155,8 +157,8 @@ class TestClosures:
         """Psi qdd + Psidot qd = 0 whatever the torques."""
         mech = scene.mechanism
         qdd = dyn.forward_dynamics(mech, scene.q, scene.qd, 20.0 * np.cos(np.arange(scene.n)))
-        bend = cf.closure_jacobian(mech, scene.q) @ qdd
-        bend = bend + cf.closure_bias(mech, scene.q, scene.qd)
+        bend = cf.closure_jacobian(mech, scene.q, t=0.0) @ qdd
+        bend = bend + cf.closure_bias(mech, scene.q, scene.qd, t=0.0)
         turning = np.abs(qdd).sum() + speed_of(scene) ** 2
         assert_close(bend, 0.0 * bend, sizes(mech.description).loop * turning)
 
@@ -241,9 +243,9 @@ class TestMotion:
         energy = cf.kinetic_energy(mech, q, qd) + cf.potential_energy(mech, q)
         size = np.abs(energy).max() + sizes(mech.description).gravity
         assert_close(energy, np.full_like(energy, energy[0]), size, 1e-9)
-        gap, loop = cf.closure_gap(mech, q), sizes(mech.description).loop
+        gap, loop = cf.closure_gap(mech, q, t=0.0), sizes(mech.description).loop
         assert_close(gap, np.zeros_like(gap), loop, 1e-9)
-        moving = np.einsum("...ij,...j->...i", cf.closure_jacobian(mech, q), qd)
+        moving = np.einsum("...ij,...j->...i", cf.closure_jacobian(mech, q, t=0.0), qd)
         assert_close(moving, np.zeros_like(moving), loop * np.abs(qd).max(), 1e-9)
 
 
@@ -292,7 +294,7 @@ class TestSelfTestHolds:
         assert 0 < len(sample.q) <= 8
         assert 0.0 < sample.closing <= 1.0
         size = sizes(mech.description).loop
-        gap = cf.closure_gap(mech, sample.q)
+        gap = cf.closure_gap(mech, sample.q, t=0.0)
         assert_close(gap, np.zeros_like(gap), size, 1e-12)
         assert np.abs(sample.qd).max() > 0.1
 

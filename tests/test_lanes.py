@@ -57,7 +57,7 @@ def swings(count: int, seed: int = 0) -> np.ndarray:
 def turning(mechanism: Mechanism, count: int, seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     q = assemble(mechanism, rng.uniform(-math.pi, math.pi, (count, len(mechanism.actuated))))
-    return np.hstack([q, loop_velocities(mechanism, q, rng.normal(size=(count, 1)) * 3)])
+    return np.hstack([q, loop_velocities(mechanism, q, rng.normal(size=(count, 1)) * 3, t=0.0)])
 
 
 class TestAgainstDOP853:

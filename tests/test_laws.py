@@ -170,7 +170,7 @@ class TestReaders:
     def test_derivatives_by_one_joint(self, nested):
         q = np.zeros((7, 5))
         q[:, 0], q[:, 3] = np.linspace(-1, 2, 7), 0.3
-        f, f1, f2 = law_derivatives(nested, 1, 0, q)
+        f, f1, f2 = law_derivatives(nested, 1, 0, q, 0.0)
         scale = np.exp(0.03)
         np.testing.assert_allclose(f, 0.02 * (1 - np.cos(2 * q[:, 0])) * scale, atol=1e-16)
         np.testing.assert_allclose(f1, 0.04 * np.sin(2 * q[:, 0]) * scale, atol=1e-16)
@@ -189,7 +189,7 @@ class TestReaders:
         q = assemble(nested, u[0])
         qd = loop_velocities(nested, q, ud[0])
         np.testing.assert_allclose(known["Psi"](q), closure_jacobian(nested, q), atol=1e-15)
-        bias = closure_bias(nested, q, qd)
+        bias = closure_bias(nested, q, qd, t=0.0)
         np.testing.assert_allclose(known["Psidot_qd"](q, qd), bias, rtol=1e-13, atol=1e-14)
         np.testing.assert_allclose(known["gap"](q + 0.1), closure_gap(nested, q + 0.1), atol=1e-15)
 

@@ -89,7 +89,7 @@ class TestFourBar:
     )
     def test_a_crank_is_one_that_assembles_at_every_angle(self, lengths):
         mech = four_bar(*lengths)
-        turns = assembly.reachable(mech, [0.0], 0) == [(-np.pi, np.pi)]
+        turns = assembly.reachable(mech, [0.0], 0, t=0.0) == [(-np.pi, np.pi)]
         assert turns == ("crank" in loop_class(mech, 0))
 
     @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ class TestSlider:
             f" {float(through.imag)!r}], along: [{float(along.real)!r}, {float(along.imag)!r}]}}}}]"
         )
         assert loop_class(mech, 0) == expected
-        turns = assembly.reachable(mech, [0.0], 0) == [(-np.pi, np.pi)]
+        turns = assembly.reachable(mech, [0.0], 0, t=0.0) == [(-np.pi, np.pi)]
         assert turns == expected.endswith("turns fully")
 
     def test_of_more_links(self):

@@ -236,7 +236,7 @@ def test_a_mechanism_is_drawn_where_it_is(name: str) -> None:
     html = mech._repr_html_()
     assert html.startswith("<div>&lt;Mechanism ")
     root = ET.fromstring(html[html.index("<svg") :])
-    drawn = drawing(mech, first_pose(mech))
+    drawn = drawing(mech, first_pose(mech, t=0.0))
     expected = [z for _, _, z in drawn.placed(0)]
     found = []
     for group in root[0]:

@@ -116,8 +116,8 @@ def test_a_four_bar_with_a_tracer_point() -> None:
     ((name, point),) = scene.points
     assert (name, point.link) == ("E", 1)
     q = np.array(scene.start, float)
-    assert np.abs(closure_gap(mechanism, q)).max() < 1e-15
-    assert np.abs(assemble(mechanism, q[:1]) - q).max() < 1e-12
+    assert np.abs(closure_gap(mechanism, q, t=0.0)).max() < 1e-15
+    assert np.abs(assemble(mechanism, q[:1], t=0.0) - q).max() < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_a_piston(angle: float) -> None:
     assert (piston.slides, piston.m, piston.I) == (True, 0.75, 0.0)
     assert piston.axis == pytest.approx(cmath.exp(1j * angle), abs=1e-3)  # three decimals
     assert abs(abs(piston.axis or 0) - 1) < 1e-15
-    q = assemble(found, [found.description.start[0] + 0.3])  # type: ignore[index]
+    q = assemble(found, [found.description.start[0] + 0.3], t=0.0)  # type: ignore[index]
     B = abs(0.5 + 1j) * cmath.exp(1j * q[0])
     C = 3 + 0.2j + q[2] * (piston.axis or 0)
     assert abs(C - B) == pytest.approx(abs(2.5 - 0.8j), rel=1e-12)
@@ -232,14 +232,14 @@ def test_a_rod_that_is_welded_to_its_block() -> None:
     assert yoke.m == 3.5
     assert yoke.r.real == pytest.approx((3.0 * 1 + 0.5 * 2) / 3.5 - 2)
     q0 = np.array(found.description.start, float)
-    assert np.abs(closure_gap(found, q0)).max() < 1e-15
+    assert np.abs(closure_gap(found, q0, t=0.0)).max() < 1e-15
     turn = q0[0] + 0.4
-    q = assemble(found, [turn])
+    q = assemble(found, [turn], t=0.0)
     moved = abs(0.5 + 0.5j) * math.cos(turn) - 0.5
     slide = found.link_names.index("CEF")
     assert q[slide] == pytest.approx(moved, rel=1e-12)
     # the block is a mass at the crank's pin, the yoke has its own and its block's
-    qd = loop_velocities(found, q, [1.0])
+    qd = loop_velocities(found, q, [1.0], t=0.0)
     speed = abs(0.5 + 0.5j) * math.sin(turn)
     crank = 0.5 + 1.0 * abs(0.2 + 0.2j) ** 2 + 0.125 * abs(0.5 + 0.5j) ** 2
     assert kinetic_energy(found, q, qd) == pytest.approx(0.5 * crank + 0.5 * 3.5 * speed**2)
@@ -265,12 +265,12 @@ def test_a_cylinder() -> None:
     barrel = found.link_names.index("AB")
     assert found.actuated == (rod,)
     assert found.description.links[rod].hangs_from.link == barrel
-    q = assemble(found, [0.2])
+    q = assemble(found, [0.2], t=0.0)
     far = abs(3 - D)  # of the lever
     longer = abs(D) + 0.2
     cosine = (9 + longer**2 - far**2) / (6 * longer)
     q0 = np.array(found.description.start, float)
-    assert np.abs(closure_gap(found, q0)).max() < 1e-14
+    assert np.abs(closure_gap(found, q0, t=0.0)).max() < 1e-14
     # the barrel points along B, which three decimals leave a little off D
     assert abs(q[barrel]) == pytest.approx(math.acos(cosine), abs=2e-3)
 
@@ -340,8 +340,8 @@ def test_random_chains_of_dyads() -> None:
         metre = {"1011": 0.01, "2012": 1.0, "0000": 0.0254}[mechanism.units]
         assert found.actuated == (0,)
         q0 = np.array(found.description.start, float)
-        assert np.abs(closure_gap(found, q0)).max() < 1e-13
-        assert np.abs(assemble(found, q0[:1]) - q0).max() < 1e-6
+        assert np.abs(closure_gap(found, q0, t=0.0)).max() < 1e-13
+        assert np.abs(assemble(found, q0[:1], t=0.0) - q0).max() < 1e-6
         for link in found.description.links:
             first, second = link.name
             length = abs(z[first] - z[second])

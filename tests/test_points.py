@@ -198,7 +198,7 @@ def test_the_jacobian_of_a_closed_mechanism_in_its_actuated_joints() -> None:
     of = ["P=tip2", "Q=centre4"]
     J = (
         point_jacobian(mech, [x.point for x in named_points(mech, of)], q)
-        @ unit_rates(mech, q)[:, None]
+        @ unit_rates(mech, q, t=0.0)[:, None]
     )
     assert J.shape == (5, 2, 2, 2)
     assert (
@@ -288,7 +288,7 @@ def test_the_ratio_of_rates_is_freudensteins() -> None:
     two, three, four = q[:, 0], q[:, 0] + q[:, 1], q[:, 2]
     expected = 0.35 * np.sin(two - three) / (0.80 * np.sin(four - three))
     ratios = [ratio_named(mech, "rocker/crank")]
-    assert relative_error(rate_ratios(mech, ratios, q, 0.0 * q)[:, 0], expected) < 1e-13
+    assert relative_error(rate_ratios(mech, ratios, q, 0.0 * q, t=0.0)[:, 0], expected) < 1e-13
 
 
 def test_a_ratio_of_what_slides() -> None:
@@ -297,7 +297,7 @@ def test_a_ratio_of_what_slides() -> None:
     names = mech.link_names
     ratio = [ratio_named(mech, f"{names[0]}/{names[-1]}")]
     q = rd.assemble(mech, [[0.0], [1.0]])
-    found = rate_ratios(mech, ratio, q, 0.0 * q)[:, 0]
+    found = rate_ratios(mech, ratio, q, 0.0 * q, t=0.0)[:, 0]
     assert np.isnan(found).tolist() == [True, False]
 
 

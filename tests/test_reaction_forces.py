@@ -389,10 +389,10 @@ class TestNotUnique:
 
     def test_the_loops_that_depend_are_named(self, hanging) -> None:
         mech, q, _ = hanging
-        closures, links = not_unique(mech, q)
+        closures, links = not_unique(mech, q, t=0.0)
         assert closures == (0, 2)
         assert [mech.link_names[k] for k in links] == ["crank", "coupler", "rocker", "third"]
-        assert dependent_rows(mech, q) == 1
+        assert dependent_rows(mech, q, t=0.0) == 1
 
     def test_they_are_those_that_change_and_all_balance(self, hanging) -> None:
         mech, q, still = hanging
@@ -410,13 +410,13 @@ class TestNotUnique:
             assert_balanced(instant, shaking_force(mech, q, still, still))
             found.append(R)
         changed = np.flatnonzero(np.abs(found[1] - found[0]).max(axis=-1) > 1e-9)
-        assert tuple(changed) == not_unique(mech, q)[1]
+        assert tuple(changed) == not_unique(mech, q, t=0.0)[1]
 
     def test_at_a_change_point(self) -> None:
         mech = robodyn.load(ROOT / "robots/parallelogram.yaml")
-        assert not_unique(mech, [0, 0, 0]) == ((0,), (0, 1, 2))
-        assert not_unique(mech, [1.0, -1.0, 1.0]) == ((), ())
-        assert dependent_rows(mech, [[0, 0, 0], [1, -1, 1]]).tolist() == [1, 0]
+        assert not_unique(mech, [0, 0, 0], t=0.0) == ((0,), (0, 1, 2))
+        assert not_unique(mech, [1.0, -1.0, 1.0], t=0.0) == ((), ())
+        assert dependent_rows(mech, [[0, 0, 0], [1, -1, 1]], t=0.0).tolist() == [1, 0]
 
     def test_without_loops_all_is_unique(self) -> None:
-        assert not_unique(robodyn.load(ROOT / "robots/2r.yaml"), [1, 2]) == ((), ())
+        assert not_unique(robodyn.load(ROOT / "robots/2r.yaml"), [1, 2], t=0.0) == ((), ())

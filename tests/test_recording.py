@@ -21,7 +21,7 @@ from robodyn.simulation.simulation import run
 
 def least_singular(mech, q):
     """The statistics' values, and those of numpy's decomposition."""
-    Psi = closed_form.closure_jacobian(mech, q)
+    Psi = closed_form.closure_jacobian(mech, q, t=0.0)
     idle = Actuation((0.0,) * mech.n)
     statistics = RunStatistics(Report(), idle, mech.n, True)
     s = np.linalg.svd(Psi, compute_uv=False)[:, -1]
@@ -124,13 +124,13 @@ def test_many_rows_of_one_step_leave_in_blocks(method, t_end):
 @EACH
 def test_many_rows_of_a_loop_close(method):
     mech = load(ROOT / "robots/four-bar.yaml")
-    q = assembly.assemble(mech, [1.0])
+    q = assembly.assemble(mech, [1.0], t=0.0)
     settings = Settings(method, 1e-6, 1e-6)
     blocks, outcome, _ = rows_of("four-bar", q, 0.1, even(0.1, 2001), settings)
     assert outcome is Outcome.FINISHED
     t, y = (np.concatenate(part) for part in zip(*blocks, strict=True))
     assert np.array_equal(t, np.linspace(0.0, 0.1, 2001))
-    assert np.abs(closed_form.closure_gap(mech, y[:, :3])).max() < 1e-12
+    assert np.abs(closed_form.closure_gap(mech, y[:, :3], t=0.0)).max() < 1e-12
     assert np.abs(np.diff(y, axis=0)).max() < 0.01
 
 

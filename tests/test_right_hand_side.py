@@ -292,7 +292,7 @@ class TestProjection:
             scene, y = self.off(name, 1e-3, seed)
             mech, n = scene.mechanism, scene.n
             given_state = y.copy()
-            found = projection(mech, kind)(y)
+            found = projection(mech, kind)(0.0, y)
             assert np.array_equal(y, given_state)
             assert np.abs(closure_gap(mech, y[:n])).max() > 1e-5
             assert np.abs(closure_gap(mech, found[:n])).max() < 2e-14
@@ -306,7 +306,7 @@ class TestProjection:
         order."""
         scene, y = self.off(name, 1e-5)
         n = scene.n
-        found = projection(scene.mechanism, kind)(y)
+        found = projection(scene.mechanism, kind)(0.0, y)
         Psi = closure_jacobian(scene.mechanism, found[:n])
         freedoms = np.eye(n) - np.linalg.pinv(Psi) @ Psi
         moved = y - found
@@ -318,7 +318,7 @@ class TestProjection:
     @each("name", LOOPS)
     def test_all_kinds_find_the_same_state(self, name):
         scene, y = self.off(name, 1e-6)
-        found = {kind: side.projection(y) for kind, side in sides(scene.mechanism).items()}
+        found = {kind: side.projection(0.0, y) for kind, side in sides(scene.mechanism).items()}
         for kind in KINDS:
             assert found[kind] == pytest.approx(found["dense"], abs=1e-10)
 
@@ -327,16 +327,16 @@ class TestProjection:
     def test_what_is_closed_stays(self, kind, name):
         scene, y = self.off(name, 1e-3)
         project = projection(scene.mechanism, kind)
-        once = project(y)
-        assert project(once) == pytest.approx(once, abs=2e-14 * max(1.0, np.abs(once).max()))
+        once = project(0.0, y)
+        assert project(0.0, once) == pytest.approx(once, abs=2e-14 * max(1.0, np.abs(once).max()))
 
     @EACH_KIND
     def test_the_work_is_left_alone(self, kind):
         scene, y = self.off("four-bar", 1e-3)
         side = right_hand_side(scene.mechanism, Actuation((1.0, 0.0, 0.0)), work=True, kind=kind)
-        found = side.projection(np.append(y, 0.375))
+        found = side.projection(0.0, np.append(y, 0.375))
         assert found[-1] == 0.375
-        assert found[:-1] == pytest.approx(side.projection(y), abs=1e-15)
+        assert found[:-1] == pytest.approx(side.projection(0.0, y), abs=1e-15)
 
     @EACH_KIND
     def test_turns_are_kept(self, kind):
@@ -344,7 +344,7 @@ class TestProjection:
         scene = seeded_scene(0, LOOPS["four-bar"])
         turns = 2 * math.pi * np.array([7.0, -3.0, 12.0])
         y = state(scene) + np.concatenate([turns + 1e-4, np.zeros(3)])
-        found = projection(scene.mechanism, kind)(y)
+        found = projection(scene.mechanism, kind)(0.0, y)
         assert found[:3] == pytest.approx(y[:3], abs=2e-3)
 
     @EACH_KIND
@@ -363,7 +363,7 @@ actuated: [crank]
         )
         y = np.array([1.0, -1.0, 1.0, 1.0, 2.0, -2.0, 2.0, 2.0])
         side = right_hand_side(mech, Actuation((0.0,) * 4), kind=kind)
-        found = side.projection(y + 1e-6 * np.arange(8.0))
+        found = side.projection(0.0, y + 1e-6 * np.arange(8.0))
         assert np.abs(closure_gap(mech, found[:4])).max() < 1e-14
         assert found == pytest.approx(y, abs=2e-5)
         reduced = 0.0041 + 0.45 * 0.14**2 + 1.1 * 0.3**2 + 0.0052 + 0.55 * 0.16**2
@@ -404,7 +404,7 @@ class TestNearSingular:
         y = np.array([d, -d, d, 3.0, -3.0, 3.0])
         strayed = y + 1e-6 * np.array([1.0, -0.5, 0.25, 2.0, 1.0, -1.0])
         assert rates(side, 0.0, strayed)[3:] == pytest.approx(expected, abs=1e-4)
-        closed = side.projection(strayed)
+        closed = side.projection(0.0, strayed)
         assert closed == pytest.approx(y, abs=1e-5)
         assert np.ptp(closed[:3] * [1, -1, 1]) < 1e-12
 
@@ -428,11 +428,11 @@ class TestNearSingular:
         shorter = text.replace("l: 0.3, r: 0.14", f"l: {0.3 - mismatch!r}, r: 0.14")
         assert shorter != text
         mech = mechanism(shorter)
-        q = close_positions(mech, [1e-3, -1e-3, 1e-3], fixed=[0])
+        q = close_positions(mech, [1e-3, -1e-3, 1e-3], fixed=[0], t=0.0)
         qd = loop_velocities(mech, q, [3.0])
         side = right_hand_side(mech, Actuation((0.0,) * 3), kind=kind)
         found = rates(side, 0.0, np.concatenate([q, qd]))[3:]
-        slope = closure_jacobian(mech, q) @ found + closure_bias(mech, q, qd)
+        slope = closure_jacobian(mech, q) @ found + closure_bias(mech, q, qd, t=0.0)
         assert np.abs(slope).max() < 1e-10 * np.abs(found).max()
 
     @EACH_KIND
@@ -442,7 +442,7 @@ class TestNearSingular:
         side = right_hand_side(mech, Actuation((0.0,) * 3), kind=kind)
         found = rates(side, 0.0, np.array([0.0, 0.0, 0.0, 3.0, -3.0, 3.0]))
         assert np.isfinite(found).all()
-        assert side.projection(np.zeros(6)) == pytest.approx(np.zeros(6), abs=1e-12)
+        assert side.projection(0.0, np.zeros(6)) == pytest.approx(np.zeros(6), abs=1e-12)
 
 
 @cache
@@ -492,7 +492,7 @@ def test_the_nearest_rates_are_so_in_the_sizes_of_angles_and_displacements():
     q = assemble(mech, [0.5])
     qd = np.linspace(1.0, -2.0, mech.n)
     nearest = projection(mech, "dense")
-    rates = nearest(np.concatenate([q, qd]))[mech.n :]
+    rates = nearest(0.0, np.concatenate([q, qd]))[mech.n :]
     Psi, scale = closure_jacobian(mech, q), np.diag(mech.arrays.units**2)
     pull = scale @ Psi.T
     expected = qd - pull @ np.linalg.solve(Psi @ pull, Psi @ qd)

@@ -452,7 +452,7 @@ class TestEnergy:
         mech = mechanism(text)
         if q is None:
             q = assemble(mech, [1.0])
-            qd = loop_velocities(mech, q, qd)
+            qd = loop_velocities(mech, q, qd, t=0.0)
         tau = {"arm": "2*sin(3*t), 1 - 0.5*q2", "four-bar": "1.5*sin(2*t) + 0.2*q3"}[name]
         nodes, weights = np.polynomial.legendre.leggauss(6)
         edges = np.linspace(0.0, 3.0, 301)
@@ -529,7 +529,7 @@ class TestOneCoordinate:
         motion = simulate(
             mech,
             q,
-            loop_velocities(mech, q, [2.0]),
+            loop_velocities(mech, q, [2.0], t=0.0),
             3.0,
             tau=lambda t, q, qd: [0.5 * math.sin(3 * t) - 0.1 * qd[0]],
             rtol=1e-11,
@@ -921,7 +921,7 @@ class TestOutcomes:
         mech = load(ROOT / f"robots/{name}.yaml")
         q = assemble(mech, [1.0])
         for rate in (1e155, 1e300):
-            qd = loop_velocities(mech, q, [rate])
+            qd = loop_velocities(mech, q, [rate], t=0.0)
             for how in ({"method": "DOP853"}, {"method": "taylor"}):
                 with suppress(RobodynError):
                     motion = simulate(mech, q, qd, 1.0, events={"e": "q1"}, **how)
@@ -997,7 +997,7 @@ actuated: [crank]
 """
         )
         q = assemble(mech, [1.0])
-        qd = loop_velocities(mech, q, [-3.0])
+        qd = loop_velocities(mech, q, [-3.0], t=0.0)
         motion = simulate(mech, q, qd, 2.0, method=method, rtol=1e-6, atol=1e-6, max_evals=20_000)
         assert motion.outcome in (Outcome.SINGULAR, Outcome.STEP_TOO_SMALL)
         # the piston runs at a constant rate until it is at its farthest, the crank ever faster

@@ -113,4 +113,4 @@ def test_the_terms_of_the_book(seed):
     forces = -coriolis_matrix(MECH, q, qd) @ qd - gravity_vector(MECH, q)
     assert forces == pytest.approx(f, rel=1e-10, abs=1e-12)
     assert closure_jacobian(MECH, q) == pytest.approx(Psi, abs=1e-16)
-    assert -closure_bias(MECH, q, qd) == pytest.approx(bend, rel=1e-12, abs=1e-10)
+    assert -closure_bias(MECH, q, qd, t=0.0) == pytest.approx(bend, rel=1e-12, abs=1e-10)

@@ -22,7 +22,7 @@ def exact(t):
     return np.array([np.cos(t), -np.sin(t)])
 
 
-def onto_circle(y):
+def onto_circle(_, y):
     """The nearest point of the unit circle, on which the oscillator's motion stays."""
     return y / np.hypot(*y)
 
@@ -145,7 +145,7 @@ class Once:
     def __init__(self, d):
         self.d, self.calls = d, 0
 
-    def __call__(self, y):
+    def __call__(self, _, y):
         self.calls += 1
         return y + self.d if self.calls == self.STEP else y
 

@@ -62,7 +62,7 @@ def _closed(mech: rd.Mechanism, driven: np.ndarray) -> tuple[np.ndarray]:
     """Poses near the middle of what the actuated joints of a scene can do."""
     from robodyn.loops.assembly import attempt
 
-    q, missing = attempt(mech, driven)
+    q, missing = attempt(mech, driven, t=0.0)
     good = np.nan_to_num(missing, nan=1.0) == 0.0
     if good.any():
         return (np.resize(q[good], q.shape),)

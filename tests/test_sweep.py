@@ -118,7 +118,7 @@ class TestMotions:
                 assert np.isnan(row[2:]).all()
                 continue
             assert outcome == "finished"
-            qd = loop_rates.loop_velocities(bar, q, [2.0])
+            qd = loop_rates.loop_velocities(bar, q, [2.0], t=0.0)
             motion = simulate(bar, q, qd, 1.0, rtol=1e-11, atol=1e-11)
             assert row[3:9] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
 
@@ -238,8 +238,8 @@ def test_torques_are_inverse_dynamics() -> None:
     for row in rows.values:
         mechanism = build(SceneValues(bar.scene, "x").replaced({"links.coupler.m": row[0]}))
         q = assemble(mechanism, [row[1]])
-        qd = loop_rates.loop_velocities(mechanism, q, [5.0])
-        qdd = loop_rates.loop_accelerations(mechanism, q, qd, [row[2]])
+        qd = loop_rates.loop_velocities(mechanism, q, [5.0], t=0.0)
+        qdd = loop_rates.loop_accelerations(mechanism, q, qd, [row[2]], t=0.0)
         assert row[3] == pytest.approx(inverse_dynamics(mechanism, q, qd, qdd)[0], rel=1e-9)
 
 

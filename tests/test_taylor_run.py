@@ -66,7 +66,7 @@ class TestBalance:
         mech = mechanism(text)
         if q is None:
             q = assemble(mech, [1.0])
-            qd = loop_velocities(mech, q, qd)
+            qd = loop_velocities(mech, q, qd, t=0.0)
         if name == "arm" and tau is not None:
             tau = (*tau, 0.5) if isinstance(tau, tuple) else f"{tau}, 1 - 0.5*q2"
         found = taylor(mech, q, qd, 3.0, tau, 1e-12, t_eval=[1.5, 3.0])
@@ -142,7 +142,7 @@ class TestChangePoints:
     def test_the_parallelogram(self):
         mech = scene("parallelogram")
         q = assemble(mech, [1.0])
-        motion = taylor(mech, q, loop_velocities(mech, q, [6.0]), 4.0, tolerance=1e-10)
+        motion = taylor(mech, q, loop_velocities(mech, q, [6.0], t=0.0), 4.0, tolerance=1e-10)
         assert motion.outcome is Outcome.FINISHED
         turns = np.abs(np.diff(motion.q[:, 0])).sum() / np.pi
         assert turns > 2  # it passes change points
@@ -667,7 +667,7 @@ class TestStatus:
         q, qd = np.array([1.0, -1.0, 1.0]), np.array([-3.0, 3.0, -3.0])
         chunk = made.advance(0.0, np.concatenate([q, qd]), 3.0, NONE, ALL)
         closing = float_closing(mech)
-        qualities = [closing(row.tolist())[1] for row in chunk.y]
+        qualities = [closing(0.0, row.tolist())[1] for row in chunk.y]
         assert min(qualities[:-1]) >= suspect_quality(mech)
         assert np.ptp(chunk.y[:, [0, 2]], axis=1).max() < 1e-9
         assert chunk.y.shape[1] == 2 * n

@@ -187,11 +187,11 @@ def assert_closed(motion: ReferenceMotion, t: np.ndarray, size: float = 1.0) -> 
     """gap, Psi qd and Psi qdd + Psidot qd are zero to rounding."""
     mech = motion.mechanism
     q, qd, qdd = motion.states(t)
-    Psi = closure_jacobian(mech, q)
-    assert np.abs(closure_gap(mech, q)).max() < 1e-14 * size
+    Psi = closure_jacobian(mech, q, t=0.0)
+    assert np.abs(closure_gap(mech, q, t=0.0)).max() < 1e-14 * size
     rates, turns = np.abs(qd).max(), np.abs(qdd).max()
     assert np.abs(np.einsum("tij,tj->ti", Psi, qd)).max() <= 1e-12 * size * rates
-    bend = np.einsum("tij,tj->ti", Psi, qdd) + closure_bias(mech, q, qd)
+    bend = np.einsum("tij,tj->ti", Psi, qdd) + closure_bias(mech, q, qd, t=0.0)
     assert np.abs(bend).max() <= 1e-12 * size * (turns + rates**2)
 
 
@@ -293,7 +293,7 @@ def test_no_leap_to_a_branch_that_comes_near(short: float) -> None:
     known = robodyn.assemble(mech, q[:, :1])  # each closed by its own triangle, on the left
     assert np.abs(np.exp(1j * q) - np.exp(1j * known)).max() < 1e-7
     assert np.abs(qd).max() > 13
-    assert np.abs(closure_gap(mech, q)).max() < 1e-14
+    assert np.abs(closure_gap(mech, q, t=0.0)).max() < 1e-14
 
 
 def test_points_off_the_branch_are_refused() -> None:

@@ -91,7 +91,7 @@ def animate(
 def _of_mode(
     mechanism: Mechanism, mode: int, q: Text, tau: Text, fps: float, speed: float
 ) -> Frames:
-    (pose,) = single_state(mechanism, [Quantity("q", q, True)])
+    (pose,) = single_state(mechanism, [Quantity("q", q, True)], t=0.0)
     torques = None if tau is None else joint_torques(mechanism, tau)
     with named_options(["mode"]):
         model = linearize(mechanism, pose, None, torques)
@@ -112,7 +112,7 @@ def _read(mechanism: Mechanism, states: str, fps: float, speed: float, unwrap: b
     t = column["t"]
     with at_place(name):
         given = [np.array([column[x] for x in source.columns]).T for source in sources]
-        q, *qd = complete(mechanism, sources, given)
+        q, *qd = complete(mechanism, sources, given, t=t)
         if not sources[0].whole:  # assembled angles lie in one turn
             turning = [k for k in range(mechanism.n) if k not in mechanism.slides]
             q[:, turning] = np.unwrap(q[:, turning], axis=0)

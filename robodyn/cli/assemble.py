@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.cli.options import Model, Qdd, Text, option, refuse, switch
+from robodyn.cli.options import AtTime, Model, Qdd, Text, option, refuse, switch, time_from
 from robodyn.cli.output import (
     Grid,
     RowOptions,
@@ -35,6 +35,7 @@ from robodyn.dynamics.named_points import named_point, named_points
 from robodyn.dynamics.state import State, find
 from robodyn.errors import AssemblyError, InputError, SingularError, named_options, overflow
 from robodyn.loops import assembly, loop_rates
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
 from robodyn.scene.point_names import PARTS
@@ -61,6 +62,7 @@ def assemble(
     of: Text = option(_OF, "POINT"),
     to_xy: Text = option(_TO_XY, "X,Y"),
     angle: list[str] | None = option(_ANGLE, "LINK=VALUE"),
+    at_time: AtTime = None,
     rows: RowOptions = RowOptions(),
 ) -> None:
     """Close the loops: all angles, rates and points.
@@ -87,11 +89,13 @@ def assemble(
       robodyn assemble 2r --of tip2 --to-xy 0.5,0.6
     """
     mechanism = model.load()
-    given = state.quantities(qdd=qdd)
+    given, t = state.quantities(qdd=qdd), time_from(at_time)
+    if range or to_xy is not None:
+        refuse_driven(mechanism, "--range and --to-xy")
     if to_xy is None:
         refuse("goes with --to-xy", of=of, angle=angle)
-        found, ways, barred = found_poses(mechanism, given)
-        kind = loop_rates.singular_kind(mechanism, found[0][1][0])
+        found, ways, barred = found_poses(mechanism, given, t)
+        kind = loop_rates.singular_kind(mechanism, found[0][1][0], t)
         if kind:
             note(f"Note: this is a singular configuration, a {kind}: both branches meet here")
     else:
@@ -103,7 +107,7 @@ def assemble(
     branches, units = [_content(mechanism, *item) for item in found], scene_units(mechanism)
     chosen = default_format(rows.format, rows.out)
     if chosen == "csv" or rows.columns is not None:
-        _write_rows(mechanism, found, rows)
+        _write_rows(mechanism, found, rows, t)
     else:
         content = in_told_units({"branches": branches}, units)
         slides = mechanism.slides
@@ -111,18 +115,20 @@ def assemble(
         write_structure(chosen, rows.out, content, lambda: tables)
 
 
-def found_poses(mechanism: Mechanism, given: Sequence[Quantity]) -> tuple[Found, Ways, set[str]]:
-    """The poses that close at the state of the options, the scene's own first.
+def found_poses(
+    mechanism: Mechanism, given: Sequence[Quantity], t: float
+) -> tuple[Found, Ways, set[str]]:
+    """The poses that close at the state of the options at t, the scene's own first.
 
     With the branches that their names stand for, and the names of those beyond limits, which a note
     tells; AssemblyError where the scene's own is.
     """
     ways = _branches(driver_of(mechanism), option_source(mechanism, given[0]).whole)
-    found = [(ways[0][0], single_state(mechanism, given))]
+    found = [(ways[0][0], single_state(mechanism, given, t=t))]
     for name, way in ways[1:]:
         # a branch that was not asked for never makes the command fail
         with suppress(AssemblyError, SingularError, InputError):
-            found.append((name, single_state(mechanism, given, way)))
+            found.append((name, single_state(mechanism, given, way, t=t)))
     return found, dict(ways), _barred(mechanism, found)
 
 
@@ -176,7 +182,7 @@ def _led(
         rest = [option_source(mechanism, each) for each in given[1:]]
         sources = [Source(given[0], q.tolist(), [], True), *rest]
         values = [np.array(source.values) for source in sources]
-        found.append((branch, complete(mechanism, sources, values)))
+        found.append((branch, complete(mechanism, sources, values, t=0.0)))
     return found, dict.fromkeys(dict(every)), _barred(mechanism, found)
 
 
@@ -239,7 +245,7 @@ def _content(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> dict[
     return {"branch": name, **vectors, "links": links}
 
 
-def _write_rows(mechanism: Mechanism, found: Found, rows: RowOptions) -> None:
+def _write_rows(mechanism: Mechanism, found: Found, rows: RowOptions, t: float) -> None:
     """One way to assemble a row: its name, and the columns of the state, or those of --columns."""
     points = named_points(mechanism)
     columns = ["branch", *column_names(mechanism, ["q", "qd", "qdd", "places"])]
@@ -250,7 +256,8 @@ def _write_rows(mechanism: Mechanism, found: Found, rows: RowOptions) -> None:
     with rows.writer(columns, units=scene_units(mechanism), only=columns) as writer:
         for branch, motion in found:
             with np.errstate(all="ignore"):
-                values = State(mechanism, *motion, of=points).columns(numeric)
+                q, qd, qdd = motion
+                values = State(mechanism, q, qd, qdd, t=t, of=points).columns(numeric)
             if not np.isfinite(values[np.logical_not(gaps)]).all() or np.isinf(values).any():
                 raise overflow()
             row = [None if math.isnan(x) else x for x in values.tolist()]

@@ -73,7 +73,7 @@ def bench(
     torques = Actuation((0.0,) * mechanism.n)
     if tau is not None:
         torques = actuation.expressions(mechanism, tau, "--tau")
-    begin = np.concatenate(single_state(mechanism, state.quantities()))
+    begin = np.concatenate(single_state(mechanism, state.quantities(), t=0.0))
     with remarks(), progress("measuring", silent=0.0) as watch:
         result = benchmark(mechanism, begin, duration, torques, repeats=repeats, watch=watch)
     with rows.writer(COLUMNS) as writer:

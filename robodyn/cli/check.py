@@ -65,7 +65,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
     except InputError as error:
         unknown = True
         note(f"Note: no self-test over closed states: {error}")
-        sample = Sample(np.zeros((0, mechanism.n)), np.zeros((0, mechanism.n)), 0.0)
+        sample = Sample(np.zeros((0, mechanism.n)), np.zeros((0, mechanism.n)), 0.0, np.zeros(0))
     try:
         with remarks():
             results = identities(free, sample) if len(sample.q) else []
@@ -178,7 +178,7 @@ def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
     cond_M = None if massless else _span(condition_numbers(closed_form.mass_matrix(mechanism, q)))
     mobility, cond_Psi = mechanism.n, None
     if mechanism.rows:
-        s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q), compute_uv=False)
+        s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q, sample.t), compute_uv=False)
         rank = int((s > assembly.CLOSED * s[..., :1]).sum(axis=-1).max())
         mobility, cond_Psi = mechanism.n - rank, _span(s[:, 0] / s[:, rank - 1])
         if rank < len(mechanism.rows):

@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from robodyn.cli.figures import PictureOptions
-from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, option, refuse, switch
+from robodyn.cli.options import (
+    AtTime,
+    Model,
+    Q,
+    Qd,
+    Qdd,
+    States,
+    Text,
+    option,
+    refuse,
+    switch,
+    time_from,
+)
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.row_files import read_columns
@@ -41,6 +53,7 @@ def draw(
     of: list[str] | None = option(OF, POINTS),
     labels: Labels | None = option("Beside each link."),
     branches: bool = switch("All poses that `assemble` lists at --q, side by side."),
+    at_time: AtTime = None,
     poses: int = option("Of STATES, the most that are drawn.", "N", default=DEFAULT_POSES),
     picture: PictureOptions = PictureOptions(),
 ) -> None:
@@ -65,7 +78,7 @@ def draw(
     mechanism = model.load()
     picture.checked()
     _check(states, q, {"qd": qd, "qdd": qdd, "tau": tau}, forces, poses)
-    marked = points_given(mechanism, of)
+    marked, t = points_given(mechanism, of), time_from(at_time)
     texts = _texts(mechanism, labels)
     if branches:
         limit = "does not go with --branches"
@@ -75,13 +88,15 @@ def draw(
                 raise InputError(name, limit=limit)
         refuse(limit, qd=qd, qdd=qdd, tau=tau)
         with remarks():
-            picture.save(_side_by_side(mechanism, Quantity("q", q, True), marked, texts, picture))
+            picture.save(
+                _side_by_side(mechanism, Quantity("q", q, True), t, marked, texts, picture)
+            )
         return
     found: list[Force] = []
     traces: list[Trace] = []
     with remarks():
         if states is not None:
-            rows, chosen_rows = _rows(mechanism, states, poses, whole=bool(marked))
+            rows, chosen_rows = _rows(mechanism, states, poses, bool(marked), t)
             drawn = drawing(mechanism, rows[chosen_rows], marked)
             traces = traced(mechanism, marked, rows)
         elif forces:
@@ -91,17 +106,17 @@ def draw(
 
             given = [Quantity("q", q, True), Quantity("qd", qd)]
             given.append(Quantity("qdd", qdd) if tau is None else Quantity("tau", tau))
-            pose, rates, moved = single_state(mechanism, given)
+            pose, rates, moved = single_state(mechanism, given, t=t)
             drawn = drawing(mechanism, pose, marked)
-            found = forces_at(mechanism, pose, rates, **{given[2].name: moved})
+            found = forces_at(mechanism, pose, rates, t=t, **{given[2].name: moved})
             if not found:
                 note("Note: all forces are zero")
         elif q is None:
-            pose = first_pose(mechanism)
+            pose = first_pose(mechanism, t=t)
             note(f"Note: without --q drawn at q = {', '.join(f'{x:.6g}' for x in pose)}")
             drawn = drawing(mechanism, pose, marked)
         else:
-            (pose,) = single_state(mechanism, [Quantity("q", q, True)])
+            (pose,) = single_state(mechanism, [Quantity("q", q, True)], t=t)
             drawn = drawing(mechanism, pose, marked)
     traces = traces or traced(mechanism, marked, drawn.q[-1:])
     from robodyn.pictures.mechanism_picture import mechanism_figure
@@ -119,6 +134,7 @@ def _texts(mechanism: Mechanism, labels: Labels | None) -> list[str]:
 def _side_by_side(
     mechanism: Mechanism,
     q: Quantity,
+    t: float,
     marked: Sequence[NamedPoint],
     texts: Sequence[str],
     picture: PictureOptions,
@@ -127,7 +143,7 @@ def _side_by_side(
     from robodyn.cli.assemble import found_poses
     from robodyn.pictures.mechanism_picture import poses_figure
 
-    found, _, _ = found_poses(mechanism, [q])
+    found, _, _ = found_poses(mechanism, [q], t)
     drawn = drawing(mechanism, np.array([pose for _, (pose,) in found]), marked)
     titles = [f"{k} {name}" for k, (name, _) in enumerate(found, start=1)]
     traces = [traced(mechanism, marked, pose[None]) for pose in drawn.q]
@@ -153,20 +169,24 @@ def _check(
 
 
 def _rows(
-    mechanism: Mechanism, states: str, poses: int, whole: bool
+    mechanism: Mechanism, states: str, poses: int, whole: bool, t: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Closed configurations (T, n) of a table, and which of them are drawn.
 
-    These are evenly chosen, the last one included; without `whole` the others are left out.
+    These are evenly chosen, the last one included; without `whole` the others are left out.  The
+    time is that of the column t, if laws ask for it, or t.
     """
 
     def columns(header: Sequence[str], name: str) -> Sequence[str]:
         sources.append(table_source(mechanism, Quantity("q", None, True), header, name))
-        return sources[0].columns
+        timed = mechanism.driven and "t" in header
+        return [*sources[0].columns, *(["t"] if timed else [])]
 
     sources: list[Source] = []
     values, *_ = read_columns(states, columns, scene_units(mechanism))
     wanted = even_rows(len(values), poses)
     if not whole:
         values, wanted = values[wanted], np.arange(len(wanted))
-    return complete(mechanism, sources, [values])[0], wanted
+    count = len(sources[0].columns)
+    times = values[:, count] if values.shape[1] > count else np.full(len(values), t)
+    return complete(mechanism, sources, [values[:, :count]], t=times)[0], wanted

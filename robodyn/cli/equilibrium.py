@@ -43,7 +43,7 @@ def equilibrium(
       robodyn equilibrium cart-pole --q 0.2,80deg --hold cart
     """
     mechanism = model.load()
-    near = None if q is None else single_state(mechanism, [Quantity("q", q)])[0]
+    near = None if q is None else single_state(mechanism, [Quantity("q", q)], t=0.0)[0]
     torques = joint_torques(mechanism, tau)
     tell_what_is_left_out(mechanism)
     with remarks(), named_options(["hold", "tau"]):

@@ -73,7 +73,7 @@ def linearize(
         without = "there is no gain without --lqr"
         refuse(without, weights_x=weights_x, weights_u=weights_u, gain_out=gain_out)
     weights = [parse_vector("1" if x is None else x, where=flag) for flag, x in weigh.items()]
-    pose, rates = single_state(mechanism, state.quantities())
+    pose, rates = single_state(mechanism, state.quantities(), t=0.0)
     torques = None if tau is None else joint_torques(mechanism, tau)
     tell_what_is_left_out(mechanism)
     with remarks(), named_options(["weights_x", "weights_u"]):

@@ -270,11 +270,11 @@ def read_motion(
     else:
         tau = np.zeros((len(t), 0))
     try:
-        states = complete(moving, found, arrays)
+        states = complete(moving, found, arrays, t=t)
     except RobodynError:
         for k, number in enumerate(numbers):  # which of the rows it is
             with at_place(f"{name}: line {number}"):
-                complete(moving, found, [x[k : k + 1] for x in arrays])
+                complete(moving, found, [x[k : k + 1] for x in arrays], t=t[k : k + 1])
         raise
     lines, noisy = list(chain(*(x.lines for x in chunks))), bool(lack.absent) and cutoff is None
     return MotionFile(states, tau, t, lines, reader.header, name, noisy)

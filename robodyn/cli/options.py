@@ -15,7 +15,7 @@ from robodyn.dynamics.named_points import named_point
 from robodyn.elements.loads import Force as PointForce
 from robodyn.errors import DescriptionError, InputError
 from robodyn.scene import yaml_tree
-from robodyn.scene.quantities import parse_vector
+from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues, read_numbers
 from robodyn.tables.csv_fields import shown
@@ -158,6 +158,15 @@ _UNWRAP = (
     "180 degrees do."
 )
 Unwrap = Annotated[bool, Option("--unwrap", help=_UNWRAP)]
+_AT_TIME = "The time of laws, tables and loads, s, where no column t tells it. Default: 0."
+AtTime = Annotated[Text, Option("--at-time", metavar="S", help=_AT_TIME)]
+
+
+def time_from(text: str | None) -> float:
+    """The time that --at-time tells, s; 0 if it is left out."""
+    return 0.0 if text is None else value_from(text, "s", "--at-time")
+
+
 _COLUMNS = (
     "Exactly these columns, in this order: of the input, or of all that can be computed, such as "
     "t,tau1,power,tip2_x; see `robodyn guide columns`."

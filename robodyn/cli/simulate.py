@@ -313,7 +313,7 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
         given, name = option_source(mechanism, Quantity("at", at)), "--at"
         source = given._replace(quantity=source.quantity)
     with at_place(name):
-        (pose,) = complete(mechanism, [source], [np.array(source.values)])
+        (pose,) = complete(mechanism, [source], [np.array(source.values)], t=0.0)
         if at is None:
             return found
         from robodyn.rest.linear_model import linearize
@@ -477,17 +477,17 @@ def _start(mechanism: Mechanism, start: Sequence[Quantity], assemble: bool) -> n
     """
     sources = [option_source(mechanism, quantity) for quantity in start]
     if not (assemble and sources[0].whole and mechanism.rows):
-        q, qd = given, rates = single_state(mechanism, start)
+        q, qd = given, rates = single_state(mechanism, start, t=0.0)
     else:
         given, rates = (np.array(source.values) for source in sources)
-        q = assembly.close_positions(mechanism, given)
-        if (fault := loop_rates.check_closed(mechanism, q)) is not None:
+        q = assembly.close_positions(mechanism, given, t=0.0)
+        if (fault := loop_rates.check_closed(mechanism, q, t=0.0)) is not None:
             raise AssemblyError(f"no closed configuration found near the start: {fault[1].what}")
         if sources[1].whole:
-            qd = loop_rates.nearest_velocities(mechanism, q, rates)
-            complete(mechanism, sources, [q, qd])  # no motion may have them
+            qd = loop_rates.nearest_velocities(mechanism, q, rates, 0.0)
+            complete(mechanism, sources, [q, qd], t=0.0)  # no motion may have them
         else:
-            rates = qd = complete(mechanism, sources, [q, rates])[1]
+            rates = qd = complete(mechanism, sources, [q, rates], t=0.0)[1]
     if assemble:
         units = ("rad or m", "rad/s or m/s") if mechanism.slides else ("rad", "rad/s")
         ways = (np.abs(q - given).max(), np.abs(qd - rates).max())
@@ -499,7 +499,7 @@ def _start(mechanism: Mechanism, start: Sequence[Quantity], assemble: bool) -> n
 def _only_rounding_moves(mechanism: Mechanism, begin: np.ndarray, torques: Actuation) -> bool:
     """Return whether a run starts at an unstable rest, where all that acts is constant."""
     q, qd = begin[None, : mechanism.n], begin[None, mechanism.n :]
-    if qd.any() or torques.constants is None or torques.states:
+    if qd.any() or torques.constants is None or torques.states or mechanism.driven:
         return False
     from robodyn.rest.balance import rests
 

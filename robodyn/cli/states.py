@@ -14,8 +14,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from robodyn.cli.options import Differentiate, Q, Qd, Read, States, Unwrap
+from robodyn.cli.options import (
+    AtTime,
+    Differentiate,
+    Q,
+    Qd,
+    Read,
+    States,
+    Unwrap,
+    refuse,
+    time_from,
+)
 from robodyn.cli.output import (
     RowOptions,
     Summary,
@@ -81,6 +92,12 @@ class TableOptions(StateOptions, RowOptions):
     read: Read = None
     differentiate: Differentiate = False
     unwrap: Unwrap = False
+    at_time: AtTime = None
+
+    @property
+    def time(self) -> float:
+        """The time of rows that do not tell theirs, s."""
+        return time_from(self.at_time)
 
     @property
     def renamed(self) -> dict[str, str]:
@@ -132,6 +149,8 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
     """The source that the quantity's option is; zero, or the scene's start, where there is none."""
     driver = driver_of(mechanism, quantity.name)
     if quantity.option is None:
+        if quantity.required and not driver.actuated:  # laws give all joints
+            return Source(quantity, [], [], False)
         begin = mechanism.description.begin(driver.actuated) if quantity.required else ()
         if begin:
             return Source(quantity, list(begin), [], False)
@@ -150,6 +169,9 @@ def table_source(
 ) -> Source:
     """The source in a table with this header, or in the option, which goes first."""
     everything = quantity.columns(range(mechanism.n))
+    free = driver_of(mechanism, quantity.name).actuated
+    if quantity.option is None and not free and not set(everything) <= set(header):
+        return option_source(mechanism, quantity)
     driven = quantity.columns(driver_of(mechanism, quantity.name).actuated)
     present = [name for name in everything if name in header]
     if quantity.option is not None and present:
@@ -178,23 +200,29 @@ def complete(
     sources: Sequence[Source],
     values: Sequence[Array],
     branches: Sequence[str] | None = None,
+    *,
+    t: ArrayLike,
 ) -> list[Array]:
-    """q, qd and what else there is for all joints (..., n): see `full`."""
+    """q, qd and what else there is for all joints (..., n), at times t (...): see `full`."""
     first = sources[0].quantity
     given = {
         source.quantity.name: (each, source.whole)
         for source, each in zip(sources, values, strict=True)
     }
     place = "" if first.option is None else f"--{first.name}"
-    return list(full(mechanism, given, branches, place).values())
+    return list(full(mechanism, given, branches, place, t=t).values())
 
 
 def single_state(
-    mechanism: Mechanism, quantities: Sequence[Quantity], branches: Sequence[str] | None = None
+    mechanism: Mechanism,
+    quantities: Sequence[Quantity],
+    branches: Sequence[str] | None = None,
+    *,
+    t: float,
 ) -> list[Array]:
-    """The one state that the options give, completed and checked: each vector (n,)."""
+    """The one state that the options give at t, completed and checked: each vector (n,)."""
     sources = [option_source(mechanism, quantity) for quantity in quantities]
-    found = complete(mechanism, sources, [np.array(x.values) for x in sources], branches)
+    found = complete(mechanism, sources, [np.array(x.values) for x in sources], branches, t=t)
     if branches is None:
         note_circuit(mechanism, sources, found[0])
     return found
@@ -293,7 +321,7 @@ def _of_states(
             from robodyn.dynamics.dynamics import RobodynWarning
             from robodyn.dynamics.reaction_forces import names_not_unique
 
-            if names := names_not_unique(mechanism, state.q):
+            if names := names_not_unique(mechanism, state.q, state.t):
                 named = True
                 warnings.warn(f"not unique: {names}", RobodynWarning, stacklevel=2)
         return values
@@ -364,7 +392,7 @@ def evaluate(
         with remarks():
             used = work.taken(mechanism, [])
             sources = [option_source(mechanism, quantity) for quantity in used]
-            computed = _Computed(mechanism, sources, work)
+            computed = _Computed(mechanism, sources, work, options.time)
             row = computed.at([[]])[0].tolist()
             note_circuit(mechanism, sources, computed.q[0])
             row = [None if math.isnan(x) else x for x in row]
@@ -392,7 +420,9 @@ def evaluate(
         else:
             taken = [x for source in sources for x in source.columns] + ["t"] * timed
             chunks = taken_at_rest(reader, sources, reader.chunks(taken))
-        computed = _Computed(mechanism, sources, work)
+        if timed:
+            refuse("the rows have a column t", at_time=options.at_time)
+        computed = _Computed(mechanism, sources, work, options.time)
         told = options.writer(work.columns, reader.header, units, summary, work.only)
         with remarks(), told as writer:
             if not computed.write(chunks, writer, name) and (adds or writer.needs_rows):
@@ -411,7 +441,9 @@ class _Computed:
         mechanism: Mechanism,
         sources: Sequence[Source],
         task: Task,
+        time: float,
     ) -> None:
+        self.time = time  # of rows without a column t
         self.mechanism, self.sources, self.compute = mechanism, sources, task.compute
         self.whole = np.logical_not(task.gaps) if task.gaps else slice(None)  # without gaps
         self.lost: list[RobodynError] = []  # of the first row without results
@@ -425,15 +457,21 @@ class _Computed:
             own = values[:, begin:end]
             parts.append(own if source.columns else np.tile(source.values, (len(values), 1)))
             begin = end
-        motion = complete(self.mechanism, self.sources, parts)
+        t = np.full(len(values), self.time)
+        if self.mechanism.timed and values.shape[1] > begin:
+            t = values[:, begin]
+        motion = complete(self.mechanism, self.sources, parts, t=t)
         self.q = motion[0]
         given = {x.quantity.name: each for x, each in zip(self.sources, motion, strict=True)}
         if self.mechanism.timed:
-            timed = values.shape[1] > begin
-            given["t"] = values[:, begin] if timed else np.zeros(len(values))
+            given["t"] = t
         with np.errstate(all="ignore"):
             found = self.compute(**given)
         if not np.isfinite(found[:, self.whole]).all() or np.isinf(found).any():
+            if self.mechanism.laws:
+                from robodyn.engines.coupling_laws import check_laws
+
+                check_laws(self.mechanism, given["q"], given.get("qd", 0.0 * given["q"]), t)
             if self.mechanism.signals:
                 from robodyn.engines.row_values import rows_of
                 from robodyn.mechanics.parts import acting

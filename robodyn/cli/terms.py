@@ -4,7 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.cli.options import Model, Out, OutputStructured, Qdd, Tau, option, refuse, switch
+from robodyn.cli.options import (
+    AtTime,
+    Model,
+    Out,
+    OutputStructured,
+    Qdd,
+    Tau,
+    option,
+    refuse,
+    switch,
+    time_from,
+)
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import StateOptions, remarks, single_state
 from robodyn.dynamics import closed_form
@@ -13,6 +24,7 @@ from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_d
 from robodyn.elements.contacts import COMPLIANT, HARD, STICKS
 from robodyn.errors import InputError, RobodynError, overflow
 from robodyn.loops.loop_rates import check_way_on
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.csv_fields import IN_DEGREES
 
@@ -28,6 +40,7 @@ def terms(
     by: list[str] | None = option(_BY, "NUMBER"),
     qdd: Qdd = None,
     tau: Tau = None,
+    at_time: AtTime = None,
     format: OutputStructured = None,
     out: Out = None,
 ) -> None:
@@ -53,7 +66,8 @@ def terms(
     mechanism = model.load()
     if not derivatives:
         refuse("is for --derivatives: give that too", by=by, qdd=qdd, tau=tau)
-    q_, qd_ = single_state(mechanism, state.quantities())
+    t = time_from(at_time)
+    q_, qd_ = single_state(mechanism, state.quantities(), t=t)
     if mechanism.rubbing:
         note("Note: Q is without the friction by forces in pins and slides: it depends on qdd")
     resting = [k for k in mechanism.sticks if not qd_[k]]
@@ -77,14 +91,15 @@ def terms(
     if any(mechanism.damping) and moves:
         content["D"] = "N m s/rad", np.diag(mechanism.damping)
     if moves and (mechanism.has_state_forces or mechanism.contacts & {STICKS, COMPLIANT}):
-        content["Q"] = "N m", closed_form.other_forces(mechanism, q_, qd_)
+        content["Q"] = "N m", closed_form.other_forces(mechanism, q_, qd_, t)
     if mechanism.rows:
-        content["Psi"] = "m", closed_form.closure_jacobian(mechanism, q_)
-        content["Psidot_qd"] = "m/s²", closed_form.closure_bias(mechanism, q_, qd_)
-        content["gap"] = "m", closed_form.closure_gap(mechanism, q_)
+        content["Psi"] = "m", closed_form.closure_jacobian(mechanism, q_, t)
+        content["Psidot_qd"] = "m/s²", closed_form.closure_bias(mechanism, q_, qd_, t)
+        content["gap"] = "m", closed_form.closure_gap(mechanism, q_, t)
     if derivatives:
-        qdd_ = single_state(mechanism, state.quantities(qdd=qdd))[2]
-        tau_ = single_state(mechanism, state.quantities(tau=tau))[2]
+        refuse_driven(mechanism, "--derivatives")
+        qdd_ = single_state(mechanism, state.quantities(qdd=qdd), t=t)[2]
+        tau_ = single_state(mechanism, state.quantities(tau=tau), t=t)[2]
         with remarks():
             names = [name.strip() for each in by or () for name in each.split(",")]
             content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, names)

@@ -63,6 +63,7 @@ from robodyn.loops import loop_rates
 from robodyn.loops.closing import regular_rank
 from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation, for_each_actuated
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.kinks import Pieces
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import rate_limits, torque_limits
@@ -123,7 +124,7 @@ def driving_torques(mechanism: Mechanism) -> Floats:
         q, qd, v = (np.array(x) for x in (values[:n], values[n : 2 * n], values[2 * n :]))
         if not all(np.isfinite(x).all() for x in (q, qd, v)):
             return [np.nan] * len(driven)
-        qdd = loop_rates.loop_accelerations(mechanism, q, qd, v)
+        qdd = loop_rates.loop_accelerations(mechanism, q, qd, v, 0.0)
         torques: list[float] = dynamics.inverse_dynamics(mechanism, q, qd, qdd)[driven].tolist()
         return torques
 
@@ -440,6 +441,8 @@ def controller(
     Raises InputError for arguments that do not fit, RobodynError where the law needs torques of a
     closed mechanism that has fewer actuators than freedoms.
     """
+    for x in (mechanism, control_model or mechanism):
+        refuse_driven(x, "a controller")
     given = {"kp": kp, "kd": kd, "ki": ki}
     _check(control, given | {"gain": gain, "control_model": control_model}, control_rate)
     if not isinstance(reference, ReferenceTable):

@@ -31,6 +31,7 @@ from robodyn.tables.arrays import Array
 TURN = 2.0 * math.pi
 SAMPLES = 3600  # of a turn
 ZOOMS, NODES = 6, 41  # by which an extreme is narrowed down
+STEADY = 0.0  # s, of a cam's law, which is none of the time
 CLOSED = 1e-9  # part of a profile's size by which its ends may miss one another
 
 
@@ -86,7 +87,7 @@ def contact_at(mechanism: Mechanism, cam: Cam, q: Array) -> Contact:
 
     The follower stands where its joint is; the law has the derivatives.
     """
-    _, f1, f2 = law_derivatives(mechanism, cam.coupling, cam.driver, q)
+    _, f1, f2 = law_derivatives(mechanism, cam.coupling, cam.driver, q, STEADY)
     return contact(cam.follower, q[..., cam.driver], q[..., cam.link], f1, f2)
 
 
@@ -95,7 +96,8 @@ def contact_along(mechanism: Mechanism, cam: Cam, theta: ArrayLike) -> Contact:
     theta = np.asarray(theta, float)
     q = np.zeros((len(theta), mechanism.n))
     q[:, cam.driver] = theta
-    return contact(cam.follower, theta, *law_derivatives(mechanism, cam.coupling, cam.driver, q))
+    law = law_derivatives(mechanism, cam.coupling, cam.driver, q, STEADY)
+    return contact(cam.follower, theta, *law)
 
 
 class ContactForce(NamedTuple):
@@ -153,7 +155,7 @@ def contacts_on_links(
     if not (cams := cams_of(mechanism)):
         return []
     torques = coupling_torques(mechanism, multipliers)
-    slopes = [law_derivatives(mechanism, cam.coupling, cam.driver, q)[1] for cam in cams]
+    slopes = [law_derivatives(mechanism, cam.coupling, cam.driver, q, STEADY)[1] for cam in cams]
     own = [torques[..., cam.coupling] for cam in cams]
     with np.errstate(all="ignore"):
         return forces_on_links(mechanism, at, slopes, own)

@@ -233,40 +233,56 @@ def _energies_by_stops(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tup
     return KE, PE
 
 
-def closure_gap(mechanism: Mechanism, q: ArrayLike) -> Array:
+def closure_gap(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
     """How far the closures are from closing, first side minus second, (..., r), m.
 
     Two components (x, y) for a pin, one (normal to the line) for a slider, and one for a coupling:
     what its joint is ahead, rad, times a length of the mechanism.
     """
-    return gap_at(mechanism, mechanism.arrays, placed(mechanism, q))
+    return gap_at(mechanism, mechanism.arrays, placed(mechanism, q), t)
 
 
-def closure_jacobian(mechanism: Mechanism, q: ArrayLike) -> Array:
+def closure_jacobian(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
     """Psi = d gap/dq, (..., r, n), m/rad, or 1 for joints that slide."""
-    Psi: Array = absolute_jacobian(mechanism, placed(mechanism, q)) @ mechanism.arrays.J
+    Psi: Array = absolute_jacobian(mechanism, placed(mechanism, q), t) @ mechanism.arrays.J
     return Psi
 
 
-def scaled_jacobian(mechanism: Mechanism, q: ArrayLike) -> Array:
+def scaled_jacobian(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
     """Psi with displacements told in units of a length, (..., r, n), m: its columns compare."""
-    Psi = closure_jacobian(mechanism, q)
+    Psi = closure_jacobian(mechanism, q, t)
     return Psi * mechanism.arrays.units if mechanism.slides else Psi
 
 
-def absolute_jacobian(mechanism: Mechanism, at: Placed) -> Array:
+def absolute_jacobian(mechanism: Mechanism, at: Placed, t: ArrayLike) -> Array:
     """Psi in x, (..., r, n)."""
-    return jacobian_at(mechanism, mechanism.arrays, at)
+    return jacobian_at(mechanism, mechanism.arrays, at, t)
 
 
-def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
-    """Psidot qd, the part of the gap's acceleration that qdd does not make, (..., r), m/s^2."""
+def closure_drift(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
+    """d gap/dt where no joint moves, (..., r), m/s: the gap's rate is Psi qd more than that."""
+    return drift_at(mechanism, placed(mechanism, q), t)
+
+
+def drift_at(mechanism: Mechanism, at: Placed, t: ArrayLike) -> Array:
+    """The same, of laws of couplings alone."""
+    found = np.zeros((*at.x.shape[:-1], len(mechanism.rows)), at.x.dtype)
+    if mechanism.driven and (laws := laws_of(mechanism)) is not None:
+        laws.add_drift(at.x, t, found)
+    return found
+
+
+def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike) -> Array:
+    """The part of the gap's acceleration that qdd does not make, Psidot qd, (..., r), m/s^2.
+
+    Of laws of the time it has their own acceleration too.
+    """
     at, rates = placed(mechanism, q), absolute_rates(mechanism, qd)
     bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
-    return bias_at(mechanism, at, rates, bent)
+    return bias_at(mechanism, at, rates, bent, t)
 
 
-def bias_at(mechanism: Mechanism, at: Placed, rates: Array, bent: Placed) -> Array:
+def bias_at(mechanism: Mechanism, at: Placed, rates: Array, bent: Placed, t: ArrayLike) -> Array:
     """The same, where X'' is `bent` without accelerations."""
     P, ground = mechanism.arrays.P, mechanism.arrays.ground
     bias: Complex = matvec(P, bent.X)
@@ -277,7 +293,7 @@ def bias_at(mechanism: Mechanism, at: Placed, rates: Array, bent: Placed) -> Arr
         bias = bias + lines(mechanism, bent.E, 0.0).conj() * (ground + matvec(P, at.X))
     found = np.array(bias.real)
     if (laws := laws_of(mechanism)) is not None:
-        laws.add_bias(at.x, rates, found)
+        laws.add_bias(at.x, rates, t, found)
     return found
 
 
@@ -292,7 +308,7 @@ def lines(mechanism: Mechanism, E: Complex, otherwise: float = 1.0) -> Complex:
     return found
 
 
-def gap_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
+def gap_at(mechanism: Mechanism, arrays: Arrays, at: Placed, t: ArrayLike) -> Array:
     """The gap (..., r), m."""
     across: Complex = matvec(arrays.P, at.X)
     if mechanism.lines:
@@ -301,13 +317,13 @@ def gap_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
     if mechanism.has_angles:
         gap = gap + matvec(arrays.angles, at.x)
     if (laws := laws_of(mechanism)) is not None:
-        laws.add_gap(at.x, gap)
+        laws.add_gap(at.x, t, gap)
     if mechanism.held:
         gap[..., list(mechanism.held)] = 0.0
     return gap
 
 
-def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
+def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed, t: ArrayLike) -> Array:
     """d gap/dx, (..., r, n)."""
     P = arrays.P
     if mechanism.lines:
@@ -317,7 +333,7 @@ def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
         across = arrays.ground[r] + (at.X * arrays.P[r]).sum(axis=-1)
         Psi[..., r, line] += (at.E[..., line].conj() * across).imag
     if (laws := laws_of(mechanism)) is not None:
-        laws.add_jacobian(at.x, Psi)
+        laws.add_jacobian(at.x, t, Psi)
     return Psi
 
 

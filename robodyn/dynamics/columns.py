@@ -88,7 +88,7 @@ def _radii(state: State) -> Array:
 def _gap(state: State) -> Array:
     from robodyn.dynamics.closed_form import closure_gap
 
-    gap: Array = np.linalg.norm(closure_gap(state.mechanism, state.q), axis=-1)
+    gap: Array = np.linalg.norm(closure_gap(state.mechanism, state.q, state.t), axis=-1)
     return gap[:, None]
 
 
@@ -109,7 +109,7 @@ def _ratios(state: State) -> Array:
     from robodyn.dynamics.transmission import rate_ratios, ratio_named
 
     ratios = [ratio_named(state.mechanism, name) for name in state.ratios]
-    return rate_ratios(state.mechanism, ratios, state.q, state.qd)
+    return rate_ratios(state.mechanism, ratios, state.q, state.qd, state.t)
 
 
 def _reactions(state: State) -> Array:

@@ -22,6 +22,7 @@ from robodyn.dynamics.closed_form import (
     absolute_inertia,
     absolute_jacobian,
     bias_at,
+    drift_at,
     gap_at,
     mass_matrix,
     rotor_inertia,
@@ -119,10 +120,10 @@ def _whole_inertia(mechanism: Mechanism, at: Placed) -> Array:
 
 def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike = 0.0) -> Torques:
     """Torques and multipliers for states (..., n); see `dynamics.inverse_dynamics`."""
-    return balanced(mechanism, q, required_load(mechanism, q, qd, qdd, t))
+    return balanced(mechanism, q, required_load(mechanism, q, qd, qdd, t), t)
 
 
-def balanced(mechanism: Mechanism, q: Array, load: Array) -> Torques:
+def balanced(mechanism: Mechanism, q: Array, load: Array, t: ArrayLike) -> Torques:
     """Torques and multipliers that balance loads (..., n) at q (..., n), which broadcasts to them.
 
     Raises SingularError where there are none.
@@ -131,7 +132,7 @@ def balanced(mechanism: Mechanism, q: Array, load: Array) -> Torques:
         return Torques(load, np.zeros((*load.shape[:-1], 0)))
     n, actuated, units = mechanism.n, list(mechanism.actuated), mechanism.arrays.units
     load = load * units  # as Psi here, what acts on displacements is told by a length
-    s = decompose(mechanism, scaled_jacobian(mechanism, q))
+    s = decompose(mechanism, scaled_jacobian(mechanism, q, t))
     # a projector serves as N here: states of different rank go together
     kept = s.V * (np.arange(n) < s.rank[..., None])[..., None, :]
     freedoms = np.eye(n) - kept @ np.swapaxes(kept, -1, -2)
@@ -149,7 +150,8 @@ def balanced(mechanism: Mechanism, q: Array, load: Array) -> Torques:
         full = np.broadcast_to(s.rank, load.shape[:-1])[state] == len(mechanism.rows)
         kind = "dead centre" if full else "change point or dependent closures"
         limit = "no torque of the actuated joints makes this motion: "
-        limit += f"joint {_free_joint(mechanism, q[state])} is free here"
+        now = float(np.broadcast_to(np.asarray(t, float), load.shape[:-1])[state])
+        limit += f"joint {_free_joint(mechanism, q[state], now)} is free here"
         raise singular_at(mechanism, kind, q[state], limit)
     remarks = _dependence(mechanism, s.rank)
     if (len(actuated) > n - s.rank).any():
@@ -177,7 +179,7 @@ def forward(
     """
     at, rates = placed(mechanism, q), absolute_rates(mechanism, qd)
     loads = joint_loads(mechanism, q, qd, t)
-    acceleration, M, force, s = _moved(mechanism, at, rates, tau - loads, baumgarte)
+    acceleration, M, force, s = _moved(mechanism, at, rates, tau - loads, baumgarte, t)
     unbalanced = matvec(M, acceleration) - force
     multipliers = matvec(np.swapaxes(s.inverse, -1, -2), unbalanced)
     qdd = _of_joints(mechanism, acceleration)
@@ -191,11 +193,16 @@ def accelerations(
     J = mechanism.arrays.J
     at, rates = placed_at(mechanism, matvec(J, q)), matvec(J, qd)
     loads = joint_loads(mechanism, q, qd, t)
-    return _of_joints(mechanism, _moved(mechanism, at, rates, tau - loads, baumgarte)[0])
+    return _of_joints(mechanism, _moved(mechanism, at, rates, tau - loads, baumgarte, t)[0])
 
 
 def _moved(
-    mechanism: Mechanism, at: Placed, rates: Array, torques: Array, baumgarte: float
+    mechanism: Mechanism,
+    at: Placed,
+    rates: Array,
+    torques: Array,
+    baumgarte: float,
+    t: ArrayLike,
 ) -> tuple[Array, Array, Array, Decomposition]:
     """xdd (..., n) under torques at joints, M, the force on x, and Psi decomposed.
 
@@ -205,11 +212,12 @@ def _moved(
     M = _whole_inertia(mechanism, at)
     bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
     force = matvec(relative_matrix(mechanism).T, torques) - _loads(mechanism, at, bent)
-    Psi = absolute_jacobian(mechanism, at)
-    bend = bias_at(mechanism, at, rates, bent)
+    Psi = absolute_jacobian(mechanism, at, t)
+    bend = bias_at(mechanism, at, rates, bent, t)
     if baumgarte:
-        gap = gap_at(mechanism, mechanism.arrays, at)
-        bend = bend + 2 * baumgarte * matvec(Psi, rates) + baumgarte**2 * gap
+        gap = gap_at(mechanism, mechanism.arrays, at, t)
+        opening = matvec(Psi, rates) + drift_at(mechanism, at, t)
+        bend = bend + 2 * baumgarte * opening + baumgarte**2 * gap
     if mechanism.slides:
         M, force, Psi = M * units[:, None] * units, force * units, Psi * units
     s = decompose(mechanism, Psi)
@@ -239,14 +247,14 @@ def _of_joints(mechanism: Mechanism, acceleration: Array) -> Array:
     return qdd
 
 
-def caused(mechanism: Mechanism, q: Array, loads: Array) -> Accelerations:
+def caused(mechanism: Mechanism, q: Array, loads: Array, t: ArrayLike) -> Accelerations:
     """The accelerations and multipliers that loads (T, c, n) at the joints alone cause at q (T, n).
 
     What `forward` adds to its answer for such loads more.
     """
     units, (count, c, n) = mechanism.arrays.units, loads.shape
     M = mass_matrix(mechanism, q) * units[:, None] * units
-    s = decompose(mechanism, scaled_jacobian(mechanism, q))
+    s = decompose(mechanism, scaled_jacobian(mechanism, q, t))
     right, free = loads * units, np.zeros_like(loads)
     for rank in set(s.rank.ravel().tolist()):
         which = s.rank == rank
@@ -258,11 +266,11 @@ def caused(mechanism: Mechanism, q: Array, loads: Array) -> Accelerations:
     return Accelerations(free * units, multipliers.reshape(count, c, len(mechanism.rows)))
 
 
-def responses(mechanism: Mechanism, q: Array, joints: Sequence[int]) -> Array:
+def responses(mechanism: Mechanism, q: Array, joints: Sequence[int], t: float) -> Array:
     """qdd (k, n) that a unit of torque at each of these joints makes at q (n), through all else."""
     units = mechanism.arrays.units
     M = mass_matrix(mechanism, q) * units[:, None] * units
-    s = decompose(mechanism, scaled_jacobian(mechanism, q))
+    s = decompose(mechanism, scaled_jacobian(mechanism, q, t))
     right = np.eye(mechanism.n)[list(joints)] * units
     return _along_freedoms(mechanism, s.V[None, :, int(s.rank) :], M[None], right) * units
 
@@ -292,7 +300,7 @@ def check_actuators(mechanism: Mechanism, q: Array) -> None:
     """Raise RobodynError where there are fewer actuators than freedoms."""
     freedoms = mechanism.n - len(mechanism.rows)
     if len(mechanism.actuated) < freedoms and q.size:
-        joint = _free_joint(mechanism, q.reshape(-1, mechanism.n)[0])
+        joint = _free_joint(mechanism, q.reshape(-1, mechanism.n)[0], 0.0)
         raise RobodynError(
             "torque",
             where=mechanism.source,
@@ -401,9 +409,9 @@ def _dependence(mechanism: Mechanism, rank: NDArray[np.int64]) -> list[str]:
     return ["the closures depend on one another: the pin forces are not unique (least norm given)"]
 
 
-def _free_joint(mechanism: Mechanism, q: Array) -> str:
+def _free_joint(mechanism: Mechanism, q: Array, t: float) -> str:
     """The joint that moves most when every actuated joint is held."""
     held = np.eye(mechanism.n)[list(mechanism.actuated)]
-    s = decompose(mechanism, np.vstack([scaled_jacobian(mechanism, q), held]))
+    s = decompose(mechanism, np.vstack([scaled_jacobian(mechanism, q, t), held]))
     joint = int(np.argmax((s.V[:, int(s.rank) :] ** 2).sum(axis=-1)))
     return f"q{joint + 1} ({mechanism.link_names[joint]})"

@@ -242,11 +242,11 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array, t: ArrayLike
     from robodyn.loops import change_points, projection
     from robodyn.loops.closing import NEAR_SINGULAR, close_positions
 
-    near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q))
+    near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q, t))
     close = near < NEAR_SINGULAR
     if close.any():  # there a state must keep the closures to its last digit
         q = q.copy()
-        q[close] = close_positions(mechanism, q[close])
+        q[close] = close_positions(mechanism, q[close], t=_at(t, q)[close])
     found = dense_dynamics.forward(mechanism, q, qd, tau, t=t)
     suspect = near**2 < change_points.SUSPECT
     for state in map(tuple, np.argwhere(suspect)):
@@ -259,7 +259,7 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array, t: ArrayLike
         if led is not None:
             found.qdd[state] = led
             load = required_load(mechanism, q[state], qd[state], led, now) - tau[state]
-            found.multipliers[state] = _multipliers(mechanism, q[state], load)
+            found.multipliers[state] = _multipliers(mechanism, q[state], load, now)
     return _missed(mechanism, found, q[suspect])
 
 
@@ -271,7 +271,7 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike
 
     try:
         found = dense_dynamics.inverse(mechanism, q, qd, qdd, t)
-        near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q))
+        near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q, t))
         return _missed(mechanism, found, q[near < change_points.NEAR])
     except SingularError:
         if q.ndim > 1:
@@ -284,16 +284,17 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike
 
         def beside(q: Array, qd: Array) -> Array:
             """The torques of closed states (k, n) for what is nearest to qdd and closes."""
-            Psi = closed_form.scaled_jacobian(mechanism, q)
+            Psi = closed_form.scaled_jacobian(mechanism, q, t)
             units = mechanism.arrays.units
-            opening = Psi @ (qdd / units) + closed_form.closure_bias(mechanism, q, qd)
+            opening = Psi @ (qdd / units) + closed_form.closure_bias(mechanism, q, qd, t)
             closing = units * matvec(decompose(mechanism, Psi).inverse, opening)
             return dense_dynamics.inverse(mechanism, q, qd, qdd - closing, t).tau
 
         led = projection.state_led_across(mechanism, q, qd, beside)
         if led is None:
             raise
-    multipliers = _multipliers(mechanism, q, required_load(mechanism, q, qd, qdd, t) - led)
+    load = required_load(mechanism, q, qd, qdd, t) - led
+    multipliers = _multipliers(mechanism, q, load, t)
     remark = "change point: torques of the motion straight across; pin forces are not unique there"
     return Torques(led, multipliers, remark)
 
@@ -306,9 +307,14 @@ def _missed(mechanism: Mechanism, found: Solution, states: Array) -> Solution:
     return found._replace(remark="; ".join(filter(None, remarks)))
 
 
-def _multipliers(mechanism: Mechanism, q: Array, load: Array) -> Array:
+def _at(t: ArrayLike, q: Array) -> Array:
+    """Times t as those of states q (..., n), (...)."""
+    return np.broadcast_to(np.asarray(t, float), q.shape[:-1])
+
+
+def _multipliers(mechanism: Mechanism, q: Array, load: Array, t: ArrayLike) -> Array:
     """Those of least norm that balance a load at q (n,)."""
-    Psi = closed_form.scaled_jacobian(mechanism, q)
+    Psi = closed_form.scaled_jacobian(mechanism, q, t)
     found: Array = decompose(mechanism, Psi).inverse.T @ (load * mechanism.arrays.units)
     return found
 

@@ -91,7 +91,7 @@ def without_residual(
     n, free = mechanism.n, free_joints(mechanism)
     q, qd, qdd = (x.reshape(-1, n) for x in states.values())
     at, left = np.broadcast_to(times.ravel(), len(q)), tau.reshape(-1, n)[:, free]
-    terms = _terms(mechanism, q, qd, qdd, left)
+    terms = _terms(mechanism, q, qd, qdd, left, at)
     for row, place in np.argwhere(~(np.abs(left) <= NONE * terms)):
         joint, residual = free[place], float(left[row, place])
         state = q[row], qd[row], qdd[row], float(at[row])
@@ -108,7 +108,7 @@ def without_residual(
     return known
 
 
-def _terms(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, left: Array) -> Array:
+def _terms(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, left: Array, t: Array) -> Array:
     """The largest term in the equation of each free joint, (T, free), which leaves `left`.
 
     In loops it counts as no less than what rounding of the multipliers takes to be told from zero.
@@ -120,7 +120,7 @@ def _terms(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, left: Array) -
     free = free_joints(mechanism)
     if mechanism.rows:
         units, z = mechanism.arrays.units, list(balanced_joints(mechanism))
-        s = decompose(mechanism, scaled_jacobian(mechanism, q))
+        s = decompose(mechanism, scaled_jacobian(mechanism, q, t))
         kept = s.V * (np.arange(mechanism.n) < s.rank[..., None])[..., None, :]
         freedoms = np.eye(mechanism.n) - kept @ np.swapaxes(kept, -1, -2)
         N = units[:, None] * freedoms @ np.linalg.pinv(units[z, None] * freedoms[:, z])

@@ -77,11 +77,13 @@ def settled(
     plain, (q, qd, third) = without_rubbing(mechanism), states
     at = rubbing_at(mechanism, q, qd)
     if kind == "inverse":
-        by_torque = dense_dynamics.balanced(plain, q[:, None], -at.D)
+        by_torque = dense_dynamics.balanced(
+            plain, q[:, None], -at.D, np.broadcast_to(times, q.shape[:-1])[:, None]
+        )
         answer, lam, moved = by_torque.tau, by_torque.multipliers, np.zeros_like(at.D)
         qdd = third
     else:
-        caused = dense_dynamics.caused(plain, q, at.D)
+        caused = dense_dynamics.caused(plain, q, at.D, times)
         answer, lam = caused.qdd, caused.multipliers
         qdd, moved = joints, answer
     N = _first_forces(mechanism, at, q, qd, qdd, multipliers, times)

@@ -23,7 +23,7 @@ from robodyn.engines.row_values import RowValues, rows_of
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.assembly_plan import assembly_plan, with_independent
-from robodyn.loops.closing import random_states
+from robodyn.loops.closing import SAMPLED, random_states
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.modes import in_mode, moving_mode
@@ -68,6 +68,7 @@ class Sample:
     q: Array
     qd: Array
     closing: float  # the part of the drawn positions at which the loops close
+    t: Array  # times (T,) of laws and loads
 
 
 def sample_states(
@@ -88,10 +89,11 @@ def sample_states(
     if not mechanism.rows:
         q = random_states(mechanism, rng, count)
         q = q[within_tables(mechanism, q)]
-        return Sample(q, rng.normal(size=(len(q), n)), 1.0)
+        return Sample(q, rng.normal(size=(len(q), n)), 1.0, np.zeros(len(q)))
     if _follows(independent):
         drawn = random_states(mechanism, rng, 4 * count, independent.actuated)
-        q, missing = assembly.attempt(independent, drawn, watch=watch)
+        t = _times(mechanism, rng, len(drawn))
+        q, missing = assembly.attempt(independent, drawn, watch=watch, t=t)
         closes = np.flatnonzero(missing <= 0.0)
     else:
         work = n * len(mechanism.rows) * min(n, len(mechanism.rows))
@@ -101,18 +103,29 @@ def sample_states(
             limit += "the others: change `actuated`, or add a `start`"
             raise InputError("actuated", where=mechanism.source, limit=limit)
         tries = max(2, min(4 * count, SEARCH // work))
-        q = assembly.close_positions(mechanism, random_states(mechanism, rng, tries))
-        missing = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
+        drawn = random_states(mechanism, rng, tries)
+        t = _times(mechanism, rng, tries)
+        q = assembly.close_positions(mechanism, drawn, t=t)
+        missing = np.abs(closed_form.closure_gap(mechanism, q, t)).max(axis=-1)
         closes = np.flatnonzero(missing <= ROUNDING * assembly.loop_size(mechanism))
     keep: list[int] = []
     for k in closes:
-        if len(keep) < count and not loop_rates.singular_kind(mechanism, q[k]):
+        if len(keep) < count and not loop_rates.singular_kind(mechanism, q[k], float(t[k])):
             keep.append(int(k))
-    closed = q[keep]
-    closed = closed[within_tables(mechanism, closed)]
-    qd = loop_rates.nearest_velocities(mechanism, closed, rng.normal(size=closed.shape))
+    closed, t = q[keep], t[keep]
+    inside = within_tables(mechanism, closed)
+    closed, t = closed[inside], t[inside]
+    qd = loop_rates.nearest_velocities(mechanism, closed, rng.normal(size=closed.shape), t)
     qd[np.abs(qd).max(axis=-1, initial=0.0) < STILL] = 0.0  # what cannot move
-    return Sample(closed, qd, len(closes) / len(q))
+    return Sample(closed, qd, len(closes) / len(q), t)
+
+
+def _times(mechanism: Mechanism, rng: np.random.Generator, count: int) -> Array:
+    """Times (count,) at which laws of the time are looked at; 0 if there is none."""
+    if not mechanism.driven:
+        return np.zeros(count)
+    drawn: Array = rng.uniform(0.0, SAMPLED, count)
+    return drawn
 
 
 def _follows(mechanism: Mechanism) -> bool:
@@ -139,7 +152,7 @@ def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
         modes.setdefault(mode, []).append(k)
     found: dict[str, Identity] = {}
     for mode, which in (modes or {Mode(): []}).items():
-        part = replace(sample, q=sample.q[which], qd=sample.qd[which])
+        part = replace(sample, q=sample.q[which], qd=sample.qd[which], t=sample.t[which])
         for each in _of_one_mode(in_mode(mechanism, mode), part):
             found[each.name] = _worse(found.get(each.name), each)
     return list(found.values())
@@ -153,13 +166,13 @@ def _worse(one: Identity | None, other: Identity) -> Identity:
 
 def _of_one_mode(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     mechanism = without_rubbing(mechanism)  # which no row has
-    q, qd, scene = sample.q, sample.qd, without_rubbing(build(mechanism.description))
+    q, qd, t, scene = sample.q, sample.qd, sample.t, without_rubbing(build(mechanism.description))
     scene = replace(scene, elements=(*scene.elements, *mechanism.added))
     if mechanism.mode is not None:
         scene = in_mode(scene, mechanism.mode)
     rows = RowValues(replace(scene, A=()))  # which none reads, and which is large
     if mechanism.massless:
-        return _closure_identities(mechanism, rows, q, qd) if mechanism.rows else []
+        return _closure_identities(mechanism, rows, q, qd, t) if mechanism.rows else []
     M, C = closed_form.mass_matrix(mechanism, q), closed_form.coriolis_matrix(mechanism, q, qd)
     found = [
         Identity("M = M^T", _relative(M - np.swapaxes(M, -1, -2), M)),
@@ -167,8 +180,8 @@ def _of_one_mode(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     ]
     found += _energy_identities(mechanism, rows, q, qd, M, C)
     if mechanism.rows:
-        found += _closure_identities(mechanism, rows, q, qd)
-    return found + _motion_identities(mechanism, rows, q, qd, M, C)
+        found += _closure_identities(mechanism, rows, q, qd, t)
+    return found + _motion_identities(mechanism, rows, q, qd, t, M, C)
 
 
 def _below_zero(M: Array) -> float:
@@ -248,33 +261,37 @@ def _energy_identities(
 
 
 def _closure_identities(
-    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array
+    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, t: Array
 ) -> list[Identity]:
     directions = np.random.default_rng(3).normal(size=q.shape)
     size = assembly.loop_size(mechanism)
-    gap = closed_form.closure_gap(mechanism, q)
-    Psi = closed_form.closure_jacobian(mechanism, q)
-    bias = closed_form.closure_bias(mechanism, q, qd)
+    gap = closed_form.closure_gap(mechanism, q, t)
+    Psi = closed_form.closure_jacobian(mechanism, q, t)
+    bias = closed_form.closure_bias(mechanism, q, qd, t)
     ways, speed = absolute_rates(mechanism, directions), absolute_rates(mechanism, qd)
     slopes, turns = [], []
+    most = _top(bias) if mechanism.laws else 0.0
+
+    def closing_rate(q: Array, t: Array) -> Array:
+        rate = matvec(closed_form.closure_jacobian(mechanism, q, t), qd)
+        return rate + closed_form.closure_drift(mechanism, q, t) if mechanism.driven else rate
+
     # a law may bend faster than any link turns: the step that misses least tells
     for part in FINER if mechanism.laws else (1.0,):
-        slope = along(lambda s: rows("gap", q + s * directions), ways / part)
-        turned = along(
-            lambda s: matvec(closed_form.closure_jacobian(mechanism, q + s * qd), qd), speed / part
-        )
+        slope = along(lambda s: rows("gap", q + s * directions, t=t), ways / part)
+        turned = along(lambda s: closing_rate(q + s * qd, t + s[..., 0]), speed / part)
         slopes.append(_relative(slope - matvec(Psi, directions), size))
-        turns.append(_relative(turned - bias, size * _top(qd) ** 2))
+        turns.append(_relative(turned - bias, max(size * _top(qd) ** 2, most)))
     return [
-        Identity("gap = 0", max(_relative(gap, size), _relative(rows("gap", q), size))),
+        Identity("gap = 0", max(_relative(gap, size), _relative(rows("gap", q, t=t), size))),
         Identity("Psi = dgap/dq", min(slopes)),
-        Identity("Psi qd = 0", _relative(matvec(Psi, qd), size * _top(qd))),
+        Identity("Psi qd = 0", _relative(closing_rate(q, t), size * _top(qd))),
         Identity("Psidot qd", min(turns)),
     ]
 
 
 def _motion_identities(
-    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, M: Array, C: Array
+    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, t: Array, M: Array, C: Array
 ) -> list[Identity]:
     """Forward dynamics against inverse dynamics, and power against the growth of energy."""
     driven = list(mechanism.actuated)
@@ -283,18 +300,20 @@ def _motion_identities(
     tau = np.zeros(q.shape)
     tau[:, driven] = rng.normal(size=(len(q), len(driven))) * (_top(G) + 1.0)
     try:
-        motion = dynamics.forward_dynamics_and_forces(mechanism, q, qd, tau)
+        motion = dynamics.forward_dynamics_and_forces(mechanism, q, qd, tau, t)
     except SingularError as error:
         return [Identity(name, None, str(error)) for name in (BALANCE, POWER)]
     qdd = motion.qdd
     damping = np.array(rows.mechanism.damping)
-    Q = closed_form.other_forces(mechanism, q, qd)
+    Q = closed_form.other_forces(mechanism, q, qd, t)
     terms = [matvec(M, qdd), matvec(C, qd), damping * qd, G, -tau, -Q]
-    found = []
+    found, work = [], np.zeros(len(q))
     if mechanism.rows:
-        Psi = closed_form.closure_jacobian(mechanism, q)
+        Psi = closed_form.closure_jacobian(mechanism, q, t)
         terms.append(-matvec(np.swapaxes(Psi, -1, -2), motion.multipliers))
-        opening = matvec(Psi, qdd) + closed_form.closure_bias(mechanism, q, qd)
+        drift = closed_form.closure_drift(mechanism, q, t)
+        work = -_dot(drift, motion.multipliers)  # of laws of the time
+        opening = matvec(Psi, qdd) + closed_form.closure_bias(mechanism, q, qd, t)
         free = max(map(_top, terms)) / _top(M)  # an acceleration that nothing holds
         size = assembly.loop_size(mechanism) * (max(_top(qdd), free) + _top(qd) ** 2)
         found.append(Identity("Psi qdd + Psidot qd = 0", _relative(opening, size)))
@@ -310,7 +329,7 @@ def _motion_identities(
     turning, bending = (np.abs(absolute_rates(mechanism, x)) for x in (qd, qdd))
     speed = np.maximum(turning, np.sqrt(bending))
     growth = along(kinetic, speed) + rows("PE rate", q, qd)[..., 0]
-    power = _dot(tau + Q - damping * qd, qd)
+    power = _dot(tau + Q - damping * qd, qd) + work
     rounding = 1e-3 * _top(kinetic(np.zeros((len(q), 1)))) * _top(speed)  # of such a difference
     size = max(scale * _top(qd), rounding)
     return [*found, Identity(POWER, _relative(growth - power, size))]

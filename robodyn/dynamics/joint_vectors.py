@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.columns import scene_units, unit_of
 from robodyn.errors import InputError, overflow
@@ -82,8 +83,10 @@ def full(
     given: Mapping[str, tuple[Array, bool]],
     branches: Sequence[str] | None = None,
     place: str = "",
+    *,
+    t: ArrayLike,
 ) -> dict[str, Array]:
-    """Return q, qd and what else is given for all joints (..., n), in this order.
+    """Return q, qd and what else is given for all joints (..., n), in this order, at times t (...).
 
     `given` has the values of each, and whether they are of all joints; else they are of those of
     `driver_of`, and the rest is assembled, in these branches, and follows.  Torques of other joints
@@ -98,7 +101,7 @@ def full(
 
     def check() -> None:
         moving = (motion.get(name) for name in ("qd", "qdd"))
-        fault = loop_rates.check_closed(mechanism, motion["q"], *moving)
+        fault = loop_rates.check_closed(mechanism, motion["q"], *moving, t=t)
         if fault is not None:
             if place:
                 fault[1].add_place(place)
@@ -111,20 +114,22 @@ def full(
             if whole or (free and name != "tau"):
                 pass
             elif name == "q":
-                every = assembly.assemble(driver, values, branches)
+                every = assembly.assemble(driver, values, branches, t=t)
             elif name == "qd":
-                every = loop_rates.loop_velocities(driver, motion["q"], values)
+                every = loop_rates.loop_velocities(driver, motion["q"], values, t)
             elif name == "qdd":
                 if unchecked:
                     check()
                     unchecked = False
-                every = loop_rates.loop_accelerations(driver, motion["q"], motion["qd"], values)
+                every = loop_rates.loop_accelerations(driver, motion["q"], motion["qd"], values, t)
             else:
                 every = np.zeros((*values.shape[:-1], mechanism.n))
                 every[..., list(mechanism.actuated)] = values
             if not np.isfinite(every).all():
                 raise overflow()
             motion[name] = every
+            if name == "q" and whole and mechanism.driven:  # a law is told before rates are sought
+                check()
         if unchecked:
             check()
     return motion

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from robodyn.dynamics.closed_form import point_motion, points_of
 from robodyn.dynamics.placed import absolute_rates, as_states, columns, frame_rates, placed
 from robodyn.errors import InputError
-from robodyn.loops.loop_rates import loop_velocities
+from robodyn.loops.loop_rates import closing_rates
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.point_names import Places, places_of
@@ -158,16 +158,17 @@ def point_jacobian(mechanism: Mechanism, points: Sequence[PlanarPoint], q: Array
     return np.stack([moved.real, moved.imag], axis=-2)
 
 
-def unit_rates(mechanism: Mechanism, q: ArrayLike) -> Array:
+def unit_rates(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
     """N (..., n, a): the rates of all joints where one of the a actuated joints moves at 1.
+
+    What laws of the time move does not count.
 
     Raises SingularError at a dead centre or change point.
     """
     q = as_states(mechanism, "q", q)
     each = np.eye(len(mechanism.actuated))
-    found = loop_velocities(
-        mechanism, q[..., None, :], np.broadcast_to(each, (*q.shape[:-1], *each.shape))
-    )
+    given = np.broadcast_to(each, (*q.shape[:-1], *each.shape))
+    found = closing_rates(mechanism, q[..., None, :], given, 0.0, np.asarray(t)[..., None])
     return np.swapaxes(found, -1, -2)
 
 

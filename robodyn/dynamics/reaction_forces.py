@@ -290,51 +290,54 @@ def _of_numbers(
     return Felt(mechanism, at, bent, xdd, joints, pins, kept, rows, contacts, rubbed)
 
 
-def dependent_rows(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.int64]:
+def dependent_rows(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> NDArray[np.int64]:
     """How many closure rows follow from the others at q (..., n): r less the rank of Psi, (...).
 
     Where it is not zero, the pin forces are not unique.
     """
-    found = decompose(mechanism, scaled_jacobian(mechanism, q))
+    found = decompose(mechanism, scaled_jacobian(mechanism, q, t))
     return np.asarray(len(mechanism.rows) - found.rank)
 
 
-def not_unique(mechanism: Mechanism, q: ArrayLike) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def not_unique(
+    mechanism: Mechanism, q: ArrayLike, t: ArrayLike
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """The closures and the links whose pin force and reaction are not unique at q (n,).
 
     lambda may change by any null vector of Psi^T, which the R_k of `reactions` carry into the
     joints of the loops.  Both are empty where the closures are independent.
     """
-    changes = pin_forces(mechanism, _free_multipliers(mechanism, q), q) @ [1, 1j]
+    changes = pin_forces(mechanism, _free_multipliers(mechanism, q, t), q) @ [1, 1j]
     return _felt(changes, FELT), _felt(changes @ sides_of(mechanism), FELT)
 
 
-def dependent_couplings(mechanism: Mechanism, q: ArrayLike) -> tuple[int, ...]:
+def dependent_couplings(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> tuple[int, ...]:
     """The couplings whose torque is not unique at q (n,)."""
-    changes = coupling_torques(mechanism, _free_multipliers(mechanism, q))
+    changes = coupling_torques(mechanism, _free_multipliers(mechanism, q, t))
     return _felt(changes, FELT * loop_size(mechanism))
 
 
-def names_not_unique(mechanism: Mechanism, q: ArrayLike) -> str:
+def names_not_unique(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> str:
     """The columns of forces that are not unique at the first of the states q (T, n) that has such.
 
     "" where all are.
     """
     states = as_states(mechanism, "q", q)
-    dependent = dependent_rows(mechanism, states)
+    dependent = dependent_rows(mechanism, states, t)
     if not dependent.any():
         return ""
-    state = states[np.argmax(dependent > 0)]
-    closures, links = not_unique(mechanism, state)
+    first = int(np.argmax(dependent > 0))
+    state, now = states[first], np.broadcast_to(np.asarray(t, float), dependent.shape)[first]
+    closures, links = not_unique(mechanism, state, now)
     names = [f"fx{c + 1},fy{c + 1}" for c in closures]
-    names += [f"tc{c + 1}" for c in dependent_couplings(mechanism, state)]
+    names += [f"tc{c + 1}" for c in dependent_couplings(mechanism, state, now)]
     names += [f"rx{k + 1},ry{k + 1} ({mechanism.link_names[k]})" for k in links]
     return "; ".join(names)
 
 
-def _free_multipliers(mechanism: Mechanism, q: ArrayLike) -> Array:
+def _free_multipliers(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
     """The null vectors of Psi^T at q (n,), (d, r)."""
-    found = decompose(mechanism, scaled_jacobian(mechanism, q))
+    found = decompose(mechanism, scaled_jacobian(mechanism, q, t))
     return found.U[:, int(found.rank) :].T
 
 

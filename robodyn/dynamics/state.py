@@ -76,7 +76,7 @@ class State:
             given["qdd"] = qdd
         if tau is not None:
             given["tau"] = tau
-        each = together(mechanism, _of_all_joints(mechanism, given))
+        each = together(mechanism, _of_all_joints(mechanism, given, t))
         self.mechanism: Mechanism = mechanism
         self.moving = moving
         self.shape = each["q"].shape[:-1]
@@ -219,12 +219,12 @@ class State:
         driver = with_independent(self.mechanism)
         if len(driver.actuated) != 1:
             return self.qd, self.qdd
-        qd = unit_rates(driver, self.q)[..., 0]
-        return qd, loop_accelerations(driver, self.q, qd, np.zeros((len(self.q), 1)))
+        qd = unit_rates(driver, self.q, self.t)[..., 0]
+        return qd, loop_accelerations(driver, self.q, qd, np.zeros((len(self.q), 1)), self.t)
 
     @cached_property
     def _unit_rates(self) -> Array:
-        return unit_rates(self.mechanism, self.q)
+        return unit_rates(self.mechanism, self.q, self.t)
 
     @property
     def jacobians(self) -> Array:
@@ -234,7 +234,9 @@ class State:
         return np.asarray(moved)
 
 
-def _of_all_joints(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> Mapping[str, ArrayLike]:
+def _of_all_joints(
+    mechanism: Mechanism, given: Mapping[str, ArrayLike], t: ArrayLike
+) -> Mapping[str, ArrayLike]:
     """The vectors as they are, or of all joints where q, qd or qdd are of the actuated ones."""
     values = {name: numbers(name, x) for name, x in given.items()}
     for name, x in values.items():
@@ -248,7 +250,8 @@ def _of_all_joints(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> Mapp
     except ValueError:
         return given  # which is told of all of them
     each = {name: np.broadcast_to(x, (*rows, x.shape[-1])) for name, x in values.items()}
-    return full(mechanism, {name: (x, x.shape[-1] == mechanism.n) for name, x in each.items()})
+    every = {name: (x, x.shape[-1] == mechanism.n) for name, x in each.items()}
+    return full(mechanism, every, t=t)
 
 
 def _check_agreement(qd: Array, given: Array, caused: Array) -> None:

@@ -123,7 +123,7 @@ def mode_at(
         limits = {joint: bounds(mechanism, joint, sides.get(joint, ())) for joint in still}
         free = in_mode(mechanism, Mode((), tuple(sorted(slips.items())), pushing))
         qdd = dynamics.motion_dynamics(free, q, qd, tau, t).qdd[still]
-        by = responses(mechanism, q, still)
+        by = responses(mechanism, q, still, t)
         slack = SLACK * np.abs(by) @ load_sizes(free, q, qd, tau, t)
         starts = _starts(mechanism, qdd, slack, by[:, still], limits, starts)
     slips |= {joint: way for joint, way in starts.items() if joint in mechanism.dry}
@@ -237,7 +237,7 @@ def stopped(
     after = qd.copy()
     if mechanism.rows:
         units, n = mechanism.arrays.units, mechanism.n
-        rows = np.concatenate([scaled_jacobian(mechanism, q), np.eye(n)[list(joints)]])
+        rows = np.concatenate([scaled_jacobian(mechanism, q, 0.0), np.eye(n)[list(joints)]])
         _, s, Vt = np.linalg.svd(rows, full_matrices=False)
         kept = Vt[s > TOGETHER * s[0]]
         after -= units * (kept.T @ (kept @ (qd / units)))
@@ -261,7 +261,7 @@ def independent(mechanism: Mechanism, joints: Sequence[int], q: Array) -> tuple[
     if not mechanism.rows or not joints:
         return tuple(joints)
     kept: list[int] = []
-    rows = scaled_jacobian(mechanism, q)
+    rows = scaled_jacobian(mechanism, q, 0.0)
     each = float(np.abs(rows).max()) * np.eye(mechanism.n)  # the rows of what is held
     rank = _rank(rows)
     for joint in joints:
@@ -274,7 +274,7 @@ def independent(mechanism: Mechanism, joints: Sequence[int], q: Array) -> tuple[
 def stands(moving: Mechanism, q: Array) -> bool:
     """Whether what a mode holds leaves nothing that can move."""
     least = len(moving.rows) >= moving.n and bool(moving.held)
-    return least and _rank(scaled_jacobian(moving, q)) == moving.n
+    return least and _rank(scaled_jacobian(moving, q, 0.0)) == moving.n
 
 
 def _rank(rows: Array) -> int:
@@ -314,7 +314,7 @@ def margins(
 
 def _shares(mechanism: Mechanism, mode: Mode, helpers: Sequence[int], q: Array) -> Array:
     """The rate of each helper as those of held joints are 1, (helpers, held)."""
-    rows = scaled_jacobian(mechanism, q) / mechanism.arrays.units
+    rows = scaled_jacobian(mechanism, q, 0.0) / mechanism.arrays.units
     held = list(mode.held)
     others = [k for k in range(mechanism.n) if k not in mode.held]
     rates = -np.linalg.lstsq(rows[:, others], rows[:, held], rcond=TOGETHER)[0]

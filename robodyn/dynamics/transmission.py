@@ -136,7 +136,7 @@ def ratio_named(mechanism: Mechanism, text: str) -> Ratio:
 
 
 def rate_ratios(
-    mechanism: Mechanism, ratios: Sequence[Ratio], q: ArrayLike, qd: ArrayLike
+    mechanism: Mechanism, ratios: Sequence[Ratio], q: ArrayLike, qd: ArrayLike, t: ArrayLike
 ) -> Array:
     """Each of some ratios (r of them) at q, qd (..., n), (..., r); of one freedom, at any rate.
 
@@ -144,7 +144,7 @@ def rate_ratios(
     """
     driver, rates = with_independent(mechanism), np.asarray(qd, float)
     if len(driver.actuated) == 1:
-        rates = unit_rates(driver, q)[..., 0]
+        rates = unit_rates(driver, q, t)[..., 0]
     turns, sums = (
         frame_rates(mechanism, absolute_rates(mechanism, x)) for x in (rates, np.abs(rates))
     )

@@ -18,6 +18,7 @@ from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import FUNCTIONS, Graph, Value
 from robodyn.engines.formulas import RECORDED, Formula
 from robodyn.engines.series import Series, State
+from robodyn.errors import LawError
 from robodyn.mechanics.law_rows import LawRows
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Law
@@ -31,33 +32,42 @@ LONG["pow"] = np.power
 class CouplingLaws:
     """The laws of a mechanism's rows: `places` are those rows, `arms` (L,) their lengths, m.
 
-    `ties` are pairs of a law's number and a joint that it depends on, one for each slope.
+    `ties` are pairs of a law's number and a joint that it depends on, one for each slope.  Times t
+    broadcast to states.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
         rows = [(r, row) for r, row in enumerate(mechanism.rows) if row.law is not None]
-        self.n = mechanism.n
+        self.n, self.count = mechanism.n, len(rows)
         self.places = [r for r, _ in rows]
         self.arms = np.array([row.arm for _, row in rows])
         self.above = mechanism.above
         laws = [row.law for _, row in rows if row.law is not None]
         self.ties, self._values, self._bends = _codes(laws, self.n)
 
-    def values(self, q: NDArray[Any]) -> Array:
+    def values(self, q: NDArray[Any], t: ArrayLike) -> Array:
         """The laws at q (..., n), (..., L), rad or m."""
-        return self._values(q)[..., : len(self.places)]
+        return self._values(t, q)[..., : self.count]
 
-    def slopes(self, q: NDArray[Any]) -> Array:
+    def slopes(self, q: NDArray[Any], t: ArrayLike) -> Array:
         """Their derivatives by joints at q (..., n), (..., L, n)."""
-        each = self._values(q)[..., len(self.places) :]
-        found = np.zeros((*each.shape[:-1], len(self.places), self.n), each.dtype)
+        each = self._values(t, q)[..., 2 * self.count :]
+        found = np.zeros((*each.shape[:-1], self.count, self.n), each.dtype)
         for i, (law, joint) in enumerate(self.ties):
             found[..., law, joint] = each[..., i]
         return found
 
-    def bends(self, q: NDArray[Any], qd: NDArray[Any]) -> Array:
-        """Their second derivatives by the time where no joint accelerates, (..., L)."""
-        return self._bends(q, qd)
+    def drifts(self, q: NDArray[Any], t: ArrayLike) -> Array:
+        """Their derivatives by the time, joints held, at q (..., n), (..., L)."""
+        return self._values(t, q)[..., self.count : 2 * self.count]
+
+    def bends(self, q: NDArray[Any], qd: NDArray[Any], t: ArrayLike, rate: float = 1.0) -> Array:
+        """Their second derivatives by the time where no joint accelerates, (..., L).
+
+        The time itself goes on at `rate`.
+        """
+        q, qd = np.broadcast_arrays(q, qd)
+        return self._bends(t, q, qd, np.full((*q.shape[:-1], 1), rate))
 
     def relative(self, x: NDArray[Any]) -> NDArray[Any]:
         """Values of joints (..., n) of those of coordinates x = J q."""
@@ -67,26 +77,29 @@ class CouplingLaws:
                 q[..., k] -= x[..., above]
         return q
 
-    def add_gap(self, x: NDArray[Any], gap: NDArray[Any]) -> None:
+    def add_gap(self, x: NDArray[Any], t: ArrayLike, gap: NDArray[Any]) -> None:
         """Take the laws off the gap (..., r) at coordinates x (..., n)."""
-        gap[..., self.places] -= self.arms * self.values(self.relative(x))
+        gap[..., self.places] -= self.arms * self.values(self.relative(x), t)
 
-    def add_jacobian(self, x: NDArray[Any], Psi: NDArray[Any]) -> None:
+    def add_jacobian(self, x: NDArray[Any], t: ArrayLike, Psi: NDArray[Any]) -> None:
         """Take their slopes off d gap/dx (..., r, n)."""
-        slopes = self.slopes(self.relative(x)) * self.arms[:, None]
+        slopes = self.slopes(self.relative(x), t) * self.arms[:, None]
         Psi[..., self.places, :] -= slopes
         for k, above in enumerate(self.above):
             if above is not None:
                 Psi[..., self.places, above] += slopes[..., k]
 
-    def add_bias(self, x: NDArray[Any], xd: NDArray[Any], bias: NDArray[Any]) -> None:
+    def add_drift(self, x: NDArray[Any], t: ArrayLike, drift: NDArray[Any]) -> None:
+        """Take their slopes by the time off d gap/dt (..., r)."""
+        drift[..., self.places] -= self.arms * self.drifts(self.relative(x), t)
+
+    def add_bias(self, x: NDArray[Any], xd: NDArray[Any], t: ArrayLike, bias: NDArray[Any]) -> None:
         """Take what their curvature does off the gap's acceleration (..., r)."""
-        bends = self.bends(*np.broadcast_arrays(self.relative(x), self.relative(xd)))
-        bias[..., self.places] -= self.arms * bends
+        bias[..., self.places] -= self.arms * self.bends(self.relative(x), self.relative(xd), t)
 
 
 class _Code:
-    """A formula on states: numpy on many of them, floats on one."""
+    """A formula of t and of states: numpy on many of them, floats on one."""
 
     def __init__(self, formula: Formula) -> None:
         self.width = len(formula.outputs)
@@ -94,30 +107,30 @@ class _Code:
         self._long = straightline.compile_floats(formula, "laws", LONG)
         self._arrays = ArrayFormula(formula.inputs, formula.outputs)
 
-    def __call__(self, *states: NDArray[Any]) -> Array:
-        """The outputs (..., width) of states that each are (..., n)."""
-        shape, n = states[0].shape[:-1], states[0].shape[-1]
-        if states[0].dtype == np.longdouble:
-            each = zip(*(x.reshape(-1, n) for x in states), strict=True)
-            exact: Any = [self._long(*np.concatenate(state)) for state in each]
+    def __call__(self, t: ArrayLike, *states: NDArray[Any]) -> Array:
+        """The outputs (..., width) at times t (...) and states that each are (..., k)."""
+        shape = states[0].shape[:-1]
+        times = np.broadcast_to(np.asarray(t)[..., None], (*shape, 1))
+        each = [x.reshape(-1, x.shape[-1]) for x in (times, *states)]
+        if np.result_type(*each) == np.longdouble:
+            exact: Any = [self._long(*np.concatenate(x)) for x in zip(*each, strict=True)]
             return np.array(exact, np.longdouble).reshape(*shape, self.width)  # type: ignore[return-value]
-        if states[0].size == n:
+        if len(each[0]) == 1:
             try:
-                found = self._floats(*(x for state in states for x in state.ravel().tolist()))
+                found = self._floats(*(x for state in each for x in state.ravel().tolist()))
                 return np.array(found).reshape(*shape, self.width)
             except (ArithmeticError, ValueError):
                 pass  # numpy makes nan of it
-        values = np.empty((int(np.prod(shape)), self.width))
-        flat = [np.ascontiguousarray(x, dtype=float).reshape(-1, n) for x in states]
+        values = np.empty((len(each[0]), self.width))
         with np.errstate(all="ignore"):
-            self._arrays.fill(flat, (values,))
+            self._arrays.fill([np.ascontiguousarray(x, dtype=float) for x in each], (values,))
         return values.reshape(*shape, self.width)
 
 
 def _codes(laws: list[Law], n: int) -> tuple[list[tuple[int, int]], _Code, _Code]:
     """The joints that laws depend on; code of their values and slopes, and of second derivatives.
 
-    The slopes are one for each pair of a law's number and a joint.
+    Slopes by the time come first, one a law, and then one for each pair of a law and a joint.
     """
     program, graph = Program(), Graph()
 
@@ -126,12 +139,14 @@ def _codes(laws: list[Law], n: int) -> tuple[list[tuple[int, int]], _Code, _Code
 
     rows = LawRows(program, variable)
     values: list[Slot] = []
+    drifts: list[Slot] = []
     slopes: list[Slot] = []
     ties: list[tuple[int, int]] = []
     for i, law in enumerate(laws):
         value = rows.value(law)
         values.append(rows.made.slot(value))
-        names = sorted(law.names)
+        drifts.append(rows.made.slot(*rows.slopes(value, ["t"])))
+        names = sorted(law.names - {"t"})
         ties += [(i, int(name[1:])) for name in names]
         slopes += [rows.made.slot(x) for x in rows.slopes(value, names)]
     bends = [program.add(Derivative(program.add(Derivative(x)))) for x in values]
@@ -139,13 +154,15 @@ def _codes(laws: list[Law], n: int) -> tuple[list[tuple[int, int]], _Code, _Code
     given: dict[str, Any] = {
         x: (graph.variable(x), graph.variable(xd)) for x, xd in zip(q, qd, strict=True)
     }
-    wanted = [*values, *slopes, *bends]
+    given["t"] = graph.variable("t"), graph.variable("td")
+    wanted = [*values, *drifts, *slopes, *bends]
     numbers: list[Value] = list(program.numbers)
     series = Series(program, RECORDED, numbers, 1, State((), (), given), slots=wanted)
     series.residuals(0)
     first = [series.real[x][0] for x in wanted]
-    own = len(values) + len(slopes)
-    both = Formula(q, tuple(first[:own]), ()), Formula((*q, *qd), tuple(first[own:]), ())
+    own = len(wanted) - len(bends)
+    at, moving = ("t", *q), ("t", *q, *qd, "td")
+    both = Formula(at, tuple(first[:own]), ()), Formula(moving, tuple(first[own:]), ())
     return ties, _Code(both[0]), _Code(both[1])
 
 
@@ -155,19 +172,19 @@ def laws_of(mechanism: Mechanism) -> CouplingLaws | None:
     return CouplingLaws(mechanism) if mechanism.laws else None
 
 
-def law_values(mechanism: Mechanism, coupling: int, q: ArrayLike) -> Array:
-    """The value (...) of a coupling's law at q (..., n), rad or m."""
+def law_values(mechanism: Mechanism, coupling: int, q: ArrayLike, t: ArrayLike) -> Array:
+    """The value (...) of a coupling's law at q (..., n) and t (...), rad or m."""
     laws = laws_of(mechanism)
     assert laws is not None
-    return laws.values(np.asarray(q, float))[..., _place(mechanism, laws, coupling)]
+    return laws.values(np.asarray(q, float), t)[..., _place(mechanism, coupling)]
 
 
 def law_derivatives(
-    mechanism: Mechanism, coupling: int, joint: int, q: ArrayLike
+    mechanism: Mechanism, coupling: int, joint: int, q: ArrayLike, t: ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """The law f of a coupling at q (..., n), and f' and f'' by one of its joints, (...) each.
+    """The law f of a coupling at q (..., n) and t, and f' and f'' by one of its joints, (...) each.
 
-    The other joints stay as they are.  Of a linear coupling f is its right side.
+    The other joints and the time stay as they are.  Of a linear coupling f is its right side.
     """
     said = mechanism.description.couplings[coupling]
     at = np.asarray(q, float)
@@ -178,14 +195,47 @@ def law_derivatives(
         return value, np.full(value.shape, ratios.get(joint, 0.0)), np.zeros(value.shape)
     laws = laws_of(mechanism)
     assert laws is not None
-    i = _place(mechanism, laws, coupling)
+    i = _place(mechanism, coupling)
     way = np.zeros(at.shape)
     way[..., joint] = 1.0
-    bends = laws.bends(at, way)[..., i]
-    return laws.values(at)[..., i], laws.slopes(at)[..., i, joint], bends
+    bends = laws.bends(at, way, t, 0.0)[..., i]
+    return laws.values(at, t)[..., i], laws.slopes(at, t)[..., i, joint], bends
 
 
-def _place(mechanism: Mechanism, laws: CouplingLaws, coupling: int) -> int:
+def check_laws(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike) -> None:
+    """Raise LawError for a law that is not finite at states q, qd (..., n), t, or its derivatives.
+
+    It names the law, and the first such state.
+    """
+    laws = laws_of(mechanism)
+    if laws is None:
+        return
+    q, qd = np.broadcast_arrays(np.asarray(q, float), np.asarray(qd, float))
+    each = {
+        "no value": laws.values(q, t),
+        "no derivative": laws.slopes(q, t).sum(axis=-1) + laws.drifts(q, t),
+        "no second derivative": laws.bends(q, qd, t),
+    }
+    first = len(mechanism.rows) - len(mechanism.description.couplings)
+    for what, values in each.items():
+        lost = np.argwhere(~np.isfinite(values))
+        if len(lost):
+            *state, i = map(int, lost[0])
+            row = laws.places[i]
+            law = mechanism.rows[row].law
+            assert law is not None
+            now = float(np.broadcast_to(np.asarray(t, float), q.shape[:-1])[tuple(state)])
+            at = {f"q{k + 1}": float(q[(*state, k)]) for k in range(mechanism.n)}
+            at = {name: at[name] for name in at if f"q{int(name[1:]) - 1}" in law.names}
+            if "t" in law.names:
+                at["t"] = now
+            told = ", ".join(f"{name} = {x:.9g}" for name, x in at.items())
+            limit = f"has {what} at {told or 'this state'}"
+            place = f"couplings[{row - first}]"
+            raise LawError(place, where=mechanism.source, value=law.text, limit=limit)
+
+
+def _place(mechanism: Mechanism, coupling: int) -> int:
     """The number of a coupling's law among those of the mechanism."""
     before = mechanism.description.couplings[:coupling]
     return sum(x.law is not None for x in before)

@@ -210,7 +210,9 @@ class MotionProgram:
             slots=[*self.power, *self.bends],
         )
         series.expand()
-        if self.power:  # the residuals of the last order are not wanted, what works there is
+        if self.power and self.mechanism.driven:  # the multipliers of laws work
+            series.advance(order)
+        elif self.power:  # the residuals of the last order are not wanted, what works there is
             series.residuals(order)
         turns = [series.turn(slot) for slot in self.turns]
         return Coefficients(

@@ -212,7 +212,7 @@ class Recorded:
             driven.append(program.add(Given(f"tau{j}")) if some(tau) else None)
         equations.write(driven, power, chained=chained)
         state.given.update(self.more(equations))
-        wanted = ("gap", "load", "power", "names")
+        wanted = ("gap", "drift", "load", "power", "names")
         slots = [x for name in wanted for x in program.named.get(name, [])]
         signals = [*equations.tables, *equations.laws]
         slots += [*(x.torque for x in equations.couples), *(x for _, x in signals)]
@@ -424,6 +424,9 @@ def _projection(state: Recorded) -> Formula:
             columns[k][r] = value
     gaps = [series.real[slot][0] for slot in series.program.named["gap"]]
     speeds = [dot(row, state.relative["qd"]) for row in Psi]
+    if mechanism.driven:
+        drift = (series.real[slot][0] for slot in series.program.named["drift"])
+        speeds = [x + y for x, y in zip(speeds, drift, strict=True)]
     near = [sorted({c for k in row for c in columns[k]}) for row in Psi]
     normal = [entries({c: dot(row, Psi[c]) for c in near[r]}) for r, row in enumerate(Psi)]
     factors = Factors(normal, rows)
@@ -436,7 +439,8 @@ def _projection(state: Recorded) -> Formula:
         pivot / state.parameter(f"size{r}", row.size**2)
         for r, (pivot, row) in enumerate(zip(factors.pivots, mechanism.rows, strict=True))
     )
-    return Formula(state.inputs, (*outputs, *gaps), relative, tuple(absolute))
+    inputs = state.inputs + state.timed
+    return Formula(inputs, (*outputs, *gaps), relative, tuple(absolute))
 
 
 def energies(

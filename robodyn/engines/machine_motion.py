@@ -30,6 +30,7 @@ from robodyn.loops.projection import PASSES
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 RUNNING = -1.0
 KEPT = 128  # codes in a process
+MISSED = 1e9  # times what a Newton step closes to rounding, of a gap that it does not close
 SINGULAR = 1e-6  # relative pivot below which a Newton step is not trusted
 ULPS = 2.0**-50  # of a time: a step below this part is none
 
@@ -156,6 +157,7 @@ def _write_close(scene: Scene, module: Module, formula: Formula) -> None:
     moving, passes = k.slot(k.all_lanes(True)), k.slot(k.whole(0))
     quality = k.slot(k.number(0.0))
     speeds = [k.slot(scene.get(k, block, f"to_qd{j}")) for j in range(n)]
+    missing = k.slot(k.number(0.0))
     with k.forever() as closed:
         words = segment.write(outputs)
         now = k.get(moving, k.mask)
@@ -169,6 +171,7 @@ def _write_close(scene: Scene, module: Module, formula: Formula) -> None:
         for word in words[2 * n : 2 * n + rows]:
             size = k.intrinsic("fabs", word)
             gap = k.select(k.compare("ugt", size, gap), size, gap)
+        k.set(missing, k.select(now, gap, k.get(missing)))
         for slot, word in zip(speeds, words[n : 2 * n], strict=True):
             k.set(slot, k.select(now, word, k.get(slot)))
         now = k.both(now, k.compare("ugt", gap, scene.get(k, block, "rounding")))
@@ -183,7 +186,11 @@ def _write_close(scene: Scene, module: Module, formula: Formula) -> None:
         k.leave(k.compare("sge", count, k.whole(PASSES)), closed)
     for j, slot in enumerate(speeds):
         scene.put(k, block, f"to_qd{j}", k.get(slot))
-    scene.put(k, block, "quality", k.get(quality))
+    found = k.get(quality)
+    if scene.mechanism.driven:  # laws of the time may lead to where no state closes
+        most = k.multiply(scene.get(k, block, "converged"), k.number(MISSED))
+        found = k.select(k.compare("ugt", k.get(missing), most), k.number(-1.0), found)
+    scene.put(k, block, "quality", found)
     k.done()
 
 

@@ -203,19 +203,20 @@ def compile_rates(
 
 def compile_closing(
     formula: Formula, passes: int, least_pivot: float, rounding: float, next_to_it: float
-) -> Callable[[list[float]], tuple[list[float], float] | None]:
-    """Newton steps by `formulas.projection_formula` on y = (q, qd, ...): y closed, least pivot.
+) -> Callable[[float, list[float]], tuple[list[float], float] | None]:
+    """Newton steps by `formulas.projection_formula` on t, y = (q, qd, ...): y closed, least pivot.
 
     What is open by `rounding` (m) at most stays where it is; from `next_to_it` one step closes it.
     None where a pivot does not exceed `least_pivot`.
     """
     lines, outputs = float_source(formula.outputs + formula.pivots)
-    n = len(formula.inputs) // 2
+    inputs = tuple(name for name in formula.inputs if name != "t")
+    n = len(inputs) // 2
     gaps = len(formula.pivots)
     again = formula.outputs[:n] + formula.outputs[2 * n :] + formula.pivots
     names = {f"t{node.index}" for node in expression.needed(again)}
     once = [line for line in lines if line.split()[0] not in names]  # for the rates alone
-    q, qd = formula.inputs[:n], outputs[n : 2 * n]
+    q, qd = inputs[:n], outputs[n : 2 * n]
     gap, pivots = outputs[2 * n : 2 * n + gaps], outputs[2 * n + gaps :]
 
     def within(limit: float) -> str:
@@ -231,7 +232,7 @@ def compile_closing(
         f"{', '.join(q)}, = {', '.join(outputs[:n])},",
         "if last: break",
     ]
-    head = f"def close(y):\n  {', '.join(formula.inputs)}, = y[:{2 * n}]\n"
+    head = f"def close(t, y):\n  {', '.join(inputs)}, = y[:{2 * n}]\n"
     loop = f"  for _ in range({passes}):\n    " + "\n    ".join(body)
     found = f"return [{', '.join([*q, *qd])}, *y[{2 * n}:]], quality\n"
     return define("\n  ".join([head + loop, *once, found]), "close")

@@ -77,7 +77,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
                 place = f"links[{k}] ({link.name}).{key}"
                 raise InputError(place, where=description.source, value=value, limit=limit)
     if q is None and mechanism.rows:
-        q = first_pose(mechanism).tolist()
+        q = first_pose(mechanism, t=0.0).tolist()
     model = _Elements(mechanism, timestep, q)
     root = Element("mujoco", model=printable(mechanism.name))
     SubElement(root, "compiler", angle="radian")

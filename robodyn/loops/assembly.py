@@ -54,9 +54,15 @@ FLAT = 0.1  # sine between the links of a dyad below which the loop may be nearl
 
 
 def assemble(
-    mechanism: Mechanism, q_actuated: ArrayLike, branches: Sequence[str] | None = None
+    mechanism: Mechanism,
+    q_actuated: ArrayLike,
+    branches: Sequence[str] | None = None,
+    *,
+    t: ArrayLike,
 ) -> Array:
     """All joint angles (..., n) from those of the actuated joints (..., actuated), radians.
+
+    Joints that laws of the time give are where these have them at t (...), s.
 
     `branches` has "open" or "crossed" for each closure; None takes the scene's.  Raises InputError
     where a joint is neither actuated nor in a loop, SingularError where the loops close with joints
@@ -68,14 +74,15 @@ def assemble(
     if not given_all or not set(branches or ()) <= set(BRANCHES):
         limit = f"must be {len(closures)}, one a closure, each {' or '.join(BRANCHES)}"
         raise InputError("branches", value=", ".join(branches or ()), limit=limit)
-    q, missing = attempt(mechanism, given, branches)
+    q, missing = attempt(mechanism, given, branches, t=t)
     flat = missing.reshape(-1)
     if flat.size and not (flat <= 0.0).all():
         worst = int(np.argmax(np.where(np.isnan(flat), np.inf, flat)))
-        state = given.reshape(-1, given.shape[-1])[worst]
+        state = given.reshape(len(flat), given.shape[-1])[worst]
         if np.isnan(flat[worst]):
             raise _undetermined(mechanism, state, q.reshape(-1, mechanism.n)[worst])
-        raise _cannot_close(mechanism, state, float(flat[worst]), branches)
+        now = float(np.broadcast_to(np.asarray(t, float), missing.shape).ravel()[worst])
+        raise _cannot_close(mechanism, state, float(flat[worst]), branches, now)
     return q
 
 
@@ -84,6 +91,8 @@ def attempt(
     q_actuated: ArrayLike,
     branches: Sequence[str] | None = None,
     watch: Callable[[float], object] | None = None,
+    *,
+    t: ArrayLike,
 ) -> tuple[Array, Array]:
     """Like `assemble`, but a state that cannot close is told by its missing distance (...), m.
 
@@ -95,28 +104,31 @@ def attempt(
         branches = scene_branches(mechanism)
     plan = assembly_plan(mechanism)
     if plan.rest:
-        q, missing, sines = from_start(mechanism, plan, given, branches, watch)
+        q, missing, sines = from_start(mechanism, plan, given, branches, watch, t=t)
     else:
         q = np.zeros((*given.shape[:-1], mechanism.n))
         q[..., list(mechanism.actuated)] = given
-        q, missing, sines = closed_near(mechanism, plan, q, branches)
+        q, missing, sines = closed_near(mechanism, plan, q, branches, t=t)
     flat = np.zeros(given.shape[:-1], bool)
     for sine in sines:
         flat = flat | (sine < FLAT)
     flat = np.array(flat & (missing <= 0.0))
+    times = np.broadcast_to(np.asarray(t, float), flat.shape)
     if flat.any():  # to the last digit where Psi itself is nearly singular
-        s = np.linalg.svd(scaled_jacobian(mechanism, q[flat]), compute_uv=False)
+        s = np.linalg.svd(scaled_jacobian(mechanism, q[flat], times[flat]), compute_uv=False)
         flat[flat] = s[:, -1] < NEAR_SINGULAR * singular_size(mechanism)
-        found = close_positions(mechanism, q[flat], mechanism.actuated)
-        before, after = (np.abs(closure_gap(mechanism, x)).max(axis=-1) for x in (q[flat], found))
+        now = times[flat]
+        found = close_positions(mechanism, q[flat], mechanism.actuated, t=now)
+        both = (closure_gap(mechanism, x, now) for x in (q[flat], found))
+        before, after = (np.abs(gap).max(axis=-1) for gap in both)
         # where a loop is too short by rounding nothing closes, and Newton's method wanders off
         closed = after <= np.maximum(0.1 * before, ROUNDING * loop_size(mechanism))
         q[flat] = np.where(closed[..., None], found, q[flat])
     return q, missing
 
 
-def first_pose(mechanism: Mechanism) -> Array:
-    """A closed configuration (n,) to begin in: the scene's start, zeros, or what closes first.
+def first_pose(mechanism: Mechanism, *, t: float) -> Array:
+    """A closed configuration (n,) at t to begin in: the scene's start, zeros, or what closes first.
 
     A start that does not close at its own actuated joints is closed with all joints free.
 
@@ -131,7 +143,7 @@ def first_pose(mechanism: Mechanism) -> Array:
     try:
         assembly_plan(mechanism)
     except InputError:
-        if check_closed(mechanism, whole) is None:
+        if check_closed(mechanism, whole, t=t) is None:
             return whole
         raise
     slides = np.isin(mechanism.actuated, mechanism.slides)
@@ -139,9 +151,11 @@ def first_pose(mechanism: Mechanism) -> Array:
     ways = np.array([0.0, *(sign * k for k in range(1, 13) for sign in (1, -1))])
     ways = 0.25 * mechanism.unit * ways if slides.any() else np.zeros(1)
     given = np.array([start[k] or 0.0 for k in mechanism.actuated])
+    if not len(given):
+        return assemble(mechanism, given, t=t)
     steps = np.where(slides, ways[:, None, None], turns[:, None])
     with np.errstate(all="ignore"):  # a link without length has no direction
-        q, missing = attempt(mechanism, given + steps.reshape(-1, len(given)))
+        q, missing = attempt(mechanism, given + steps.reshape(-1, len(given)), t=t)
     closes = np.flatnonzero(missing <= 0.0)
     begin = scene_start(mechanism)
     if begin is not None and begin.closed and missing[0] > 0.0:
@@ -154,7 +168,12 @@ def first_pose(mechanism: Mechanism) -> Array:
 
 
 def reachable(
-    mechanism: Mechanism, q_actuated: ArrayLike, joint: int, branches: Sequence[str] | None = None
+    mechanism: Mechanism,
+    q_actuated: ArrayLike,
+    joint: int,
+    branches: Sequence[str] | None = None,
+    *,
+    t: float,
 ) -> list[tuple[float, float]]:
     """Intervals of one actuated joint (by its place among them) in which the loops close, rad.
 
@@ -165,14 +184,14 @@ def reachable(
     if plan.rest:
         words = scene_branches(mechanism) if branches is None else branches
         given = np.asarray(q_actuated, float)
-        return reachable_from_start(mechanism, plan, given, joint, words)
+        return reachable_from_start(mechanism, plan, given, joint, words, t)
     span = farthest(mechanism) if slides else np.pi
     edges = np.linspace(-span, span, 1441)
 
     def closes(values: Array) -> NDArray[np.bool_]:
         states = np.repeat(np.asarray(q_actuated, float)[None, :], len(values), axis=0)
         states[:, joint] = values
-        return np.asarray(~(attempt(mechanism, states, branches)[1] > 0.0))
+        return np.asarray(~(attempt(mechanism, states, branches, t=t)[1] > 0.0))
 
     good = closes(edges)
     if good.all():
@@ -225,10 +244,12 @@ def _undetermined(mechanism: Mechanism, given: Array, q: Array) -> SingularPoseE
 
 
 def _cannot_close(
-    mechanism: Mechanism, given: Array, missing: float, branches: Sequence[str] | None
+    mechanism: Mechanism, given: Array, missing: float, branches: Sequence[str] | None, t: float
 ) -> AssemblyError:
     at = _told(mechanism, given)
-    off = [float(x) for x in known_joints(mechanism, assembly_plan(mechanism), given)[1]]
+    if mechanism.driven:
+        at = ", ".join(filter(None, (at, f"t = {t:.9g} s")))
+    off = [float(x) for x in known_joints(mechanism, assembly_plan(mechanism), given, t)[1]]
     if any(off):
         worst = int(np.argmax(off))
         joint = mechanism.description.couplings[worst].joint
@@ -238,7 +259,7 @@ def _cannot_close(
         return AssemblyError(what, where=mechanism.source, limit=limit)
     what = f"cannot be closed at {at}: {missing:.6g} m are missing"
     freedoms = mechanism.n - len(mechanism.rows)
-    spans = [reachable(mechanism, given, j, branches) for j in range(len(mechanism.actuated))]
+    spans = [reachable(mechanism, given, j, branches, t=t) for j in range(len(mechanism.actuated))]
     if len(spans) > freedoms and not any(spans):
         limit = f"{len(spans)} joints are actuated, more than the freedoms "
         limit += f"({freedoms}), so their angles depend on one another: "
@@ -255,13 +276,13 @@ def _cannot_close(
         nothing = "no displacement" if k in mechanism.slides else "no angle"
         ranges.append(f"{label} can reach {shown or nothing}")
     others = " with the other actuated joints as given" if len(ranges) > 1 else ""
-    if words := _closing(mechanism, given):
+    if words := _closing(mechanism, given, t):
         others += f"; with assembly [{', '.join(words)}] it closes"
     return AssemblyError(what, where=mechanism.source, limit="; ".join(ranges) + others)
 
 
-def _closing(mechanism: Mechanism, given: Array) -> tuple[str, ...]:
+def _closing(mechanism: Mechanism, given: Array, t: float) -> tuple[str, ...]:
     """Branches, closure by closure, by which the loops close where the scene's do not, if any."""
     few = len(assembly_plan(mechanism).two_way) <= MOST_TRIED
     ways = all_branches(mechanism) if few else ()
-    return next((way for way in ways if attempt(mechanism, given, way)[1] <= 0.0), ())
+    return next((way for way in ways if attempt(mechanism, given, way, t=t)[1] <= 0.0), ())

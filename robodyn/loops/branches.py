@@ -61,10 +61,10 @@ def scene_branches(mechanism: Mechanism) -> tuple[str, ...]:
         words = list(_nearest(mechanism, plan, told, unsaid))
         if plan.behind is not None:
             near[unsaid[0]] = _reach(mechanism, plan, told, unsaid, words)[1]
-            held = closed_near(mechanism, plan, near, words).q
+            held = closed_near(mechanism, plan, near, words, t=0.0).q
             _nearest_words(mechanism, plan.behind, held, near, told, words)
         return tuple(words)
-    held, _ = known_joints(mechanism, plan, near[list(mechanism.actuated)])
+    held, _ = known_joints(mechanism, plan, near[list(mechanism.actuated)], 0.0)
     held[list(plan.later)] = near[list(plan.later)]
     held, away = _nearest_words(mechanism, plan, held, near, told, words)
     if plan.behind is not None:
@@ -72,8 +72,8 @@ def scene_branches(mechanism: Mechanism) -> tuple[str, ...]:
         away = max(away, more)
     # least change of all joints: the start need not close at its own actuated joints
     begin = np.where([value is None for value in start], held, near)
-    free = close_positions(mechanism, begin)
-    closes = bool(open_by(mechanism, free) <= CLOSED)
+    free = close_positions(mechanism, begin, t=0.0)
+    closes = bool(open_by(mechanism, free, t=0.0) <= CLOSED)
     if closes and (away >= OPEN or _far(mechanism, free, start) < _far(mechanism, held, start)):
         for part in (plan, plan.behind):
             if part is not None:
@@ -96,13 +96,13 @@ def scene_start(mechanism: Mechanism) -> Start | None:
         return None
     near = np.array([value or 0.0 for value in start])
     whole = all(value is not None for value in start)
-    gap = float(open_by(mechanism, near)) * loop_size(mechanism) if whole else float("nan")
+    gap = float(open_by(mechanism, near, t=0.0)) * loop_size(mechanism) if whole else float("nan")
     try:
         plan = assembly_plan(mechanism)
         words = scene_branches(mechanism)
     except InputError:  # the actuated joints do not tell the others, or the start no branch
-        q = close_positions(mechanism, near)
-        closed = bool(open_by(mechanism, q) <= CLOSED)
+        q = close_positions(mechanism, near, t=0.0)
+        closed = bool(open_by(mechanism, q, t=0.0) <= CLOSED)
     else:
         q, missing, _ = start_pose(mechanism, plan, words, near)
         closed = bool(missing <= 0.0)
@@ -200,7 +200,7 @@ def _reach(
     near = np.tile([value or 0.0 for value in start], (SEARCHED, 1))
     span = farthest(mechanism) if unsaid[0] in mechanism.slides else np.pi
     near[:, unsaid[0]] = np.linspace(-span, span, SEARCHED)
-    q, missing, _ = closed_near(mechanism, plan, near, words)
+    q, missing, _ = closed_near(mechanism, plan, near, words, t=0.0)
     off = _each_off(mechanism, q, near, told, missing)
     best = int(np.argmin(off))
     return float(off[best]), float(near[best, unsaid[0]])

@@ -43,8 +43,8 @@ from robodyn.loops.closing import (
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
-# the nearest closed state, and how regular Psi is there: about (s/L)^2
-Closing = Callable[[Array], tuple[Array, float]]
+# of t and a state: the nearest closed one, and how regular Psi is there, about (s/L)^2
+Closing = Callable[[float, Array], tuple[Array, float]]
 
 EPS = float(np.finfo(float).eps)
 NEAR = 0.1  # s/L below which the nearest singular configuration is looked for
@@ -110,7 +110,7 @@ def nearness(mechanism: Mechanism, Psi: Array) -> Array:
 
 def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
     """The rank of Psi about q (n,), on the branch that q is on, and s/L there."""
-    Psi = closed_form.scaled_jacobian(mechanism, q)
+    Psi = closed_form.scaled_jacobian(mechanism, q, 0.0)
     regular, size = regular_rank(mechanism), loop_size(mechanism)
     if regular == len(Psi) > FEW:  # squares, which tell no small ones, in a third of the time
         least = float(np.linalg.eigvalsh(Psi @ Psi.T)[0])
@@ -145,10 +145,10 @@ def _branch_rank(mechanism: Mechanism, cell: tuple[float, ...]) -> int:
 def rank_beside(mechanism: Mechanism, q: Array, away: float, count: int) -> int:
     """The largest rank of Psi at closed states about so many rad from q (n,)."""
     noise = np.random.default_rng(0).normal(size=(count, mechanism.n))
-    beside = close_positions(mechanism, q + away * noise * mechanism.arrays.units)
-    gap = np.abs(closed_form.closure_gap(mechanism, beside)).max(axis=-1)
+    beside = close_positions(mechanism, q + away * noise * mechanism.arrays.units, t=0.0)
+    gap = np.abs(closed_form.closure_gap(mechanism, beside, 0.0)).max(axis=-1)
     closed = beside[gap < 1e-9 * loop_size(mechanism)]
-    return int(rank(mechanism, closed_form.scaled_jacobian(mechanism, closed)).max(initial=0))
+    return int(rank(mechanism, closed_form.scaled_jacobian(mechanism, closed, 0.0)).max(initial=0))
 
 
 def rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
@@ -167,7 +167,7 @@ def nearest_singular(
 
     `met` are those that a run has met: one of them within SAME rad is taken, a new one is added.
     """
-    if not np.isfinite(q).all():
+    if mechanism.driven or not np.isfinite(q).all():  # laws of the time lead through no such place
         return None
     regular, near = _measured(mechanism, q)
     if near > NEAR:
@@ -211,7 +211,7 @@ def nearest_of(
 def _search(mechanism: Mechanism, q: Array, usual: int) -> Singular | None:
     """Where Psi loses its usual rank near q (n,): as much of it as is small there, or else one."""
     size = loop_size(mechanism)
-    s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q), compute_uv=False)[:usual]
+    s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q, 0.0), compute_uv=False)[:usual]
     most = int((s <= max(ALIKE * s[-1], SUSPECT * FOUND * size)).sum())
     tried = (_singular(mechanism, q, usual - lost, usual) for lost in sorted({most, 1})[::-1])
     return next((found for found in tried if found is not None), None)
@@ -225,25 +225,25 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, usual: int) -> S
     size, units = loop_size(mechanism), mechanism.arrays.units
     q = start
     for _ in range(STEPS_TO_FIND):
-        Psi = closed_form.scaled_jacobian(mechanism, q)
+        Psi = closed_form.scaled_jacobian(mechanism, q, 0.0)
         U, s, Vt = svd(Psi, full=True)
         left, right = U[:, regular:], Vt[regular:].T
         H = _curvature(mechanism, q, left, right)
         slope = left.T @ Psi @ right
         z = np.linalg.lstsq(H.reshape(-1, H.shape[-1]), -slope.ravel(), rcond=1e-9)[0]
-        gap = exact_gap(mechanism, q)
+        gap = exact_gap(mechanism, q, 0.0)
         step = right @ z - Vt[:regular].T @ ((U[:, :regular].T @ gap) / s[:regular])
         q = q + step * units
         if not np.abs((q - start) / units).max() <= REACH:
             return None
         if np.abs(step).max() <= FOUND:
             break
-    U, s, Vt = svd(closed_form.scaled_jacobian(mechanism, q), full=True)
+    U, s, Vt = svd(closed_form.scaled_jacobian(mechanism, q, 0.0), full=True)
     if not np.abs(step).max() <= FOUND or not (s[regular:usual] <= FOUND * size).all():
         return None
     regular = int((s > LOST * size).sum())  # there more may vanish than beside it
     left, right = U[:, regular:], Vt[regular:].T
-    miss = float(np.abs(left.T @ exact_gap(mechanism, q)).max())
+    miss = float(np.abs(left.T @ exact_gap(mechanism, q, 0.0)).max())
     values = np.linalg.eigvalsh(_curvature(mechanism, q, left, right))
     top = np.abs(values).max(axis=-1)
     definite = (values.min(axis=-1) > -DEFINITE * top) | (values.max(axis=-1) < DEFINITE * top)
@@ -260,7 +260,7 @@ def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Arr
     """
     ways = right.T * mechanism.arrays.units
     pairs = ways[:, None] + ways[None, :]
-    own, both = (closed_form.closure_bias(mechanism, q, x) @ left for x in (ways, pairs))
+    own, both = (closed_form.closure_bias(mechanism, q, x, 0.0) @ left for x in (ways, pairs))
     H: Array = 0.5 * (both - own[:, None] - own[None, :])
     return np.moveaxis(H, -1, 0)
 
@@ -269,7 +269,7 @@ def miss_remark(mechanism: Mechanism, states: Array) -> str:
     """Says that one of the states (..., n) is near a change point that the loops just miss."""
     q_all = states.reshape(-1, mechanism.n)
     if len(q_all) > LOOKED_AT:
-        near_all = nearness(mechanism, closed_form.scaled_jacobian(mechanism, q_all))
+        near_all = nearness(mechanism, closed_form.scaled_jacobian(mechanism, q_all, 0.0))
         q_all = q_all[np.argpartition(near_all, LOOKED_AT)[:LOOKED_AT]]
     for q in q_all:
         near = nearest_singular(mechanism, q)
@@ -330,11 +330,11 @@ def _beside(mechanism: Mechanism, closing: Closing, y: Array, step: float) -> Ar
     n = mechanism.n
     rows = np.repeat(y[None, :], len(OFFSETS), axis=0)
     rows[:, :n] += step * OFFSETS[:, None] * y[n : 2 * n]
-    rows[0], rows[-1] = (closing(rows[k])[0] for k in (0, -1))
+    rows[0], rows[-1] = (closing(0.0, rows[k])[0] for k in (0, -1))
     here, *there = (_measured(mechanism, row[:n])[1] for row in (y, rows[0], rows[-1]))
     if here > BESIDE * max(there):
         return None
     for k in range(1, len(rows) - 1):
-        rows[k], _ = closing(rows[k])
-    gap = closed_form.closure_gap(mechanism, (WEIGHTS @ rows)[:n])
+        rows[k], _ = closing(0.0, rows[k])
+    gap = closed_form.closure_gap(mechanism, (WEIGHTS @ rows)[:n], 0.0)
     return rows if np.abs(gap).max() <= STRAIGHT * loop_size(mechanism) else None

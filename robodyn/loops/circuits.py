@@ -95,7 +95,7 @@ def _closes_straight(mechanism: Mechanism, q: Array) -> bool:
 def _shorts(mechanism: Mechanism, plan: Plan, given: Array, words: tuple[str, ...]) -> list[Array]:
     """What each dyad misses (...), m, at values of the actuated joints (..., a)."""
     with np.errstate(all="ignore"):
-        q, _ = known_joints(mechanism, plan, given)
+        q, _ = known_joints(mechanism, plan, given, 0.0)
         return by_dyads(mechanism, plan, q, words)[1]
 
 

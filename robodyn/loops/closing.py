@@ -33,8 +33,9 @@ from robodyn.errors import SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
 
-# of q (k, n): which states are closed to rounding (k,), and the Newton steps (k, n)
-Evaluator = Callable[[Any], tuple[Any, Any]]
+# of q (k, n), and the places of these states: which are closed to rounding (k,), and the Newton
+# steps (k, n)
+Evaluator = Callable[[Any, Any], tuple[Any, Any]]
 
 NEAR_SINGULAR = 1e-2  # s/L below which a gap is computed exactly
 USUAL = 0.15  # s/L of regular states: where it is less at all of them, L counts for less
@@ -44,6 +45,7 @@ ROUNDED = 1e-9  # above this part of the loop's size floats tell a gap well enou
 PASSES = 12
 SEARCHED = 2_000_000  # entries of Psi times its rank, of configurations that tell what is usual
 LONGEST = 0.5  # rad of a step
+SAMPLED = 10.0  # s, in which laws of the time are sampled
 SETTLED = 1e-6  # rad; below it steps that shrink no more are rounding
 SHRINKS = 0.7  # at a singular configuration steps are halved, elsewhere squared
 
@@ -84,13 +86,21 @@ def closed_jacobians(mechanism: Mechanism) -> Array:
     """Psi (k, r, n) at a few closed configurations, or at any where none is found."""
     rows = max(1, len(mechanism.rows))
     count = max(2, min(16, SEARCHED // (mechanism.n * rows * min(mechanism.n, rows))))
-    drawn = random_states(mechanism, np.random.default_rng(0), count)
-    q = _closed(mechanism, drawn, list(range(mechanism.n)), 0.0)
-    gap = np.abs(closure_gap(mechanism, q)).max(axis=-1)
-    closed = gap <= 1e-9 * loop_size(mechanism)
-    # Newton's method closes many loops in a row from nowhere, but Psi is as regular beside
-    Psi: Array = scaled_jacobian(mechanism, q[closed] if closed.any() else drawn)
-    return Psi
+    rng = np.random.default_rng(0)
+    drawn = random_states(mechanism, rng, count)
+    # where laws of the time have values at random times, else at 0
+    tried = [rng.uniform(0.0, SAMPLED, count)] if mechanism.driven else []
+    for t in (*tried, np.zeros(count)):
+        with np.errstate(all="ignore"):
+            q = _closed(mechanism, drawn, t, list(range(mechanism.n)), 0.0)
+        inside = np.isfinite(q).all(axis=-1)
+        q, t = q[inside], t[inside]
+        gap = np.abs(closure_gap(mechanism, q, t)).max(axis=-1)
+        closed = gap <= 1e-9 * loop_size(mechanism)
+        # Newton's method closes many loops in a row from nowhere, but Psi is as regular beside
+        if closed.any():
+            return scaled_jacobian(mechanism, q[closed], t[closed])
+    return scaled_jacobian(mechanism, drawn, np.zeros(count))
 
 
 @lru_cache(maxsize=64)
@@ -137,7 +147,7 @@ def newton(q: Any, evaluate: Evaluator) -> Any:
     shape, q = q.shape, q.reshape(-1, q.shape[-1]).copy()
     moving, before = np.arange(len(q)), np.full(len(q), np.inf)
     for _ in range(PASSES):
-        closed, step = evaluate(q[moving])
+        closed, step = evaluate(q[moving], moving)
         length = np.abs(step).max(axis=-1, initial=0.0)
         goes = ~closed & ~((length > SHRINKS * before) & (before < SETTLED))
         moving, step, before = moving[goes], step[goes], length[goes]
@@ -154,8 +164,12 @@ def close_positions(
     fixed: Sequence[int] = (),
     exact: bool = True,
     rows: Sequence[int] | None = None,
+    *,
+    t: ArrayLike,
 ) -> Array:
     """The nearest closed configuration by Newton's method, the `fixed` joints held, (..., n).
+
+    That at the time t (...), which broadcasts to q.
 
     Where it does not converge the gap stays; the caller checks it.  `exact` closes next to a
     singular configuration as far as the gap's rounding lets it, which takes ten times as long.
@@ -166,12 +180,13 @@ def close_positions(
         return given
     free = [k for k in range(mechanism.n) if k not in set(fixed)]
     near = NEAR_SINGULAR * loop_size(mechanism) if exact else 0.0
-    return _closed(mechanism, given, free, near, rows)
+    return _closed(mechanism, given, t, free, near, rows)
 
 
 def _closed(
     mechanism: Mechanism,
     given: Array,
+    t: ArrayLike,
     free: list[int],
     exact: float,
     rows: Sequence[int] | None = None,
@@ -179,16 +194,21 @@ def _closed(
     """`close_positions`; the gap is exact where the least singular value may be below `exact`."""
     size, units = loop_size(mechanism), mechanism.arrays.units
     kept = slice(None) if rows is None else list(rows)
+    times = np.broadcast_to(np.asarray(t, float), given.shape[:-1]).ravel()
 
-    def evaluate(q: Array) -> tuple[Any, Array]:
+    def evaluate(q: Array, moving: Any) -> tuple[Any, Array]:
+        t = times[moving]
         at = placed(mechanism, q)
-        gap = gap_at(mechanism, mechanism.arrays, at)[..., kept]
+        gap = gap_at(mechanism, mechanism.arrays, at, t)[..., kept]
         open_by = np.abs(gap).max(axis=-1)
         closed = open_by <= CLOSED * size
+        if mechanism.laws and np.isnan(open_by).any():  # where a law has no value a state stays
+            closed |= np.isnan(open_by)
+            gap = np.where(np.isnan(open_by)[..., None], 0.0, gap)
         step = np.zeros_like(q)
         if not exact and closed.all():
             return closed, step
-        Psi = absolute_jacobian(mechanism, at) @ mechanism.arrays.J
+        Psi = absolute_jacobian(mechanism, at, t) @ mechanism.arrays.J
         Psi = (Psi * units if mechanism.slides else Psi)[..., kept, :][..., free]
         Psi = np.where(np.isfinite(Psi), Psi, 0.0)  # a state that is not finite stays as it is
         if not exact:
@@ -203,7 +223,7 @@ def _closed(
         # a larger gap is known well enough without
         small = open_by < ROUNDED * size
         for state in map(tuple, np.argwhere(near & small)):
-            gap[state] = exact_gap(mechanism, q[state])[kept]
+            gap[state] = exact_gap(mechanism, q[state], float(t[state]))[kept]
         inverse = np.divide(1.0, s, out=np.zeros_like(s), where=held)
         along = inverse * np.einsum("...ij,...i->...j", U, gap)
         step[..., free] = np.einsum("...ji,...j->...i", Vt, along)
@@ -220,8 +240,11 @@ ONE = 1 << BITS
 HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D0082EFA98EC4E6C89 >> (257 - BITS)
 
 
-def exact_gap(mechanism: Mechanism, q: Any) -> Array:
-    """The gap (r) of one state q (n), of floats or of longdoubles, right to 1e-40 of the loop."""
+def exact_gap(mechanism: Mechanism, q: Any, t: Any) -> Array:
+    """The gap (r) of one state q (n) at t, of floats or of longdoubles, right to 1e-40 of the loop.
+
+    Laws of couplings are no more exact than numbers of q's kind.
+    """
     if not np.isfinite(q).all():
         return np.full(len(mechanism.rows), np.nan)
     exponent = math.frexp(loop_size(mechanism))[1]  # in units of 2^-BITS of so many metres
@@ -253,7 +276,9 @@ def exact_gap(mechanism: Mechanism, q: Any) -> Array:
 
     gap: list[float] = []
     laws = laws_of(mechanism)  # whose values are no more exact than numbers of q's kind are
-    values = {} if laws is None else dict(zip(laws.places, laws.values(np.asarray(q)), strict=True))
+    values = (
+        {} if laws is None else dict(zip(laws.places, laws.values(np.asarray(q), t), strict=True))
+    )
     for r, row in enumerate(mechanism.rows):
         if row.held:
             gap.append(0.0)

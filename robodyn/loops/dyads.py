@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robodyn.engines.coupling_laws import law_values
 from robodyn.loops.assembly_plan import Plan, Step, root_of
@@ -30,8 +30,10 @@ PARALLEL = 1e-12  # sine between two lines that do not meet
 OWN = -1  # in place of a joint: what is constant in the frame of a line that turns
 
 
-def known_joints(mechanism: Mechanism, plan: Plan, given: Array) -> tuple[Array, list[Array]]:
-    """Return q (..., n) of the actuated joints, and of those that couplings tie to them.
+def known_joints(
+    mechanism: Mechanism, plan: Plan, given: Array, t: ArrayLike
+) -> tuple[Array, list[Array]]:
+    """Return q (..., n) of the actuated joints, and of those that couplings give at t (...).
 
     And how far q is from each coupling (...), rad or m; 0 for a coupling of other joints.
     """
@@ -39,10 +41,10 @@ def known_joints(mechanism: Mechanism, plan: Plan, given: Array) -> tuple[Array,
     q[..., list(mechanism.actuated)] = given
     couplings = mechanism.description.couplings
     for joint, c in plan.coupled:
-        q[..., joint] = coupled_angle(mechanism, c, joint, q)
+        q[..., joint] = coupled_angle(mechanism, c, joint, q, t)
     found = []
     for c, coupling in enumerate(couplings):
-        wanted = coupled_angle(mechanism, c, coupling.joint, q)
+        wanted = coupled_angle(mechanism, c, coupling.joint, q, t)
         off = np.abs(q[..., coupling.joint] - wanted)
         kept = off <= CLOSED * (1.0 + np.abs(wanted))
         found.append(np.where(kept | (not coupling.joints <= plan.known), 0.0, off))
@@ -272,11 +274,11 @@ def _ratio(a: Array, b: Array) -> Array:
     return np.asarray(a / np.where(b > 0.0, b, 1.0))
 
 
-def coupled_angle(mechanism: Mechanism, c: int, joint: int, q: Array) -> Array:
-    """q_joint (...) by coupling c, whose other joints are known in q (..., n)."""
+def coupled_angle(mechanism: Mechanism, c: int, joint: int, q: Array, t: ArrayLike) -> Array:
+    """q_joint (...) at t by coupling c, whose other joints are known in q (..., n)."""
     coupling = mechanism.description.couplings[c]
     if coupling.law is not None:
-        return law_values(mechanism, c, q)
+        return law_values(mechanism, c, q, t)
     ratios = {coupling.joint: -1.0, **dict(coupling.terms)}  # sum of ratio q = -angle
     total = np.full(q.shape[:-1], coupling.angle)
     for k, ratio in ratios.items():

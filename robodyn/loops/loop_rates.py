@@ -14,7 +14,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics.closed_form import absolute_jacobian, closure_bias, gap_at, scaled_jacobian
+from robodyn.dynamics.closed_form import (
+    absolute_jacobian,
+    closure_bias,
+    closure_drift,
+    drift_at,
+    gap_at,
+    scaled_jacobian,
+)
 from robodyn.dynamics.placed import (
     Placed,
     absolute_rates,
@@ -23,6 +30,7 @@ from robodyn.dynamics.placed import (
     matvec,
     placed,
 )
+from robodyn.engines.coupling_laws import law_values
 from robodyn.errors import InputError
 from robodyn.loops.change_points import (
     NEAR,
@@ -45,17 +53,21 @@ BENT = 100.0  # part of themselves that rates may change by in a rad along a bra
 GAP_ALLOWED = 1e-6  # part of the loop's size (or of the terms of a rate) that input may miss
 
 
-def loop_velocities(mechanism: Mechanism, q: ArrayLike, qd_actuated: ArrayLike) -> Array:
+def loop_velocities(
+    mechanism: Mechanism, q: ArrayLike, qd_actuated: ArrayLike, t: ArrayLike
+) -> Array:
     """All joint rates (..., n) from those of the actuated joints (..., actuated), rad/s.
 
     q (..., n) is a closed configuration.  Raises SingularError at a dead centre or change point.
     """
     q = as_states(mechanism, "q", q)
-    return closing_rates(mechanism, q, actuated_wide(mechanism, "qd_actuated", qd_actuated), 0.0)
+    given = actuated_wide(mechanism, "qd_actuated", qd_actuated)
+    drift = closure_drift(mechanism, q, t) if mechanism.driven else 0.0
+    return closing_rates(mechanism, q, given, drift, t)
 
 
 def loop_accelerations(
-    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd_actuated: ArrayLike
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd_actuated: ArrayLike, t: ArrayLike
 ) -> Array:
     """All joint accelerations (..., n) from the actuated joints', rad/s^2.
 
@@ -66,16 +78,16 @@ def loop_accelerations(
         as_states(mechanism, "q", q),
         actuated_wide(mechanism, "qdd_actuated", qdd_actuated),
     )
-    found = closing_rates(mechanism, q, given, closure_bias(mechanism, q, qd))
+    found = closing_rates(mechanism, q, given, closure_bias(mechanism, q, qd, t), t)
     if not mechanism.rows or not found.size:
         return found
     q, rates = (np.broadcast_to(x, found.shape) for x in (q, np.asarray(qd, float)))
-    near = nearness(mechanism, scaled_jacobian(mechanism, q)) < NEAR
+    near = nearness(mechanism, scaled_jacobian(mechanism, q, t)) < NEAR
     for state in map(tuple, np.argwhere(near)):
         chosen = found[state][list(mechanism.actuated)]
 
         def beside(q: Array, qd: Array, chosen: Array = chosen) -> Array:
-            there = closing_rates(mechanism, q, chosen, closure_bias(mechanism, q, qd))
+            there = closing_rates(mechanism, q, chosen, closure_bias(mechanism, q, qd, 0.0), 0.0)
             return np.hstack([there, qd**2])  # what they are small against: they may all vanish
 
         led = state_led_across(mechanism, q[state], rates[state], beside)
@@ -84,21 +96,22 @@ def loop_accelerations(
     return found
 
 
-def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike) -> Array:
     """The rates nearest to qd that keep the closures at a closed configuration q, (..., n)."""
-    Psi = scaled_jacobian(mechanism, q)
+    Psi = scaled_jacobian(mechanism, q, t)
     rates = as_states(mechanism, "qd", qd)
     units = mechanism.arrays.units
-    return np.asarray(
-        rates - units * matvec(np.linalg.pinv(Psi, rcond=REDUNDANT), matvec(Psi, rates / units))
-    )
+    opening = matvec(Psi, rates / units)
+    if mechanism.driven:
+        opening = opening + closure_drift(mechanism, q, t)
+    return np.asarray(rates - units * matvec(np.linalg.pinv(Psi, rcond=REDUNDANT), opening))
 
 
-def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
+def singular_kind(mechanism: Mechanism, q: ArrayLike, t: float) -> str:
     """ "dead centre", "change point", or "" for one closed configuration q (n,)."""
     if not mechanism.rows:
         return ""
-    Psi, passive = scaled_jacobian(mechanism, q), list(mechanism.passive)
+    Psi, passive = scaled_jacobian(mechanism, q, t), list(mechanism.passive)
     least = float(_smallest(mechanism, Psi[:, passive])) if passive else 0.0
     if least > SINGULAR:
         return ""
@@ -111,13 +124,14 @@ def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
     return "dead centre" if passive else ""
 
 
-def near_dead_centre(mechanism: Mechanism, q: Array) -> bool:
+def near_dead_centre(mechanism: Mechanism, q: Array, t: float) -> bool:
     """Whether the actuated joints have little hold of the others at q (n, or more: a state)."""
     passive = list(mechanism.passive)
     if not mechanism.rows or not passive:
         return False
     return bool(
-        _smallest(mechanism, scaled_jacobian(mechanism, q[: mechanism.n])[:, passive]) < LITTLE_HOLD
+        _smallest(mechanism, scaled_jacobian(mechanism, q[: mechanism.n], t)[:, passive])
+        < LITTLE_HOLD
     )
 
 
@@ -128,9 +142,9 @@ def check_way_on(mechanism: Mechanism, q: Array, qd: Array) -> None:
     that depend on one another everywhere make no change point.
     """
     resting = q[~np.any(qd, axis=-1)]
-    if not mechanism.rows or not len(resting):
+    if not mechanism.rows or mechanism.driven or not len(resting):
         return
-    ranks = rank(mechanism, scaled_jacobian(mechanism, resting))
+    ranks = rank(mechanism, scaled_jacobian(mechanism, resting, 0.0))
     for state, here in zip(resting, ranks, strict=True):
         if here < len(mechanism.rows) and rank_beside(mechanism, state, 1e-3, 4) > here:
             limit = "the mechanism can go on in two ways: its acceleration is not unique"
@@ -138,31 +152,49 @@ def check_way_on(mechanism: Mechanism, q: Array, qd: Array) -> None:
 
 
 def check_closed(
-    mechanism: Mechanism, q: Array, qd: Array | None = None, qdd: Array | None = None
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array | None = None,
+    qdd: Array | None = None,
+    *,
+    t: ArrayLike,
 ) -> tuple[int, InputError] | None:
     """The first of the states (..., n) that does not keep the closures, with the error to raise."""
     if not mechanism.rows or q.size == 0:
         return None
     sizes, at = _sizes(mechanism), placed(mechanism, q)
-    opening = gap_at(mechanism, mechanism.arrays, at) + _turned_over(mechanism, at)
-    fault = _first_open(mechanism, "position", "m", opening, loop_size(mechanism))
+    opening = gap_at(mechanism, mechanism.arrays, at, t) + _turned_over(mechanism, at)
+    fault = _first_open(mechanism, "position", "m", opening, loop_size(mechanism), q, t)
     if fault is not None or qd is None:
         return fault
-    rates, Psi = absolute_rates(mechanism, qd), absolute_jacobian(mechanism, at)
+    rates, Psi = absolute_rates(mechanism, qd), absolute_jacobian(mechanism, at, t)
     fastest = np.abs(rates).max(axis=-1, keepdims=True)
-    opening = matvec(Psi, rates)
-    fault = _first_open(mechanism, "velocity", "m/s", opening, sizes * fastest)
-    fault = fault or _first_impossible(mechanism, q, np.asarray(qd, float), Psi)
+    opening, size = matvec(Psi, rates), sizes * fastest
+    if mechanism.driven:
+        drift = drift_at(mechanism, at, t)
+        opening, size = opening + drift, size + np.abs(drift)
+    fault = _first_open(mechanism, "velocity", "m/s", opening, size, q, t)
+    if not mechanism.driven:
+        fault = fault or _first_impossible(mechanism, q, np.asarray(qd, float), Psi)
     if fault is not None or qdd is None:
         return fault
     turning = absolute_rates(mechanism, qdd)
-    bending = matvec(Psi, turning) + closure_bias(mechanism, q, qd)
-    size = np.abs(turning).max(axis=-1, keepdims=True) + fastest**2
-    return _first_open(mechanism, "acceleration", "m/s^2", bending, sizes * size)
+    bias = closure_bias(mechanism, q, qd, t)
+    size = sizes * (np.abs(turning).max(axis=-1, keepdims=True) + fastest**2)
+    if mechanism.laws:
+        size = size + np.abs(bias)
+    bending = matvec(Psi, turning) + bias
+    return _first_open(mechanism, "acceleration", "m/s^2", bending, size, q, t)
 
 
 def _first_open(
-    mechanism: Mechanism, what: str, unit: str, gap: Array, size: Array | float
+    mechanism: Mechanism,
+    what: str,
+    unit: str,
+    gap: Array,
+    size: Array | float,
+    q: Array,
+    t: ArrayLike,
 ) -> tuple[int, InputError] | None:
     """The first state whose gap (..., r) is more than input may miss of a size, and the error."""
     wrong = np.abs(gap) > GAP_ALLOWED * size
@@ -171,7 +203,9 @@ def _first_open(
     state = int(np.flatnonzero(wrong.any(axis=-1))[0])
     most = np.broadcast_to(GAP_ALLOWED * size, gap.shape).reshape(-1, gap.shape[-1])[state]
     open = gap.reshape(-1, gap.shape[-1])[state]
-    return state, _open(mechanism, open, what, unit, float(most.min()))
+    at = np.broadcast_to(q, (*gap.shape[:-1], mechanism.n)).reshape(-1, mechanism.n)[state]
+    now = float(np.broadcast_to(np.asarray(t, float), gap.shape[:-1]).ravel()[state])
+    return state, _open(mechanism, open, what, unit, float(most.min()), at, now)
 
 
 def _first_impossible(
@@ -191,15 +225,15 @@ def _first_impossible(
     if not len(found):
         return None
     q, qd = (np.broadcast_to(x, (*Psi.shape[:-2], n)).reshape(-1, n) for x in (q, qd))
-    close = nearness(mechanism, scaled_jacobian(mechanism, q[found])) < 10.0 * AT_SINGULAR
+    close = nearness(mechanism, scaled_jacobian(mechanism, q[found], 0.0)) < 10.0 * AT_SINGULAR
     for state in found[close]:
         near = nearest_singular(mechanism, q[state])
         away = np.inf if near is None or near.misses else float(apart(mechanism, q[state], near.q))
         if near is None or away > AT_SINGULAR:
             continue
-        U, s, _ = np.linalg.svd(scaled_jacobian(mechanism, near.q))
+        U, s, _ = np.linalg.svd(scaled_jacobian(mechanism, near.q, 0.0))
         left = U[:, int(np.sum(s > SINGULAR * size)) :]
-        gap = float(np.linalg.norm(closure_bias(mechanism, near.q, qd[state]) @ left))
+        gap = float(np.linalg.norm(closure_bias(mechanism, near.q, qd[state], 0.0) @ left))
         fastest = float(np.abs(absolute_rates(mechanism, qd[state]) / units).max())
         most = (GAP_ALLOWED + BENT * away) * size * fastest**2
         if gap > most:
@@ -234,8 +268,10 @@ def _turned_over(mechanism: Mechanism, at: Placed) -> Array | float:
     return more
 
 
-def _open(mechanism: Mechanism, gap: Array, what: str, unit: str, most: float) -> InputError:
-    """The error of a state whose closures, or else couplings, are open by `gap` (r,)."""
+def _open(
+    mechanism: Mechanism, gap: Array, what: str, unit: str, most: float, q: Array, t: float
+) -> InputError:
+    """The error of a state q (n,) whose closures, or else couplings, are open by `gap` (r,)."""
     limit = "give a closed motion of this mechanism, or the actuated joints only "
     limit += "(the rest is assembled)"
     pins = [k for k, row in enumerate(mechanism.rows) if row.closure is not None]
@@ -250,6 +286,11 @@ def _open(mechanism: Mechanism, gap: Array, what: str, unit: str, most: float) -
     worst = int(np.argmax(turns)) - len(pins)
     joint = mechanism.description.couplings[worst].joint
     own = unit if joint in mechanism.slides else unit.replace("m", "rad", 1)
+    law = mechanism.description.couplings[worst].law
+    if law is not None and what == "position":
+        wanted = float(law_values(mechanism, worst, q, t))
+        when = f" at t = {t:.9g} s" if "t" in law.names else ""
+        limit = f"its law {law.text} is {wanted:.9g} {own}{when}; {limit}"
     return InputError(
         f"coupling {worst + 1} does not hold: q{joint + 1} is off in {what}",
         value=f"{turns.max():.6g} {own}",
@@ -263,7 +304,9 @@ def _smallest(mechanism: Mechanism, Psi: Array) -> Array:
     return np.asarray(s[..., -1] / loop_size(mechanism), dtype=float)
 
 
-def closing_rates(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | float) -> Array:
+def closing_rates(
+    mechanism: Mechanism, q: Array, actuated: Array, bias: Array | float, t: ArrayLike
+) -> Array:
     """x with Psi x = -bias, given its actuated part."""
     driven, passive = list(mechanism.actuated), list(mechanism.passive)
     values = np.zeros((*np.broadcast_shapes(q.shape[:-1], actuated.shape[:-1]), mechanism.n))
@@ -275,7 +318,7 @@ def closing_rates(mechanism: Mechanism, q: Array, actuated: Array, bias: Array |
         limit += "name more in `actuated`, or give the values of all joints"
         raise InputError("rates", where=mechanism.source, limit=limit)
     q = np.broadcast_to(q, values.shape)
-    Psi = scaled_jacobian(mechanism, q)
+    Psi = scaled_jacobian(mechanism, q, t)
     units = mechanism.arrays.units
     right = -matvec(Psi[..., driven], values[..., driven] / units[driven]) - bias
     if not np.any(right):
@@ -288,6 +331,15 @@ def closing_rates(mechanism: Mechanism, q: Array, actuated: Array, bias: Array |
             continue  # as near as the loops ever come, and right to eps/s
         limit = "the actuated joints do not determine the motion of the others here; "
         limit += "give the values of all joints, or another configuration"
-        raise singular_at(mechanism, singular_kind(mechanism, q[state]), q[state], limit)
+        raise singular_at(
+            mechanism,
+            singular_kind(
+                mechanism,
+                q[state],
+                float(np.broadcast_to(np.asarray(t, float), values.shape[:-1])[state]),
+            ),
+            q[state],
+            limit,
+        )
     values[..., passive] = units[passive] * matvec(np.linalg.pinv(columns), right)
     return values

@@ -14,9 +14,11 @@ from operator import mul
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.placed import Placed, placed
+from robodyn.engines.coupling_laws import laws_of
 from robodyn.loops.change_points import (
     EPS,
     SAME,
@@ -72,10 +74,15 @@ def orientation(mechanism: Mechanism, Psi: Matrix, other: Matrix) -> list[Value]
     return [reduce(mul, (pivots[r] for r in members)) for members in loops.values()]
 
 
-def sparse_rows(mechanism: Mechanism, at: Placed) -> list[dict[int, Value]]:
-    """Psi in x where the mechanism is `at`, each entry (...)."""
-    found = []
-    for row in mechanism.rows:
+def sparse_rows(mechanism: Mechanism, at: Placed, t: ArrayLike) -> list[dict[int, Value]]:
+    """Psi in x where the mechanism is `at`, at times t, each entry (...)."""
+    found: list[dict[int, Value]] = []
+    laws = laws_of(mechanism)
+    slopes = None
+    if laws is not None:  # d gap/dx of the laws
+        slopes = np.zeros((*at.x.shape[:-1], len(mechanism.rows), mechanism.n))
+        laws.add_jacobian(at.x, t, slopes)
+    for r, row in enumerate(mechanism.rows):
         entries: dict[int, Value] = dict(row.angles)
         line = 1.0 if row.line is None else at.E[..., row.line].conj()
         across: Value = row.ground
@@ -94,8 +101,16 @@ def sparse_rows(mechanism: Mechanism, at: Placed) -> list[dict[int, Value]]:
                 add(d, turned)
         if row.line is not None:
             add(row.line, (line * across).imag)
+        if row.law is not None and slopes is not None:
+            for k in _columns_of(slopes[..., r, :]):
+                add(k, slopes[..., r, k])
         found.append(entries)
     return found
+
+
+def _columns_of(rows: Array) -> list[int]:
+    """Where rows (..., n) are not zero everywhere."""
+    return [int(k) for k in np.flatnonzero(rows.reshape(-1, rows.shape[-1]).any(axis=0))]
 
 
 class Misses:
@@ -108,7 +123,8 @@ class Misses:
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism = mechanism
         self.met: list[Singular] = []
-        self._guards = regular_rank(mechanism) == len(mechanism.rows)
+        regular = regular_rank(mechanism) == len(mechanism.rows)
+        self._guards = regular and not mechanism.driven
 
     def nearest(self, q: Array) -> Singular | None:
         """Return the singular configuration that q (n,) is near, and count it as met, or None."""
@@ -144,7 +160,7 @@ class Misses:
         """Whether a state of suspect quality is near a change point, not near a miss of one."""
         found = self.nearest(q)
         if found is None:  # what it is near to is not known
-            Psi = closed_form.scaled_jacobian(self.mechanism, q)
+            Psi = closed_form.scaled_jacobian(self.mechanism, q, 0.0)
             return bool(nearness(self.mechanism, Psi) < NEAR_SINGULAR)
         return found.crosses
 
@@ -156,7 +172,7 @@ class Misses:
         q = y[:, : self.mechanism.n]
         if not self._guards or len(q) < 2 or not np.isfinite(q).all():
             return []
-        rows = sparse_rows(self.mechanism, placed(self.mechanism, q))
+        rows = sparse_rows(self.mechanism, placed(self.mechanism, q), t)
         Psi = [
             [
                 {k: x[part] if isinstance(x, np.ndarray) else x for k, x in row.items()}
@@ -180,7 +196,7 @@ class Misses:
         nearest, crosses = min(far, default=(np.inf, False))
         if nearest <= SAME:
             return not crosses
-        way = close_positions(self.mechanism, way)
-        near = nearness(self.mechanism, closed_form.scaled_jacobian(self.mechanism, way))
+        way = close_positions(self.mechanism, way, t=0.0)
+        near = nearness(self.mechanism, closed_form.scaled_jacobian(self.mechanism, way, 0.0))
         found = self.nearest(way[int(np.argmin(near))])
         return found is not None and not found.crosses

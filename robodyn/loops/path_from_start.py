@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_gap
 from robodyn.loops.assembly_plan import Plan
@@ -44,21 +44,23 @@ def closed_near(
     words: Sequence[str],
     exact: bool = True,
     behind: bool = True,
+    *,
+    t: ArrayLike,
 ) -> Closed:
-    """Close all loops at the actuated joints of `near` (..., n).
+    """Close all loops at the actuated joints of `near` (..., n), and the times t (...).
 
     Dyads are closed by their words, other loops by Newton's method from `near`.  `behind` tells
     whether dyads that need these other loops are closed too; `exact` is that of `close_positions`.
     """
-    q, off = known_joints(mechanism, plan, near[..., list(mechanism.actuated)])
+    q, off = known_joints(mechanism, plan, near[..., list(mechanism.actuated)], t)
     q[..., list(plan.later)] = near[..., list(plan.later)]
     q, shorts, sines = by_dyads(mechanism, plan, q, words)
     first = len(mechanism.rows) - len(off)
     shorts += [row.arm * x for row, x in zip(mechanism.rows[first:], off, strict=True)]
     if plan.rest:
         fixed = sorted(set(range(mechanism.n)) - set(plan.rest))
-        q = close_positions(mechanism, q, fixed, exact, plan.rows)
-        gap = open_by(mechanism, q, plan.rows)
+        q = close_positions(mechanism, q, fixed, exact, plan.rows, t=t)
+        gap = open_by(mechanism, q, plan.rows, t=t)
         shorts.append(np.where(gap > CLOSED, gap, 0.0) * loop_size(mechanism))
         if plan.behind and behind:
             q, more, flat = by_dyads(mechanism, plan.behind, q, words)
@@ -72,18 +74,19 @@ def closed_near(
 def start_pose(mechanism: Mechanism, plan: Plan, words: Sequence[str], near: Array) -> Closed:
     """The closed poses nearest to `near` (..., n) whose dyads are closed by their words.
 
-    All joints may change, but the actuated ones that the scene's `start` leaves out.
+    All joints may change, but the actuated ones that the scene's `start` leaves out.  Laws of the
+    time are those at t = 0.
     """
     start = mechanism.description.start or ()
     unsaid = [k for k in mechanism.actuated if start[k] is None]
-    q = close_positions(mechanism, near, unsaid)
-    held = closed_near(mechanism, plan, near, words)
-    free = closed_near(mechanism, plan, q, words)  # it is q, where q is on that branch
+    q = close_positions(mechanism, near, unsaid, t=0.0)
+    held = closed_near(mechanism, plan, near, words, t=0.0)
+    free = closed_near(mechanism, plan, q, words, t=0.0)  # it is q, where q is on that branch
     same = np.abs(wrapped(mechanism, free.q - q)).max(axis=-1, initial=0.0) < SAME
     fits = (free.missing <= 0.0) & same
     if not fits.all() and plan.rest:  # the dyads by their words, all else from there
-        again = close_positions(mechanism, held.q, unsaid)
-        more = closed_near(mechanism, plan, again, words)
+        again = close_positions(mechanism, held.q, unsaid, t=0.0)
+        more = closed_near(mechanism, plan, again, words, t=0.0)
         free = _each(~fits, more, free)
     away = [_changed(mechanism, x.q - near, start) for x in (free, held)]
     other = (free.missing > 0.0) | ((held.missing <= 0.0) & (away[1] < away[0]))
@@ -103,13 +106,13 @@ def _searched(mechanism: Mechanism, plan: Plan, words: Sequence[str], near: Arra
     each = np.tile(near, (AROUND, 1))
     each[:, rest] += turns * mechanism.arrays.units[rest] * np.linspace(0.1, 1.0, AROUND)[:, None]
     with np.errstate(all="ignore"):
-        found = closed_near(mechanism, plan, each, words)
+        found = closed_near(mechanism, plan, each, words, t=0.0)
     away = _changed(mechanism, found.q - near, mechanism.description.start or ())
     away = np.where(found.missing <= 0.0, away, np.inf)
     best = int(np.argmin(away))
     if not np.isfinite(away[best]):
         return None
-    return closed_near(mechanism, plan, found.q[best], words)  # the last of Newton's steps
+    return closed_near(mechanism, plan, found.q[best], words, t=0.0)  # the last of Newton's steps
 
 
 def _each(chosen: Mask, one: Closed, other: Closed) -> Closed:
@@ -132,8 +135,12 @@ def from_start(
     target: Array,
     words: Sequence[str],
     watch: Callable[[float], object] | None = None,
+    *,
+    t: ArrayLike,
 ) -> Closed:
     """Close loops along a path of the actuated joints from the start's pose to `target` (..., a).
+
+    On this path the time goes from 0 to t (...).
 
     If the short way of one joint that turns does not close, the other way round is tried.  `watch`
     is told what part of the path is gone.
@@ -143,26 +150,27 @@ def from_start(
     size = loop_size(mechanism)
     here = begin.q.reshape(-1, mechanism.n)
     going = (begin.missing <= 0.0).reshape(-1)
-    way = target.reshape(here.shape[0], -1) - here[:, actuated]
+    way = target.reshape(here.shape[0], len(actuated)) - here[:, actuated]
+    times = np.broadcast_to(np.asarray(t, float), target.shape[:-1]).ravel()
     geared = mechanism.description.couplings
     for place, k in enumerate(actuated):
         if not geared and k not in mechanism.slides:  # turns count where joints are coupled
             way[:, place] = half_turn(way[:, place])
-    here, arrived = _led(mechanism, plan, words, here, way, going, watch)
+    here, arrived = _led(mechanism, plan, words, here, way, times, going, watch)
     again = going & ~arrived
     if len(actuated) == 1 and not geared and not mechanism.slides and again.any():
         round_about = way - np.copysign(2 * np.pi, way)
         first = begin.q.reshape(here.shape)
-        there, came = _led(mechanism, plan, words, first, round_about, again, watch)
+        there, came = _led(mechanism, plan, words, first, round_about, times, again, watch)
         here[came] = there[came]
         arrived = arrived | came
-    here[:, actuated] = target.reshape(len(here), -1)
-    missing = np.maximum(open_by(mechanism, here, plan.rows), CLOSED) * size
+    here[:, actuated] = target.reshape(len(here), len(actuated))
+    missing = np.maximum(open_by(mechanism, here, plan.rows, t=times), CLOSED) * size
     missing = np.where(arrived, 0.0, missing)
     counting = set().union(*(x.joints for x in geared))
     turning = [k for k in plan.rest if k not in counting and k not in mechanism.slides]
     here[:, turning] = half_turn(here[:, turning])
-    q, _ = known_joints(mechanism, plan, here[:, actuated])
+    q, _ = known_joints(mechanism, plan, here[:, actuated], times)
     q[:, list(plan.later)] = here[:, list(plan.later)]
     q, _, sines = by_dyads(mechanism, plan, q, words)
     if plan.behind:
@@ -196,10 +204,11 @@ def _led(
     words: Sequence[str],
     begin: Array,
     way: Array,
+    times: Array,
     goes: Mask,
     watch: Callable[[float], object] | None,
 ) -> tuple[Array, Mask]:
-    """Poses (k, n) led from `begin` (k, n) by `way` (k, a) of the actuated joints.
+    """Poses (k, n) led from `begin` (k, n) by `way` (k, a) of the actuated joints, to times (k,).
 
     And which of those that go (k,) arrived; beyond a limit nothing closes, or only after a leap to
     another branch: there a path ends.
@@ -208,7 +217,12 @@ def _led(
     units = mechanism.arrays.units
     here, going = begin.copy(), np.flatnonzero(goes)
     first = begin[:, actuated]
-    steps = int(np.ceil(np.abs(way[going] / units[actuated]).max(initial=0.0) / PATH_STEP))
+    longest = np.abs(way[going] / units[actuated]).max(initial=0.0)
+    if mechanism.driven:  # what laws of the time give goes along
+        ends = (known_joints(mechanism, plan, first, x * times)[0] for x in np.linspace(0, 1, 65))
+        ways = np.abs(np.diff([x / units for x in ends], axis=0)).sum(axis=0)
+        longest = max(longest, float(ways.max(initial=0.0)))
+    steps = int(np.ceil(longest / PATH_STEP))
     for s in range(1, steps + 1):
         if not len(going):
             break
@@ -216,7 +230,8 @@ def _led(
             watch(s / steps)
         there = here[going]
         there[:, actuated] = first[going] + way[going] * (s / steps)
-        closed = closed_near(mechanism, plan, there, words, exact=s == steps, behind=False)
+        now, last = times[going] * (s / steps), s == steps
+        closed = closed_near(mechanism, plan, there, words, exact=last, behind=False, t=now)
         moved = np.abs(closed.q[:, rest] - here[going][:, rest]) / units[rest]
         kept = (moved.max(axis=-1, initial=0.0) <= LEAP) & (closed.missing <= 0.0)
         going = going[kept]
@@ -227,16 +242,16 @@ def _led(
 
 
 def reachable_from_start(
-    mechanism: Mechanism, plan: Plan, q_actuated: Array, joint: int, words: Sequence[str]
+    mechanism: Mechanism, plan: Plan, q_actuated: Array, joint: int, words: Sequence[str], t: float
 ) -> list[tuple[float, float]]:
-    """The interval of one actuated joint about its start that a path can reach, rad."""
+    """The interval of one actuated joint about its start that a path can reach at t, rad."""
     start = mechanism.description.start
     assert start is not None  # the plan checks it
     moved = mechanism.actuated[joint]
     middle = start[moved] or 0.0
     given = np.array(q_actuated, float)
     given[joint] = middle
-    begin = from_start(mechanism, plan, given, words)
+    begin = from_start(mechanism, plan, given, words, t=t)
     if begin.missing > 0.0:
         return []
     ends = []
@@ -249,7 +264,7 @@ def reachable_from_start(
             there = at.copy()
             left = most - abs(at[moved] - middle)  # the way round is no shorter
             there[moved] += direction * min(step, left * (1 - 1e-12))
-            found, missing, _ = closed_near(mechanism, plan, there, words)
+            found, missing, _ = closed_near(mechanism, plan, there, words, t=t)
             way = np.abs(wrapped(mechanism, found - at)).max()
             if way > LEAP * step / (PATH_STEP * unit) or missing > 0.0:
                 step /= 4.0  # the limit is nearer than this
@@ -259,9 +274,11 @@ def reachable_from_start(
     return [(ends[0], ends[1])]
 
 
-def open_by(mechanism: Mechanism, q: Array, rows: Sequence[int] | None = None) -> Array:
+def open_by(
+    mechanism: Mechanism, q: Array, rows: Sequence[int] | None = None, *, t: ArrayLike
+) -> Array:
     """How far states (..., n) are open, in these rows or in all, as a part of the loop's size."""
-    gap = closure_gap(mechanism, q)
+    gap = closure_gap(mechanism, q, t)
     gap = gap if rows is None else gap[..., list(rows)]
     return np.asarray(np.linalg.norm(gap, axis=-1) / loop_size(mechanism))
 

@@ -17,14 +17,17 @@ import numpy as np
 
 from robodyn.dynamics import closed_form
 from robodyn.engines import straightline
+from robodyn.engines.coupling_laws import check_laws
 from robodyn.engines.factors import svd
 from robodyn.engines.formulas import projection_formula
+from robodyn.errors import LawError
 from robodyn.loops.change_points import (
     EXACT,
     SUSPECT,
     Closing,
     lead_across,
     nearest_singular,
+    nearness,
     suspect_quality,
 )
 from robodyn.loops.closing import (
@@ -40,13 +43,15 @@ from robodyn.loops.misses import Misses
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
-FloatClosing = Callable[[list[float]], tuple[list[float], float]]
+FloatClosing = Callable[[float, list[float]], tuple[list[float], float]]
 
 CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and the rates too
 # Entries of A and P up to which straight-line code is the fastest, with closures and without them.
 # Beyond, a link may have FEW: code grows as the number of loops does, dense algebra as its cube.
 STRAIGHT, STRAIGHT_OPEN, FEW = 800, 300, 8
 PASSES = 4
+KEPT = 1e-9  # part of the loop's size by which laws of the time may be missed
+LOST = 1e-4  # s/L below which a law of the time leads to a singular configuration
 
 
 def dense_closing(mechanism: Mechanism) -> Closing:
@@ -54,14 +59,17 @@ def dense_closing(mechanism: Mechanism) -> Closing:
     n, size, units = mechanism.n, singular_size(mechanism), mechanism.arrays.units
     rank = regular_rank(mechanism)
 
-    def nearest(y: Array) -> tuple[Array, float]:
+    def nearest(t: float, y: Array) -> tuple[Array, float]:
         closed = y.copy()
-        closed[:n] = close_positions(mechanism, y[:n])
+        closed[:n] = close_positions(mechanism, y[:n], t=t)
         qd = closed[n : 2 * n] / units
-        Psi = closed_form.scaled_jacobian(mechanism, closed[:n])
+        Psi = closed_form.scaled_jacobian(mechanism, closed[:n], t)
         U, s, Vt = svd(Psi)
         held = s > CUT * s[0]
-        qd -= Vt[held].T @ ((U[:, held].T @ (Psi @ qd)) / s[held])
+        opening = Psi @ qd
+        if mechanism.driven:
+            opening = opening + closed_form.closure_drift(mechanism, closed[:n], t)
+        qd -= Vt[held].T @ ((U[:, held].T @ opening) / s[held])
         closed[n : 2 * n] = qd * units
         return closed, float((s[rank - 1] / size) ** 2)
 
@@ -74,8 +82,8 @@ def best_closing(mechanism: Mechanism) -> Closing:
         return dense_closing(mechanism)
     close = float_closing(mechanism)
 
-    def nearest(y: Array) -> tuple[Array, float]:
-        closed, quality = close(y.tolist())
+    def nearest(t: float, y: Array) -> tuple[Array, float]:
+        closed, quality = close(t, y.tolist())
         return np.array(closed), quality
 
     return nearest
@@ -95,15 +103,15 @@ def float_closing(mechanism: Mechanism) -> FloatClosing:
         limits = least, CLOSED * size, CONVERGED * size
         close = straightline.compile_closing(formula, PASSES, *limits)
 
-    def nearest(y: list[float]) -> tuple[list[float], float]:
+    def nearest(t: float, y: list[float]) -> tuple[list[float], float]:
         try:
-            found = close(y) if close is not None else None
+            found = close(t, y) if close is not None else None
         except (ZeroDivisionError, ValueError):  # a lost pivot, an infinite angle
             found = None
         if found is None:
             if not math.isfinite(sum(y)):
                 return y, 0.0
-            closed, quality = otherwise(np.array(y))
+            closed, quality = otherwise(t, np.array(y))
             found = closed.tolist(), quality
         return found
 
@@ -129,6 +137,36 @@ def state_led_across(
     )
 
 
+def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
+    """Raise LawError, which names the law and the time, if q (n,) does not keep a law of the time.
+
+    So it is where laws contradict one another, or lead a loop beyond its reach, or nearly to where
+    its joints are not determined.
+    """
+    if not np.isfinite(q).all():
+        there = np.where(np.isfinite(q), q, 0.0)
+        check_laws(mechanism, there, np.zeros(len(q)), t)
+        return  # something else is not finite: the method tells
+    gap = np.abs(closed_form.closure_gap(mechanism, q, t))
+    size = loop_size(mechanism)
+    Psi = closed_form.scaled_jacobian(mechanism, q, t)
+    why = ""
+    if not np.isfinite(gap).all():
+        check_laws(mechanism, q, np.zeros(len(q)), t)
+    if not gap.max() <= KEPT * size:
+        why = f"{gap.max():.3g} m are missing"
+    elif nearness(mechanism, Psi) <= LOST:
+        why = "the loops are at a singular configuration there, or laws repeat one another"
+    if why:
+        first = len(mechanism.rows) - len(mechanism.description.couplings)
+        worst = max(mechanism.driven, key=lambda r: gap[r])
+        law = mechanism.rows[worst].law
+        assert law is not None
+        what = f"couplings[{worst - first}]"
+        limit = f"cannot be kept at t = {t:.9g} s: {why}"
+        raise LawError(what, where=mechanism.source, value=law.text, limit=limit)
+
+
 class Projection:
     """The nearest closed state; next to a change point that of the branch which leads across.
 
@@ -142,8 +180,11 @@ class Projection:
         self.mechanism, self.closing = mechanism, closing
         self.misses = misses or Misses(mechanism)
 
-    def __call__(self, y: Array) -> Array:
-        closed, quality = self.closing(y)
+    def __call__(self, t: float, y: Array) -> Array:
+        closed, quality = self.closing(t, y)
+        if self.mechanism.driven:
+            check_kept(self.mechanism, closed[: self.mechanism.n], t)
+            return closed
         if quality > SUSPECT:
             return closed
         q = y[: self.mechanism.n]

@@ -293,28 +293,44 @@ class EquationsOfMotion(Builder):
                 angle = program.number(turn)
                 total.append((angle, self.coordinate(k)))
                 self.moments[k].append((angle, mu))
+            drift = program.sum()
             if row.law is not None:
-                total.append(self._law(row, mu))
+                term, drift = self._law(row, mu)
+                total.append(term)
             gap = program.sum(*total, constant=program.number(row.offset))
             gaps.append(program.sum() if row.held else gap)
+            if self.mechanism.driven:
+                program.named.setdefault("drift", []).append(drift)
             self._rows.append(program.add(Derivative(program.add(Derivative(gap)))))
         return multipliers
 
-    def _law(self, row: ClosureRow, mu: Slot) -> Term:
-        """What the law f of a coupling adds to its gap, -arm f; mu turns the joints of f by it."""
+    def _law(self, row: ClosureRow, mu: Slot) -> tuple[Term, Slot]:
+        """What the law f of a coupling adds to its gap, -arm f; and -arm times its slope by t.
+
+        mu turns the joints of f by their slopes, and works by that of t.
+        """
         from robodyn.mechanics.law_rows import LawRows
+        from robodyn.mechanics.signal_rows import degree
 
         assert row.law is not None
         program, laws = self.program, LawRows(self.program, self.variable)
-        value = laws.value(row.law)
+        value, drift = laws.value(row.law), program.sum()
         names = sorted(row.law.names)
         for name, slope in zip(names, laws.slopes(value, names), strict=True):
-            joint = int(name[1:])
             if isinstance(slope, Slotted):
                 c, pull = program.number(-row.arm), program.add(Product(int(slope), mu))
             else:
                 c, pull = program.number(-row.arm * slope), mu
+            if name == "t":
+                drift = program.sum((program.number(-row.arm), laws.made.slot(slope)))
+                if self.work:
+                    self.works(c, pull)
+                continue
+            joint = int(name[1:])
             self.moments[joint].append((c, pull))
             if (above := self.mechanism.above[joint]) is not None:
                 self.moments[above].append((-c, pull))
-        return program.number(-row.arm), laws.made.slot(value)
+        slot = laws.made.slot(value)
+        if degree(row.law.node) is None:  # its series may tell nothing of what lies ahead
+            self.bends(program.add(Derivative(slot)), 1.0)
+        return (program.number(-row.arm), slot), drift

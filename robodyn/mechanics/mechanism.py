@@ -36,6 +36,7 @@ from robodyn.elements.joints import Range, Rotor
 from robodyn.elements.kinds import place_of
 from robodyn.elements.springs import JointDamper
 from robodyn.errors import InputError
+from robodyn.mechanics.driven import driven_joints, refuse_driven
 from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest, places_of
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
@@ -73,6 +74,8 @@ def build(description: Description) -> Mechanism:
         if description.couplings:
             rows = mechanism.rows + tuple(coupling_rows(description))
             mechanism = replace(mechanism, rows=rows)
+            if mechanism.contacts:
+                refuse_driven(mechanism, "a scene with friction that sticks, or with stops,")
         numbers = [*mechanism.B, *mechanism.weights, *largest(Tree(description.links))]
         numbers += [mechanism.energy_offset, *(row.offset for row in mechanism.rows)]
         numbers += mechanism.damping
@@ -271,6 +274,9 @@ def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:
     never actuated, and a group with a coupled joint outside of loops is driven from there.
     """
     if description.actuated is not None:
+        for k in sorted(driven_joints(description) & set(description.actuated)):
+            limit = f"names {description.links[k].name}, which a law of the time drives"
+            raise InputError("actuated", where=description.source, limit=limit)
         return description.actuated
     leader = list(range(len(description.links)))  # of each joint, in its group
 
@@ -293,7 +299,8 @@ def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:
     groups: dict[int, set[int]] = {}
     for k in in_loops.union(*coupled):
         groups.setdefault(group_of(k), set()).add(k)
+    known = driven | driven_joints(description)
     for group in groups.values():
-        if group & in_loops and not group & driven:
+        if group & in_loops and not group & known:
             driven.update(sorted(group - followers)[:1])
     return tuple(sorted(driven))

@@ -226,6 +226,12 @@ class Mechanism:
         return tuple(r for r, row in enumerate(self.rows) if row.law is not None)
 
     @cached_property
+    def driven(self) -> tuple[int, ...]:
+        """The rows of couplings whose laws are of the time too."""
+        laws = ((r, self.rows[r].law) for r in self.laws)
+        return tuple(r for r, law in laws if law is not None and "t" in law.names)
+
+    @cached_property
     def has_angles(self) -> bool:
         """Whether rows have terms that are linear in x."""
         return any(row.angles for row in self.rows)
@@ -279,8 +285,8 @@ class Mechanism:
 
     @cached_property
     def timed(self) -> bool:
-        """Whether what acts depends on the time too."""
-        return any("t" in signal.names for signal in self.signals)
+        """Whether what acts, or laws of couplings, depend on the time too."""
+        return bool(self.driven) or any("t" in signal.names for signal in self.signals)
 
     @cached_property
     def arrays(self) -> Arrays:

@@ -124,7 +124,8 @@ def over_a_scene_run(
     times: set[float] = set()
     jumps = set(actuation.jumps)
     torques: list[Node] = []
-    for signal in mechanism.signals:
+    laws = (mechanism.rows[r].law for r in mechanism.driven)
+    for signal in (*mechanism.signals, *filter(None, laws)):
         if isinstance(signal, Law) and "t" in signal.names:
             torques.append(signal.node)
         elif isinstance(signal, Table) and signal.over == "t":

@@ -129,7 +129,7 @@ def draw(
         raise InputError("q", limit="missing: forces need a state")
     elif qdd is not None and tau is not None:
         raise InputError("qdd and tau", limit="exclude each other")
-    rows = np.atleast_2d(first_pose(mechanism) if q is None else _closed(mechanism, q))
+    rows = np.atleast_2d(first_pose(mechanism, t=0.0) if q is None else _closed(mechanism, q))
     found = []
     if forces:
         if len(rows) > 1:
@@ -139,7 +139,9 @@ def draw(
             for name, x in (("qd", qd), ("qdd", qdd), ("tau", tau))
         )
         at_rest = np.zeros(mechanism.n)
-        found = forces_at(mechanism, rows[0], at_rest if rates is None else rates, moved, torques)
+        found = forces_at(
+            mechanism, rows[0], at_rest if rates is None else rates, moved, torques, t=0.0
+        )
     drawn = drawing(mechanism, rows[even_rows(len(rows), poses)], named)
     texts = list(map(shown, mechanism.link_names))
     if labels != "names":
@@ -154,11 +156,11 @@ def _closed(mechanism: Mechanism, q: ArrayLike) -> Array:
     """Closed poses (n,) or (T, n); of the actuated joints alone the others are assembled."""
     given = np.asarray(q, float)
     if given.shape[-1:] == (len(mechanism.actuated),) and len(mechanism.actuated) != mechanism.n:
-        return assemble(mechanism, given)
+        return assemble(mechanism, given, t=0.0)
     poses = as_states(mechanism, "q", given)
     if not 1 <= poses.ndim <= 2 or not poses.size:
         raise InputError("q.shape", value=poses.shape, limit="must be that of one pose, or of rows")
-    if (fault := loop_rates.check_closed(mechanism, poses)) is not None:
+    if (fault := loop_rates.check_closed(mechanism, poses, t=0.0)) is not None:
         raise fault[1]
     return poses
 

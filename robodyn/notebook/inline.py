@@ -36,7 +36,7 @@ def mechanism_html(mechanism: Mechanism) -> str:
     from robodyn.pictures.drawing import drawing
 
     try:
-        picture = svg(drawing(mechanism, first_pose(mechanism)), WIDTH)
+        picture = svg(drawing(mechanism, first_pose(mechanism, t=0.0)), WIDTH)
     except RobodynError as error:
         picture = f"<pre>{escape(str(error))}</pre>"
     return f"<div>{escape(repr(mechanism))}</div>{picture}"

@@ -28,6 +28,7 @@ from robodyn.errors import RobodynError
 from robodyn.loops.change_points import nearness
 from robodyn.loops.closing import close_positions, loop_size
 from robodyn.loops.loop_rates import nearest_velocities
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.regression_matrix import linear_parameters, regressor
 from robodyn.scene.scene import Description, Motor, Point
@@ -106,6 +107,7 @@ def base_parameters(mechanism: Mechanism) -> tuple[BaseParameter, ...]:
 
     Raises RobodynError where no states are found that close its loops.
     """
+    refuse_driven(mechanism, "base parameters")
     parameters = linear_parameters(mechanism.description)
     names, values = [x.name for x in parameters], np.array([x.value for x in parameters])
     found = structural(mechanism)
@@ -130,6 +132,7 @@ def base_parameters(mechanism: Mechanism) -> tuple[BaseParameter, ...]:
 @lru_cache(maxsize=16)
 def structural(mechanism: Mechanism) -> Dependence:
     """What the columns of Y have in common at all states."""
+    refuse_driven(mechanism, "base parameters")
     q, qd, qdd = random_states(mechanism)
     found = regressor(mechanism, q, qd, qdd)
     return dependence(found.Y.reshape(-1, len(found.names)), found.names)
@@ -153,14 +156,14 @@ def random_states(mechanism: Mechanism, count: int = STATES, seed: int = 0) -> l
     for _ in range(TRIES):
         q = rng.uniform(-np.pi, np.pi, (4 * count, n)) * units
         if mechanism.rows:
-            q = close_positions(mechanism, q)
+            q = close_positions(mechanism, q, t=0.0)
             good = np.isfinite(q).all(axis=-1)
             q = q[good]
-            gap = np.abs(closure_gap(mechanism, q)).max(axis=-1)
+            gap = np.abs(closure_gap(mechanism, q, 0.0)).max(axis=-1)
             closed = gap <= CLOSED * loop_size(mechanism)
             q = q[closed]
             if len(q):
-                q = q[nearness(mechanism, scaled_jacobian(mechanism, q)) >= FARTHEST]
+                q = q[nearness(mechanism, scaled_jacobian(mechanism, q, 0.0)) >= FARTHEST]
         poses = np.concatenate([poses, q])[:count]
         if len(poses) == count:
             break
@@ -169,9 +172,9 @@ def random_states(mechanism: Mechanism, count: int = STATES, seed: int = 0) -> l
         raise RobodynError("base parameters", where=mechanism.source, limit=limit)
     qd, qdd = (rng.normal(size=poses.shape) * units for _ in range(2))
     if mechanism.rows:
-        qd = nearest_velocities(mechanism, poses, qd)
-        Psi = scaled_jacobian(mechanism, poses)
-        opening = matvec(Psi, qdd / units) + closure_bias(mechanism, poses, qd)
+        qd = nearest_velocities(mechanism, poses, qd, 0.0)
+        Psi = scaled_jacobian(mechanism, poses, 0.0)
+        opening = matvec(Psi, qdd / units) + closure_bias(mechanism, poses, qd, 0.0)
         qdd = qdd - units * matvec(np.linalg.pinv(Psi), opening)
     return [poses, qd, qdd]
 

@@ -565,7 +565,7 @@ class LaneStates:
             return q, np.zeros((*given.shape[:2], 0))
         lanes = replace(plan, steps=tuple(self._lane_steps(plan, p)))
         with np.errstate(all="ignore"):
-            q, _ = known_joints(mechanism, lanes, given)
+            q, _ = known_joints(mechanism, lanes, given, 0.0)
             q, shorts, _ = by_dyads(mechanism, lanes, q, scene_branches(mechanism))
         missed = np.zeros((*q.shape[:2], len(self._conditions)))
         first = len(plan.coupled)
@@ -580,7 +580,7 @@ class LaneStates:
     @cached_property
     def _own(self) -> Array:
         """q (T, n) of the scene as it is."""
-        return assemble(self.mechanism, self.rows.q)
+        return assemble(self.mechanism, self.rows.q, t=0.0)
 
     def _lane_steps(self, plan: Plan, p: Array) -> list[Step]:
         """The steps with rows whose numbers are (S, 1)."""

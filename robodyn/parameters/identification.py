@@ -37,6 +37,7 @@ from robodyn.elements.springs import JointSpring
 from robodyn.engines.expression import Graph, slopes_by, substituted
 from robodyn.engines.planar_numbers import Planar
 from robodyn.errors import InputError
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.base_parameters import (
     EXCITED,
@@ -124,6 +125,7 @@ def identify(
     joint's largest rate.
     Raises InputError for arrays that do not fit, too few rows, and a motion that tells nothing.
     """
+    refuse_driven(mechanism, "identify")
     states = [np.asarray(x, float) for x in (q, qd, qdd)]
     given, times = np.asarray(tau, float), np.asarray(t, float)
     n, a = mechanism.n, len(mechanism.actuated)

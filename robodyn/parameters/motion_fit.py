@@ -40,6 +40,7 @@ from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.closing import close_positions, half_turn
 from robodyn.loops.loop_rates import check_closed, loop_velocities
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.base_parameters import EXCITED, dependence
 from robodyn.parameters.column_formulas import ColumnFormulas, LaneStates, Rows, compiled
@@ -354,6 +355,7 @@ def fit(
     row where columns are in them.  Raises InputError for what does not fit, for forces of dry
     friction and stops, and for bounds within which the loops never close.
     """
+    refuse_driven(mechanism, "fit")
     wanted = Wanted(mechanism, vary, columns, of, subject_to)
     formulas, rows = wanted.formulas, _rows(mechanism, q, qd, qdd, t)
     if mechanism.switches:
@@ -605,6 +607,7 @@ def fit_motion(
     q1.., qd1.. and those of `points`, but accelerations; names of `vary` may be start values q1,
     qd1 of joints that do not follow others; tau is as of `simulate`.
     """
+    refuse_driven(mechanism, "fit")
     times = np.asarray(t, float)
     if times.ndim != 1 or len(times) < 2 or not (np.diff(times) > 0.0).all():
         raise InputError("t", limit="must be two times or more that increase")
@@ -651,11 +654,11 @@ class _Begin:
             if given.ndim != 1 or len(given) not in wide:
                 limit = f"must have {' or '.join(map(str, sorted(wide)))} values, one a joint"
                 raise InputError(f"{name}.shape", value=given.shape, limit=limit)
-        if self.whole and (fault := check_closed(mechanism, joints)):
+        if self.whole and (fault := check_closed(mechanism, joints, t=0.0)):
             raise fault[1]
-        self.first = (close_positions if self.whole else assemble)(mechanism, joints)
+        self.first = (close_positions if self.whole else assemble)(mechanism, joints, t=0.0)
         if self.whole and len(rates) < n:
-            rates = loop_velocities(mechanism, self.first, rates)
+            rates = loop_velocities(mechanism, self.first, rates, 0.0)
         self.mechanism, self.given = mechanism, {"q": joints, "qd": rates}
         self.held = list(with_independent(mechanism).actuated)
         self.joints = list(range(n) if self.whole else mechanism.actuated)  # of what is given
@@ -676,13 +679,13 @@ class _Begin:
         for name, (kind, joint) in self.places.items():
             start[kind][self.joints.index(joint)] = values[name]
         if not self.whole:
-            q = assemble(moved, start["q"])
-            return q, loop_velocities(moved, q, start["qd"])
-        q = close_positions(moved, start["q"], self.held)
-        if fault := check_closed(moved, q):
+            q = assemble(moved, start["q"], t=0.0)
+            return q, loop_velocities(moved, q, start["qd"], 0.0)
+        q = close_positions(moved, start["q"], self.held, t=0.0)
+        if fault := check_closed(moved, q, t=0.0):
             raise fault[1]
         moving = replace(moved, actuated=tuple(self.held))
-        return q, loop_velocities(moving, q, start["qd"][self.held])
+        return q, loop_velocities(moving, q, start["qd"][self.held], 0.0)
 
 
 class _Motions:

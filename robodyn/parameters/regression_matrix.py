@@ -245,7 +245,8 @@ def _shared_out(mechanism: Mechanism, every: list[Array]) -> tuple[Array, Array]
         (Y, known), _ = rows.run(part, 2, lambda: None)
         loads = np.concatenate([Y.reshape(-1, n, p), known[:, :, None]], axis=-1)
         unit = np.broadcast_to(np.eye(n), (len(part[0]), n, n))
-        shares = balanced(mechanism, part[0][:, None], unit).tau[..., driven]
+        times = part[-1] if mechanism.timed else 0.0
+        shares = balanced(mechanism, part[0][:, None], unit, times).tau[..., driven]
         found[begin : begin + BLOCK] = np.swapaxes(shares, -1, -2) @ loads
     return found[..., :p].reshape(len(found), -1), found[..., p]
 

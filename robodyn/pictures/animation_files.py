@@ -86,7 +86,7 @@ def frames(
         between = np.stack([np.interp(inside, t, angle) for angle in q.T], axis=-1)
     else:
         between = ReferenceTable(t, q, qd).at(inside)[0]
-    fine = close_positions(mechanism, between)
+    fine = close_positions(mechanism, between, t=inside)
     return Frames(times[::FINER], fine[::FINER], rate, fine)
 
 

@@ -553,11 +553,13 @@ def _travelled(mechanism: Mechanism, poses: Array) -> Array:
     closures, actuated = mechanism.description.closures, list(mechanism.actuated)
     slotted = any(c.along is not None and c.second.link is not None for c in closures)
     turning = [k for k in actuated if k not in mechanism.slides]
-    if len(poses) > 1 or not slotted or not turning or assembly_plan(mechanism).rest:
+    if len(poses) > 1 or not slotted or not turning or mechanism.driven:
+        return poses
+    if assembly_plan(mechanism).rest:
         return poses
     given = np.repeat(poses, TURNS, axis=0)
     given[:, turning] += np.arange(TURNS)[:, None] * (2 * np.pi / TURNS)
-    q, missing = attempt(mechanism, given[:, actuated])
+    q, missing = attempt(mechanism, given[:, actuated], t=0.0)
     return np.concatenate([poses, q[missing <= 0.0]])
 
 

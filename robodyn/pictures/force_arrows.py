@@ -101,9 +101,15 @@ def forces(
 
 
 def forces_at(
-    mechanism: Mechanism, q: Array, qd: Array, qdd: Array | None = None, tau: Array | None = None
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array,
+    qdd: Array | None = None,
+    tau: Array | None = None,
+    *,
+    t: float,
 ) -> list[Force]:
-    """The `forces` of a state q, qd (n,) that moves with qdd, or as the joint torques tau make it.
+    """The `forces` of a state q, qd (n,) at t that moves with qdd, or as joint torques tau make it.
 
     Those of the driving torques are among them.
 
@@ -111,10 +117,10 @@ def forces_at(
     """
     if tau is None:
         qdd = np.zeros_like(q) if qdd is None else qdd
-        tau, multipliers, *_ = inverse_dynamics_and_forces(mechanism, q, qd, qdd)
+        tau, multipliers, *_ = inverse_dynamics_and_forces(mechanism, q, qd, qdd, t)
     else:
         check_way_on(mechanism, q[None, :], qd[None, :])
-        qdd, multipliers, _ = forward_dynamics_and_forces(mechanism, q, qd, tau)
+        qdd, multipliers, _ = forward_dynamics_and_forces(mechanism, q, qd, tau, t)
     with np.errstate(all="ignore"):
         found = forces(mechanism, q, qd, qdd, multipliers, tau)
     if not np.isfinite([item.force + item.torque for item in found]).all():

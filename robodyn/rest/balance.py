@@ -63,7 +63,7 @@ def unclosed(mechanism: Mechanism) -> Mechanism:
 
 def free_motions(mechanism: Mechanism, q: Array) -> Array:
     """N (n, f) at q (n,)."""
-    found = decompose(mechanism, scaled_jacobian(mechanism, q))
+    found = decompose(mechanism, scaled_jacobian(mechanism, q, 0.0))
     return np.asarray(mechanism.arrays.units[:, None] * found.V[:, int(found.rank) :])
 
 
@@ -82,7 +82,7 @@ def rests(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> NDArray[np.b
     acts = np.abs(load).max(axis=-1) + np.abs(tau).max(axis=-1)
     acts += np.abs(arrays.weights).sum() + np.abs(arrays.moments).sum()
     if mechanism.rows:
-        found = decompose(mechanism, scaled_jacobian(mechanism, q))
+        found = decompose(mechanism, scaled_jacobian(mechanism, q, 0.0))
         free = np.arange(mechanism.n) >= np.asarray(found.rank)[:, None]
         left = np.where(free, (left[:, None, :] @ found.V)[:, 0], 0.0)
     return np.asarray(still & (np.abs(left).max(axis=-1) <= ROUNDING * acts * units.max()))
@@ -90,7 +90,7 @@ def rests(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> NDArray[np.b
 
 def bend(mechanism: Mechanism, q: Array, u: Array, v: Array) -> Array:
     """B(u, v) (..., r) at q of rates u, v, (..., n) that broadcast."""
-    sums = [closure_bias(mechanism, q, x) for x in (u + v, u - v)]
+    sums = [closure_bias(mechanism, q, x, 0.0) for x in (u + v, u - v)]
     return np.asarray((sums[0] - sums[1]) / 4.0)
 
 
@@ -106,7 +106,7 @@ def balances(mechanism: Mechanism, q: Array, tau: Array) -> list[Balance]:
     """The balance at each of q (k, n); see `balance`."""
     units = mechanism.arrays.units[:, None]
     load = inverse_dynamics_derivatives(unclosed(mechanism), q, np.zeros_like(q), np.zeros_like(q))
-    closures = decompose(mechanism, scaled_jacobian(mechanism, q))
+    closures = decompose(mechanism, scaled_jacobian(mechanism, q, 0.0))
     missing = tau - load.tau
     multipliers = np.zeros((len(q), len(mechanism.rows)))
     if mechanism.rows:

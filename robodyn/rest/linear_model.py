@@ -38,6 +38,7 @@ from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import AssemblyError, InputError, RobodynError
 from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed, check_way_on
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word, in_mode, moving_mode
 from robodyn.rest.balance import bend, free_motions, single
@@ -163,10 +164,11 @@ def linearize(
     SingularError at a change point and where a freedom has no inertia.
     """
     mechanism.check_rubbing("linear models")
+    refuse_driven(mechanism, "linearize")
     pose, rates, torques = (
         single(mechanism, name, x) for name, x in (("q", q), ("qd", qd), ("tau", tau))
     )
-    if (fault := check_closed(mechanism, pose, rates)) is not None:
+    if (fault := check_closed(mechanism, pose, rates, t=0.0)) is not None:
         raise fault[1]
     check_way_on(mechanism, pose[None], np.zeros((1, mechanism.n)))
     for joint, side, end in beyond(mechanism, pose.tolist(), turns=True):
@@ -184,7 +186,7 @@ def linearize(
     N = free @ np.linalg.inv(free[joints])
     N[joints] = np.eye(len(joints))
     if tau is None:
-        qdd = _completed(mechanism, pose, joints, -closure_bias(mechanism, pose, rates))
+        qdd = _completed(mechanism, pose, joints, -closure_bias(mechanism, pose, rates, 0.0))
         load = required_load(mechanism, pose, rates, qdd)
         torques[driven] = Vt[holds].T @ ((U[:, holds].T @ (free.T @ load)) / s[holds])
     R = np.zeros_like(N)
@@ -286,7 +288,7 @@ def _completed(mechanism: Mechanism, q: Array, joints: list[int], right: Array) 
     """x (n,) with Psi x = right (r,), zero at the coordinates."""
     others = [k for k in range(mechanism.n) if k not in joints]
     found = np.zeros(mechanism.n)
-    columns = scaled_jacobian(mechanism, q)[:, others]
+    columns = scaled_jacobian(mechanism, q, 0.0)[:, others]
     found[others] = mechanism.arrays.units[others] * np.linalg.lstsq(columns, right, rcond=1e-10)[0]
     return found
 
@@ -312,8 +314,8 @@ def mode_motion(
     size = VISIBLE / np.abs(way / mechanism.arrays.units).max()
     part = 1.0
     while part > SMALLEST:
-        q = close_positions(mechanism, model.q + part * size * way)
-        if check_closed(mechanism, q) is None:
+        q = close_positions(mechanism, model.q + part * size * way, t=0.0)
+        if check_closed(mechanism, q, t=0.0) is None:
             return turns * period, q
         part /= 2.0
     raise AssemblyError("the mode's poses do not close", where=mechanism.source)

@@ -33,6 +33,7 @@ from robodyn.errors import AssemblyError, InputError, RobodynError, SingularErro
 from robodyn.loops.assembly import assemble, attempt
 from robodyn.loops.closing import close_positions, half_turn, loop_size, random_states
 from robodyn.loops.loop_rates import check_closed
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, joint_index
 from robodyn.mechanics.modes import beyond, end_word, in_mode, pressed
 from robodyn.mechanics.parts import without_rubbing
@@ -93,6 +94,7 @@ def equilibrium(
     close, RobodynError where no pose at rest is found, or it is beyond the end of a joint.
     """
     mechanism = without_rubbing(mechanism)  # at rest such friction is none
+    refuse_driven(mechanism, "equilibrium")
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     begin = _near(mechanism, near)
     found, _ = next(_poses(mechanism, joints, [begin], torques))
@@ -120,6 +122,7 @@ def equilibria(
     end of them, else as `equilibrium`.
     """
     mechanism = without_rubbing(mechanism)
+    refuse_driven(mechanism, "equilibrium")
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     sprung = {x.at for x in mechanism.elements if x.free is not None}
     counting = {*sprung, *(x.joint for x in mechanism.ranges), *mechanism.slides}
@@ -276,13 +279,13 @@ def _near(mechanism: Mechanism, near: ArrayLike | None) -> Array:
         begin = np.array([x or 0.0 for x in start])
         # joints are free, zero is out of reach, or it does not determine the pose
         with suppress(InputError, AssemblyError, SingularError):
-            return assemble(mechanism, begin[list(mechanism.actuated)])
-        near = close_positions(mechanism, begin)
+            return assemble(mechanism, begin[list(mechanism.actuated)], t=0.0)
+        near = close_positions(mechanism, begin, t=0.0)
         if not _open(mechanism, near):
             return near
         return next(islice(_starts(mechanism, (), near, {}), 1, None), near)  # any that closes
     begin = single(mechanism, "near", near)
-    if (fault := check_closed(mechanism, begin)) is not None:
+    if (fault := check_closed(mechanism, begin, t=0.0)) is not None:
         raise fault[1]
     return begin
 
@@ -313,16 +316,16 @@ def _starts(
         closed = None
         if mechanism.rows and set(joints) <= set(driven):
             with suppress(InputError):  # joints are free: the actuated ones do not tell the rest
-                q, missing = attempt(mechanism, drawn[:, driven])
+                q, missing = attempt(mechanism, drawn[:, driven], t=0.0)
                 free = np.isnan(missing)  # any direction closes: the one drawn
                 drawn = np.where(np.isnan(q), drawn, q)
-                q[free] = close_positions(mechanism, drawn[free], joints)
+                q[free] = close_positions(mechanism, drawn[free], joints, t=0.0)
                 free &= ~_open(mechanism, q)
                 for k in set(shifts) - {*driven, *coupled}:
                     q[:, k] += shifts[k]
                 closed = q[free | (missing <= 0.0)]
         if closed is None:
-            q = close_positions(mechanism, drawn, joints)
+            q = close_positions(mechanism, drawn, joints, t=0.0)
             closed = q[~_open(mechanism, q)]
         for place, pose in enumerate(closed):
             if watch is not None:
@@ -340,7 +343,7 @@ def _same(mechanism: Mechanism, turning: Sequence[int], way: Array) -> bool:
 
 def _open(mechanism: Mechanism, q: Array) -> NDArray[np.bool_]:
     """Which of q (..., n) are open."""
-    gap = np.abs(closure_gap(mechanism, q)).max(axis=-1, initial=0.0)
+    gap = np.abs(closure_gap(mechanism, q, 0.0)).max(axis=-1, initial=0.0)
     return np.asarray(~(gap <= CLOSED * loop_size(mechanism)))
 
 
@@ -398,7 +401,7 @@ def _balances(
     for (acting, exact), which in _grouped({k: (x.acting, x.exact) for k, x in asked.items()}):
         q = np.array([asked[k].q for k in which])
         if exact is not None:
-            q = close_positions(acting, q, exact=exact)
+            q = close_positions(acting, q, exact=exact, t=0.0)
         opened = _open(mechanism, q)
         closed |= {k: q[i] for i, k in enumerate(which) if exact is None or not opened[i]}
     acting_at = {k: _acting(mechanism, joints, q) for k, q in closed.items()}

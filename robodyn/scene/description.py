@@ -291,6 +291,10 @@ class _Reader(PointReader, SignalReader):
     def cam_drives(self, node: Node, place: str, coupling: Coupling) -> None:
         """A fault if the law of a cam does not depend on one joint alone, which turns."""
         drivers = sorted(coupling.others)
+        if coupling.timed:
+            limit = "names t: the law of a cam is one of its angle alone"
+            self.fault(place, node, limit, self.shown(node))
+            return
         if len(drivers) != 1:
             named = ", ".join(f"q{k + 1}" for k in drivers) or "none"
             limit = f"must name one joint on the right side, that of the cam: it names {named}"

@@ -218,21 +218,25 @@ def parse_coupling(text: str, units: Sequence[str]) -> Equation:
     joint, n = int(match[1]) - 1, len(units)
 
     def of(name: str) -> Dimension | None:
+        if name == "t":
+            return dimension_of("s")
         k = int(name[1:])
         return dimension_of(units[k - 1]) if 1 <= k <= n else None
 
-    known = Variables(lambda x: x if _JOINT.fullmatch(x) else None, "", of)
+    known = Variables(lambda x: x if x == "t" or _JOINT.fullmatch(x) else None, "", of)
     ratios: dict[int, float] = {}
     constant, law, own = 0.0, False, right.strip()
     try:
         found = _one(right, known)
-        names = {int(name[1:]) - 1 for name in found.names}
+        names = {int(name[1:]) - 1 for name in found.names - {"t"}}
+        law = "t" in found.names
         if unknown := [k + 1 for k in (joint, *sorted(names)) if not 0 <= k < n]:
             raise _JointError(f"names q{unknown[0]}; the joints are q1 to q{n}")
         try:
             parts = {name: _finite(x) for name, x in linear(found.node).items()}
             constant = parts.pop("", 0.0)
-            ratios = {int(name[1:]) - 1: ratio for name, ratio in parts.items()}
+            if not law:
+                ratios = {int(name[1:]) - 1: ratio for name, ratio in parts.items()}
         except NotLinearError:
             law = True
     except _JointError:

@@ -381,6 +381,11 @@ class Coupling(Declared):
         return self.terms or tuple((k, SOME_SLOPE) for k in sorted(self.others))
 
     @property
+    def timed(self) -> bool:
+        """Whether it is a law of the time too."""
+        return self.law is not None and "t" in self.law.names
+
+    @property
     def joints(self) -> frozenset[int]:
         """All joints that it ties to one another."""
         return self.others | {self.joint}

@@ -14,13 +14,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.closed_form import jacobian_at, scaled_jacobian
+from robodyn.dynamics.closed_form import drift_at, jacobian_at, scaled_jacobian
 from robodyn.dynamics.placed import joint_ways, placed_at
 from robodyn.engines.arithmetic import FLOATS, Arithmetic
 from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step, strays
@@ -98,7 +99,7 @@ def _followed(task: _Task, step: _Series) -> Long:
     """Return the states (T, 2n) at the times of the task, by steps of a series."""
     mechanism, state, times, actuation = task
     closing = _Closing(mechanism)
-    y, t, rows = closing(state.astype(LONG)), LONG(0.0), []
+    y, t, rows = closing(LONG(0.0), state.astype(LONG)), LONG(0.0), []
     if actuation.told is not None:
         actuation.told.begin(y.tolist(), float(times[-1]))
     for end in times.astype(LONG):
@@ -109,8 +110,8 @@ def _followed(task: _Task, step: _Series) -> Long:
             if taken is None:
                 raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
             h, new = taken
-            y = closing(new)
             t = stop if t + h >= stop else t + h
+            y = closing(t, new)
             reach(actuation, float(t), y)
         rows.append(y)
     return np.array(rows)
@@ -224,33 +225,33 @@ class _Closing:
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism, self.n, self.x = mechanism, mechanism.n, _constants(mechanism)
 
-    def __call__(self, y: Long) -> Long:
+    def __call__(self, t: Any, y: Long) -> Long:
         if not len(self.x.P):
             return y
         n = self.n
         try:
-            q = newton(y[:n], self._step)
-            inverse = self._inverse(q)
+            q = newton(y[:n], partial(self._step, t))
+            inverse = self._inverse(t, q)
         except _TooNear:
             return y  # next to a change point: the two computations will tell
         at = placed_at(self.mechanism, self.x.J @ q)
-        Psi = jacobian_at(self.mechanism, self.x, at) @ self.x.J * self.x.units
-        rates = y[n:] / self.x.units
+        Psi = jacobian_at(self.mechanism, self.x, at, t) @ self.x.J * self.x.units
+        rates, drift = y[n:] / self.x.units, drift_at(self.mechanism, at, t)
         for _ in range(PASSES):
-            rates = rates - inverse @ (Psi @ rates)
+            rates = rates - inverse @ (Psi @ rates + drift)
         return np.concatenate([q, rates * self.x.units])
 
-    def _inverse(self, q: Long) -> Array:
+    def _inverse(self, t: Any, q: Long) -> Array:
         """That of Psi, in floats."""
-        U, s, Vt = svd(scaled_jacobian(self.mechanism, q.astype(float)))
+        U, s, Vt = svd(scaled_jacobian(self.mechanism, q.astype(float), float(t)))
         if s[-1] < TOO_NEAR * loop_size(self.mechanism):
             raise _TooNear
         return np.asarray((Vt.T / s) @ U.T)
 
-    def _step(self, states: Long) -> tuple[Any, Long]:
+    def _step(self, t: Any, states: Long, _: Any) -> tuple[Any, Long]:
         """Whether the one state (1, n) is closed, and its step."""
         (q,) = states
-        step: Long = self.x.units * (self._inverse(q) @ exact_gap(self.mechanism, q))
+        step: Long = self.x.units * (self._inverse(t, q) @ exact_gap(self.mechanism, q, t))
         closed = np.abs(step).max() < 10.0 * np.finfo(LONG).eps
         return np.array([closed]), step[None]
 

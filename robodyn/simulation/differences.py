@@ -157,10 +157,10 @@ class Numbers:
         if moved.rows:
             driver = with_independent(moved)
             held = list(driver.actuated)
-            start[:n] = close_positions(moved, start[:n], held)
-            if fault := check_closed(moved, start[:n]):
+            start[:n] = close_positions(moved, start[:n], held, t=0.0)
+            if fault := check_closed(moved, start[:n], t=0.0):
                 raise fault[1]
-            start[n:] = loop_velocities(driver, start[:n], start[n:][held])
+            start[n:] = loop_velocities(driver, start[:n], start[n:][held], 0.0)
         return moved, start
 
 

@@ -146,7 +146,9 @@ def check_span(actuation: Actuation, t_end: float) -> None:
 
 def no_hold(mechanism: Mechanism, control: Control) -> str:
     """What to do about a controlled run that fails beside a dead centre, else nothing."""
-    if control.hardest is None or not near_dead_centre(mechanism, control.hardest[1]):
+    if control.hardest is None or not near_dead_centre(
+        mechanism, control.hardest[1], control.hardest[0]
+    ):
         return ""
     most = max(control.tracking(), key=lambda joint: joint.largest_torque)
     unit = "N" if mechanism.link_names.index(most.joint) in mechanism.slides else "N m"

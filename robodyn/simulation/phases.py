@@ -260,7 +260,7 @@ class Phases:
         if hits and self.mechanism.rows:
             # closures may tie some of these joints to one another
             fixed = sticking.independent(self.mechanism, [joint for joint, _ in hits], q)
-            q[:] = close_positions(self.mechanism, q, fixed)
+            q[:] = close_positions(self.mechanism, q, fixed, t=t)
             ends = set(sticking.touching(self.mechanism, q, qd)) - touches
             hits = sorted({*hits, *self._run_into(ends, qd)})
         if standing := sorted(rests | {joint for joint, _ in touches}):
@@ -455,7 +455,7 @@ def impulses(
     """Those of `rates_after`, p (k), and how each makes qd jump, (n, k)."""
     joints = [joint for joint, _ in touches]
     ways = -np.array([side for _, side in touches], float)  # in which stops are left
-    jumps = (ways[:, None] * responses(mechanism, q, joints)).T  # of qd (n, k) by each impulse
+    jumps = (ways[:, None] * responses(mechanism, q, joints, 0.0)).T  # of qd (n, k) by each impulse
     W, v = ways[:, None] * jumps[joints], ways * qd[joints]
     bounced = v + np.array([e or 0.0 for e in parts]) * v
     least = np.array([-np.inf if e is None else 0.0 for e in parts])

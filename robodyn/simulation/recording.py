@@ -100,11 +100,13 @@ class RunStatistics:
 
     def _take_loops(self, mechanism: Mechanism, t: Array, q: Array, qd: Array) -> None:
         report = self.report
-        gap = closed_form.closure_gap(mechanism, q)
+        gap = closed_form.closure_gap(mechanism, q, t)
         report.largest_gap = max(report.largest_gap, float(np.abs(gap).max()))
         stride = 1 + mechanism.n * len(mechanism.rows) // 2000
-        Psi = closed_form.scaled_jacobian(mechanism, q[::stride])
+        Psi = closed_form.scaled_jacobian(mechanism, q[::stride], t[::stride])
         rate = matvec(Psi, qd[::stride] / mechanism.arrays.units)
+        if mechanism.driven:
+            rate = rate + closed_form.closure_drift(mechanism, q[::stride], t[::stride])
         report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
         least = self.least_singular(mechanism, Psi)
         worst = int(np.argmin(least))

@@ -41,6 +41,7 @@ class Outcome(Enum):
         "limit",
         "the joint has no stop there; with a stiffness or a restitution in its limits it has one",
     )
+    LAW = ("law", "a law of a coupling cannot be kept from there on")
     CHATTERING = (
         "chattering",
         "a hundred changes of contact followed one another without time passing: try another "

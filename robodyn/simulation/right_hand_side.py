@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from robodyn.dynamics import dense_dynamics
-from robodyn.dynamics.closed_form import other_forces
+from robodyn.dynamics.closed_form import closure_drift, other_forces
 from robodyn.dynamics.friction_rounds import NotSettledError, settled
 from robodyn.engines import straightline
 from robodyn.errors import SignalError
@@ -43,7 +43,7 @@ from robodyn.mechanics.parts import without_rubbing
 from robodyn.tables.arrays import Array
 
 Rates = Callable[[float, Array], Any]
-Moved = Callable[[Array, Array, Array, float], tuple[Array, Any]]
+Moved = Callable[[Array, Array, Array, float], tuple[Array, Any, Any]]
 
 SINGULAR = 1e-4  # relative pivot below which the written-out solve loses digits to the dense one
 NEAR = 0.1  # relative pivot of a closure below which a state is projected before evaluation
@@ -135,7 +135,7 @@ def _projecting(
 
         def evaluate(states: Array) -> Array:
             if torques is not None:
-                held[:] = torques(t, closing(y)[0].tolist())
+                held[:] = torques(t, closing(t, y)[0].tolist())
             return np.array([beside(t, state) for state in states])
 
         try:
@@ -148,7 +148,7 @@ def _projecting(
         if project.misses.near(q):  # a stage that were closed here would bend the step
             return solved(t, y)
         if dense:  # whose closing is the cheapest test
-            closed, quality = closing(y)
+            closed, quality = closing(t, y)
             if quality > SUSPECT:
                 return solved(t, closed)
         near = project.misses.nearest(q)
@@ -156,7 +156,7 @@ def _projecting(
             led = across(t, y, near) if near.crosses else solved(t, y)
             if led is not None:
                 return led
-        return solved(t, closing(y)[0])
+        return solved(t, closing(t, y)[0])
 
     return careful
 
@@ -170,31 +170,40 @@ def _best_kind(mechanism: Mechanism) -> str:
 
 
 def _rubbed(mechanism: Mechanism, baumgarte: float) -> Moved:
-    """qdd (n,), and the load (n,) of friction by the forces in pins and slides."""
+    """qdd (n,), the load (n,) of friction by forces in pins and slides, and multipliers (r,)."""
     plain = without_rubbing(mechanism)
 
-    def moved(q: Array, qd: Array, tau: Array, t: float) -> tuple[Array, Array]:
+    def moved(q: Array, qd: Array, tau: Array, t: float) -> tuple[Array, Array, Array]:
         many = q[None], qd[None], tau[None]
         first = dense_dynamics.forward(plain, *many, baumgarte, t)
         found = settled(mechanism, "forward", many, t, first.qdd, first.multipliers)
-        return found.joints[0], found.load[0]
+        return found.joints[0], found.load[0], found.multipliers[0]
 
     return moved
 
 
-def _moved(mechanism: Mechanism, baumgarte: float) -> Moved:
-    """qdd (n,), and no such load."""
+def _moved(mechanism: Mechanism, baumgarte: float, drives: bool) -> Moved:
+    """qdd (n,), the load of friction by forces, and multipliers (r,) if the work `drives`."""
     if mechanism.rubbing:
         return _rubbed(mechanism, baumgarte)
-    return lambda q, qd, tau, t: (
-        dense_dynamics.accelerations(mechanism, q, qd, tau, baumgarte, t),
-        0.0,
-    )
+    if not drives:
+        return lambda q, qd, tau, t: (
+            dense_dynamics.accelerations(mechanism, q, qd, tau, baumgarte, t),
+            0.0,
+            None,
+        )
+
+    def moved(q: Array, qd: Array, tau: Array, t: float) -> tuple[Array, float, Array]:
+        solved = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte, t)
+        return solved.qdd, 0.0, solved.multipliers
+
+    return moved
 
 
 def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgarte: float) -> Rates:
     """dy/dt by dense algebra."""
-    moved = _moved(mechanism, baumgarte)
+    drives = bool(work and mechanism.driven)
+    moved = _moved(mechanism, baumgarte, drives)
     n = mechanism.n
     torques = actuation.function(n)
     damping = np.array(mechanism.damping)
@@ -210,13 +219,16 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             return np.full(len(y), np.nan)
         q, qd, tau = y[:n], y[n : 2 * n], np.array(found[:n])
         try:
-            qdd, rubbed = moved(q, qd, tau, t)
+            qdd, rubbed, multipliers = moved(q, qd, tau, t)
+            driving = 0.0  # of laws of the time, W
+            if drives:
+                driving = -float(closure_drift(mechanism, q, t) @ multipliers)
             if work and forced:
                 tau = tau + other_forces(mechanism, q, qd, t)
             tau = tau + rubbed
         except (SignalError, NotSettledError):  # a shorter step may not
             return np.full(len(y), np.nan)
-        power = [float(tau @ qd - damping @ qd**2)] if work else []
+        power = [float(tau @ qd - damping @ qd**2) + driving] if work else []
         return [*values[n : 2 * n], *qdd.tolist(), *found[n:], *power]
 
     return rates

@@ -7,6 +7,7 @@ statistics leave the run in batches, so its memory does not grow with its length
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,8 +20,9 @@ from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dense_dynamics, dynamics
 from robodyn.dynamics.placed import as_states
+from robodyn.engines.coupling_laws import check_laws
 from robodyn.engines.row_values import near_table_end, rows_of
-from robodyn.errors import InputError, RobodynError, SingularError, printable
+from robodyn.errors import InputError, LawError, RobodynError, SingularError, printable
 from robodyn.events.functions import event_function, event_functions, must_be_text
 from robodyn.events.state_columns import StateColumns
 from robodyn.events.watch import Event, EventWatch
@@ -317,7 +319,7 @@ def simulate(
         shapes = f"{q.shape} and {qd.shape}"
         raise InputError("shapes of q and qd", value=shapes, limit="must be those of one state")
     if mechanism.rows:
-        fault = loop_rates.check_closed(mechanism, q, qd)
+        fault = loop_rates.check_closed(mechanism, q, qd, t=0.0)
         if fault is not None:
             raise fault[1]
     state = np.concatenate([q, qd])
@@ -437,6 +439,7 @@ def run(
         warnings.warn(TOO_FAST, dynamics.RobodynWarning, stacklevel=2)
     report.stabilize = settings.stabilize if mechanism.rows else "none"
     work = actuation.active or mechanism.changes_energy or mechanism.switches
+    work = work or bool(mechanism.driven)
     y = np.array([*state.tolist(), *[0.0] * (actuation.states + work)])
     y = _begun(mechanism, actuation, y, t_end, report.stabilize == "projection")
     phases, moving = None, mechanism
@@ -456,7 +459,7 @@ def run(
         events.columns.enter(moving, partial(applied_torques, mechanism, actuation))
     recorder.begin(y)
     begun = time.perf_counter()
-    outcome = Outcome.FINISHED
+    outcome, law = Outcome.FINISHED, None
     try:
         if t_end != 0.0 and phases is not None:
             outcome = in_phases(phases, smooth, y, recorder)
@@ -464,6 +467,8 @@ def run(
             outcome = smooth.run(mechanism, 0.0, y, recorder)
     except SingularError:
         outcome = Outcome.SINGULAR
+    except LawError as error:
+        outcome, law = Outcome.LAW, error
     except StopRun as stop:
         outcome = stop.outcome
     recorder.flush_rows()
@@ -473,6 +478,10 @@ def run(
         recorder.settle()
     report.seconds = time.perf_counter() - begun
     report.outcome, report.advice = outcome.label, outcome.advice
+    if mechanism.laws and outcome in (Outcome.STEP_TOO_SMALL, Outcome.SINGULAR):
+        law = undefined_beyond(mechanism, recorder.last, t_end)
+    if law is not None:
+        report.advice = f"{law.what} = {law.value}: {law.limit}"
     if mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL and recorder.last is not None:
         report.advice = near_table_end(mechanism, *recorder.last) or report.advice
     if actuation.control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
@@ -480,15 +489,33 @@ def run(
     return outcome, recorder
 
 
+def undefined_beyond(
+    mechanism: Mechanism, last: tuple[float, Array] | None, t_end: float
+) -> LawError | None:
+    """The error of a law that has no value, or no derivative, just beyond the last state."""
+    if last is None:
+        return None
+    (t, y), n = last, mechanism.n
+    for ahead in (0.0, *(10.0**k for k in range(-12, -4))):
+        now = t + math.copysign(ahead * max(1.0, abs(t)), t_end)
+        q, qd = y[:n] + (now - t) * y[n : 2 * n], y[n : 2 * n]
+        try:
+            check_laws(mechanism, q, qd, now)
+        except LawError as error:
+            return error
+    return None
+
+
 def _begun(
     mechanism: Mechanism, actuation: Actuation, y: Array, t_end: float, projects: bool
 ) -> Array:
     """The state y from which a run starts, closed where it `projects`; torques are told of it."""
     n = mechanism.n
+    check_laws(mechanism, y[:n], y[n : 2 * n], 0.0)
     if t_end != 0.0 and mechanism.rows:
         loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
     if projects:
-        y = Projection(mechanism, best_closing(mechanism))(y)
+        y = Projection(mechanism, best_closing(mechanism))(0.0, y)
     if actuation.told is not None:
         actuation.told.begin(y.tolist(), float(t_end))
     if mechanism.signals:

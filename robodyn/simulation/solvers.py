@@ -65,7 +65,7 @@ class Projecting(_Solver):  # type: ignore[misc]
         y0: Array,
         t_bound: float,
         *,
-        projection: Callable[[Array], Array] | None = None,
+        projection: Callable[[float, Array], Array] | None = None,
         observer: Observer | None = None,
         kinks: Sequence[float] = (),
         jumps: Sequence[float] = (),
@@ -157,7 +157,7 @@ class Projecting(_Solver):  # type: ignore[misc]
     def _leapt(self, t: float, y: Array) -> bool:
         """Project the step from (t, y); whether it leapt over what turns the motion on its way."""
         if self.projection is not None:
-            closed = self.projection(self.y)
+            closed = self.projection(self.t, self.y)
             times, ends = np.array([t, self.t]), np.stack([y, closed])
             if self.misses is not None and self.misses.leaps(times, ends):
                 return True
@@ -299,12 +299,13 @@ def solver_of(
 class _ProjectedOutput(DenseOutput):
     """A solver's dense output, projected onto states that close."""
 
-    def __init__(self, dense: DenseOutput, projection: Callable[[Array], Array]) -> None:
+    def __init__(self, dense: DenseOutput, projection: Callable[[float, Array], Array]) -> None:
         super().__init__(dense.t_old, dense.t)
         self._dense, self._projection = dense, projection
 
     def _call_impl(self, t: Array) -> Array:
         y: Array = self._dense(t)
         if y.ndim == 1:
-            return self._projection(y)
-        return np.stack([self._projection(column) for column in y.T], axis=-1)
+            return self._projection(float(t), y)
+        each = zip(np.asarray(t).tolist(), y.T, strict=True)
+        return np.stack([self._projection(now, column) for now, column in each], axis=-1)

@@ -90,7 +90,7 @@ def at_states(
     mechanism: Mechanism, t: Array, q: Array, qd: Array, qdd_driven: Array, of: Sequence[str]
 ) -> State:
     """The states where the independent joints accelerate so, at closed q and qd (T, n)."""
-    qdd = loop_rates.loop_accelerations(with_independent(mechanism), q, qd, qdd_driven)
+    qdd = loop_rates.loop_accelerations(with_independent(mechanism), q, qd, qdd_driven, t)
     return State(mechanism, q, qd, qdd, t=t, of=of)
 
 

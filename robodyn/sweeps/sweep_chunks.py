@@ -278,7 +278,7 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
                 (mechanism, "tau", plan.tau),
             )
         )
-        full_q, missing = assembly.attempt(driver, q)
+        full_q, missing = assembly.attempt(driver, q, t=0.0)
         for k in chosen[np.isnan(missing)]:
             outcomes[k] = Outcome.SINGULAR.label
         closes = np.isfinite(full_q).all(axis=1) & (missing <= 0.0)
@@ -326,7 +326,7 @@ def _regular(compute: Callable[[slice], Array], shape: tuple[int, int]) -> tuple
 def _velocities(mechanism: Mechanism, q: Array, qd: Array) -> tuple[Array, Kept]:
     """All rates (k, n) from the independent joints', and which states have them."""
     driver = with_independent(mechanism)
-    return _regular(lambda k: loop_rates.loop_velocities(driver, q[k], qd[k]), q.shape)
+    return _regular(lambda k: loop_rates.loop_velocities(driver, q[k], qd[k], 0.0), q.shape)
 
 
 def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: list[str]) -> str:
@@ -375,7 +375,7 @@ def _along(plan: Plan, mechanism: Mechanism, track: ReferenceTable) -> tuple[Arr
     """The results of torques along a reference, nan where there are none, and the outcome."""
     nothing, t = np.full(len(plan.told), math.nan), np.array(track.times)
     driven, rates = track.at(t)
-    q, missing = assembly.attempt(mechanism, driven)
+    q, missing = assembly.attempt(mechanism, driven, t=0.0)
     if np.isnan(missing).any():
         return nothing, Outcome.SINGULAR.label
     if not np.isfinite(q).all() or (missing > 0.0).any():

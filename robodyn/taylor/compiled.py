@@ -256,6 +256,7 @@ class Rows(Observer):
             ahead = k.multiply(k.subtract(time, end), direction)
             k.leave(k.less(k.number(0.0), ahead), done)
             scene.put(k, block, "x", k.subtract(time, begin))
+            scene.put(k, block, "t_there", time)
             k.call("evaluate", block)
             if scene.closes:
                 k.call("close", block)
@@ -410,13 +411,17 @@ class CompiledEngine:
         assert len(rows) == len(times)
         return rows
 
-    def closed(self, rows: Array) -> Array:
-        """Move states (k, 2n or more) to the nearest that close, in place, and return them."""
+    def closed(self, rows: Array, t: Array) -> Array:
+        """Move states (k, 2n or more) at times t (k,) to the nearest that close, in place.
+
+        Return them.
+        """
         scene, code, block, address = next(iter(self._blocks.values()))  # they close alike
         if code.close is not None:
             first = scene.place["to_q0"]
             there = block[first : first + rows.shape[1]]
-            for row in rows:
+            for row, time in zip(rows, t, strict=True):
+                block[scene.place["t_there"]] = time
                 there[:] = row
                 code.close(address)
                 row[:] = there

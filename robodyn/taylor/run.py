@@ -126,11 +126,11 @@ class TaylorRun:
             bound = self.t + math.copysign(self.max_step, self.t_end)
         return bound
 
-    def _leads_on(self, y: Array) -> bool:
-        """Whether the Taylor series may go on from y: its closures are regular, no miss is near."""
+    def _leads_on(self, t: float, y: Array) -> bool:
+        """Whether the Taylor series may go on from t, y: closures are regular, no miss is near."""
         if self.closing is None:
             return True
-        if self.closing(y.tolist())[1] < self.regular:
+        if self.closing(t, y.tolist())[1] < self.regular:
             return False
         return self.misses is None or self.misses.distance(y[: self.mechanism.n]) >= self.far
 
@@ -149,7 +149,7 @@ class TaylorRun:
                 if solver.step() is not None:
                     break
                 least -= 1
-                if least <= 0 and self._leads_on(solver.y):
+                if least <= 0 and self._leads_on(float(solver.t), solver.y):
                     break
         except StiffError:
             return Outcome.STIFF
@@ -158,7 +158,9 @@ class TaylorRun:
         self.t, self.y = float(solver.t), np.array(solver.y)
         if self.t != before:
             return None
-        singular = self.closing is not None and self.closing(self.y.tolist())[1] < self.regular
+        singular = (
+            self.closing is not None and self.closing(self.t, self.y.tolist())[1] < self.regular
+        )
         return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
 
     def _advance(self, engine: CompiledEngine, bound: float) -> Chunk:
@@ -235,7 +237,7 @@ def _with_events(
     def within(places: Places, t: Array) -> Array:
         some, x = h[places], t - times[places]
         found = states_at(mechanism, before[places], terms[..., places], x, x / some)
-        return engine.closed(found) if mechanism.rows else found
+        return engine.closed(found, t) if mechanism.rows else found
 
     ends, exact = chunk.y[:, : 2 * mechanism.n], not mechanism.rows
     found = events.series(times, chunk.kept.boxes, sampled, ends, step, exact, within)

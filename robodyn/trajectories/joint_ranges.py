@@ -14,6 +14,7 @@ from robodyn.elements.joints import Range
 from robodyn.errors import AssemblyError, SingularError
 from robodyn.loops.assembly import assemble
 from robodyn.loops.closing import loop_size
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.rest.balance import bend
 from robodyn.tables.arrays import Array
@@ -54,6 +55,7 @@ def joint_ranges(
     A joint that ends nowhere has the range of a full turn about q.  Compliant stops give way, and
     are no ends.
     """
+    refuse_driven(mechanism, "a range of joints")
     found = []
     for place, joint in enumerate(mechanism.actuated):
         (low, low_end), (high, high_end) = (
@@ -88,7 +90,9 @@ def _way(
             beside = q[moved]
             beside[place] += sign * NUDGE * mechanism.arrays.units[joint]
             with suppress(AssemblyError, SingularError):  # it ends there
-                return _way(mechanism, assemble(mechanism, beside, branches), place, sign, None)
+                return _way(
+                    mechanism, assemble(mechanism, beside, branches, t=0.0), place, sign, None
+                )
         ended, ahead = error.kind, ahead * error.u
         if error.u and (fold := _fold(mechanism, error.q, joint)) is not None:
             ended = "dead centre"
@@ -119,16 +123,16 @@ def _fold(mechanism: Mechanism, q: Array, joint: int) -> float | None:
         return None
     p, moved = len(passive), [*passive, joint]
     start, q, size = q[joint], q.copy(), loop_size(mechanism)
-    first = np.linalg.svd(scaled_jacobian(mechanism, q)[:, passive])[2][-1]
+    first = np.linalg.svd(scaled_jacobian(mechanism, q, 0.0)[:, passive])[2][-1]
     v = first.copy()
     for _ in range(PASSES):
-        Psi, u = scaled_jacobian(mechanism, q), np.zeros(mechanism.n)
+        Psi, u = scaled_jacobian(mechanism, q, 0.0), np.zeros(mechanism.n)
         u[passive] = v * units[passive]
         bent = bend(mechanism, q, u, np.diag(units)[moved]).T
         system = np.zeros((2 * p + 1, 2 * p + 1))
         system[:p, : p + 1], system[p : 2 * p, : p + 1] = Psi[:, moved], bent
         system[p : 2 * p, p + 1 :], system[-1, p + 1 :] = Psi[:, passive], first
-        left = [*closure_gap(mechanism, q), *(Psi[:, passive] @ v), first @ v - 1.0]
+        left = [*closure_gap(mechanism, q, 0.0), *(Psi[:, passive] @ v), first @ v - 1.0]
         try:
             step = np.linalg.solve(system, -np.array(left))
         except np.linalg.LinAlgError:
@@ -138,7 +142,7 @@ def _fold(mechanism: Mechanism, q: Array, joint: int) -> float | None:
         q[moved] += step[: p + 1] * units[moved]
         v = v + step[p + 1 :]
         if np.abs(step[: p + 1]).max() <= SETTLED:
-            least = np.linalg.svd(scaled_jacobian(mechanism, q), compute_uv=False)[-1]
+            least = np.linalg.svd(scaled_jacobian(mechanism, q, 0.0), compute_uv=False)[-1]
             turned = abs(q[joint] - start) <= BESIDE * units[joint] and least > CROSSING * size
             return float(q[joint]) if turned else None
     return None

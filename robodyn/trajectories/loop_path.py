@@ -114,8 +114,8 @@ class _Node(NamedTuple):
 
 def corrected(mechanism: Mechanism, q: Array) -> tuple[Array, Truth]:
     """q (T, n) closed by Newton's method with the actuated joints held, and which close, (T,)."""
-    q = close_positions(mechanism, q, mechanism.actuated)
-    gap = np.abs(closure_gap(mechanism, q)).max(axis=-1, initial=0.0)
+    q = close_positions(mechanism, q, mechanism.actuated, t=0.0)
+    gap = np.abs(closure_gap(mechanism, q, 0.0)).max(axis=-1, initial=0.0)
     turns = np.abs(q).max(axis=-1, initial=1.0)  # couplings count them
     return q, gap <= 1e-3 * CLOSED * loop_size(mechanism) * turns
 
@@ -262,7 +262,7 @@ class Follower:
         q1[self._actuated], q2[self._actuated] = held[1], held[2]
         if not self._passive:
             return _Node(u, q, q1, q2, 0.0)
-        Psi = scaled_jacobian(self.mechanism, q)
+        Psi = scaled_jacobian(self.mechanism, q, 0.0)
         columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
         units = self.mechanism.arrays.units
         driving = driving / units[self._actuated]
@@ -271,7 +271,7 @@ class Follower:
             return None
         inverse = units[self._passive, None] * ((Vt.T / s) @ U.T)
         q1[self._passive] = -inverse @ (driving @ held[1])
-        bias = closure_bias(self.mechanism, q, q1)
+        bias = closure_bias(self.mechanism, q, q1, 0.0)
         q2[self._passive] = -inverse @ (driving @ held[2] + bias)
         return _Node(u, q, q1, q2, self._sign(columns))
 
@@ -287,7 +287,7 @@ class Follower:
             found, closed = corrected(self.mechanism, guess[None])
             if not closed[0]:
                 return False
-            columns = scaled_jacobian(self.mechanism, found[0])[:, self._passive]
+            columns = scaled_jacobian(self.mechanism, found[0], 0.0)[:, self._passive]
             before = self._sign(columns) == one.sign
             low, high = ((middle, found[0]), high) if before else (low, (middle, found[0]))
         if self._largest(high[1] - low[1]) > TOGETHER or self._misses(low[1]):
@@ -307,7 +307,7 @@ class Follower:
 
     def _kind(self, q: Array, near: float) -> str:
         """What ends a path at q; Psi is singular below the part `near` of the loop's size."""
-        s = np.linalg.svd(scaled_jacobian(self.mechanism, q), compute_uv=False)
+        s = np.linalg.svd(scaled_jacobian(self.mechanism, q, 0.0), compute_uv=False)
         return "dead centre" if s[-1] / loop_size(self.mechanism) > near else "change point"
 
     def _sign(self, columns: Array) -> float:
@@ -456,8 +456,8 @@ class LoopPath(WholePath):
             worst = int(np.argmin(closed))
             reason = f"they are open at u = {u[worst]:.9g} between two closed states"
             raise PathEndError(self.mechanism, float(u[worst]), q[worst], reason)
-        q1 = loop_velocities(self.mechanism, q, p1)
-        return q, q1, loop_accelerations(self.mechanism, q, q1, p2)
+        q1 = loop_velocities(self.mechanism, q, p1, 0.0)
+        return q, q1, loop_accelerations(self.mechanism, q, q1, p2, 0.0)
 
 
 def _beside(at: float, step: float, begin: float, end: float) -> tuple[Array, float]:

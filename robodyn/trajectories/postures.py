@@ -19,6 +19,7 @@ from robodyn.dynamics.placed import numbers
 from robodyn.errors import AssemblyError, InputError, SingularError
 from robodyn.loops import assembly
 from robodyn.loops.closing import close_positions, loop_size, wrapped
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 from robodyn.trajectories.reference import all_joints
@@ -58,6 +59,7 @@ def postures(
     Raises InputError for arguments that do not fit, AssemblyError for a place out of reach or on
     another branch, SingularError where links that lead to it may have any direction.
     """
+    refuse_driven(mechanism, "inverse kinematics")
     named = named_point(mechanism, of, "of")
     place = numbers("xy", xy)
     if place.shape != (2,) or not np.isfinite(place).all():
@@ -73,7 +75,7 @@ def postures(
     given = all_joints(mechanism, numbers("near", near)[None])[0]
     whole = not np.isnan(given).any()
     if not whole:
-        given = assembly.assemble(mechanism, given[list(mechanism.actuated)])
+        given = assembly.assemble(mechanism, given[list(mechanism.actuated)], t=0.0)
     return postures_at(task, place, given, whole)
 
 
@@ -82,7 +84,7 @@ def _first(mechanism: Mechanism) -> Array:
     start = mechanism.description.start
     if start is None:
         try:
-            return assembly.first_pose(mechanism)
+            return assembly.first_pose(mechanism, t=0.0)
         except (AssemblyError, InputError, SingularError):
             start = ()
     return np.array([x or 0.0 for x in start or (None,) * mechanism.n])
@@ -133,7 +135,7 @@ def _words(mechanism: Mechanism, q: Array) -> tuple[str, ...] | None:
     """The words of the branch that a closed pose q (n,) is on; the scene's where several meet."""
     own = assembly.scene_branches(mechanism)
     for words in (own, *assembly.all_branches(mechanism)):
-        found, missing = assembly.attempt(mechanism, q[list(mechanism.actuated)], words)
+        found, missing = assembly.attempt(mechanism, q[list(mechanism.actuated)], words, t=0.0)
         if missing <= 0.0 and np.abs(wrapped(mechanism, found - q)).max() < ALIKE:
             return words
     return None
@@ -180,7 +182,7 @@ def _by_dyads(task: Task, place: Array, near: Array) -> Array:
     """q (k, n) of each choice of branches that closes."""
     mechanism, found, short = task.mechanism, [], []
     for words in assembly.all_branches(task.guided):
-        q, missing = assembly.attempt(task.guided, place, words)
+        q, missing = assembly.attempt(task.guided, place, words, t=0.0)
         short.append(float(missing))
         if missing <= 0.0:
             found.append(q[: mechanism.n])
@@ -220,10 +222,10 @@ def _by_newton(task: Task, place: Array, near: Array) -> Array:
     begins[:, :n] += far * random * guided.arrays.units[:n]
     begins[:, list(guided.actuated)] = place
     with np.errstate(all="ignore"):
-        found = close_positions(guided, begins, guided.actuated)
+        found = close_positions(guided, begins, guided.actuated, t=0.0)
     found = found[_closes(guided, found)]
     if not len(found):
-        start = close_positions(task.mechanism, near)
+        start = close_positions(task.mechanism, near, t=0.0)
         reached = "no pose was found that closes there"
         closed = task.mechanism.rows == () or _closes(task.mechanism, start)
         if closed:
@@ -236,7 +238,7 @@ def _by_newton(task: Task, place: Array, near: Array) -> Array:
 
 
 def _closes(mechanism: Mechanism, q: Array) -> Array:
-    gap = np.abs(closure_gap(mechanism, q)).max(axis=-1)
+    gap = np.abs(closure_gap(mechanism, q, 0.0)).max(axis=-1)
     closed: Array = np.isfinite(q).all(axis=-1) & (gap <= CLOSES * loop_size(mechanism))
     return closed
 
@@ -252,11 +254,11 @@ def _least_change(task: Task, whole: Array, near: Array) -> Array:
     part = np.ones(len(whole))
     for _ in range(NEARER):
         way = (near - whole[:, :n]) / units
-        Psi = scaled_jacobian(guided, whole)[..., :n]
+        Psi = scaled_jacobian(guided, whole, 0.0)[..., :n]
         across = np.einsum("kij,kj->ki", np.linalg.pinv(Psi) @ Psi, way)
         trial = whole.copy()
         trial[:, :n] += part[:, None] * (way - across) * units
-        trial = close_positions(guided, trial, guided.actuated)
+        trial = close_positions(guided, trial, guided.actuated, t=0.0)
         nearer = np.linalg.norm((near - trial[:, :n]) / units, axis=1) < np.linalg.norm(way, axis=1)
         nearer &= _closes(guided, trial)
         whole = np.where(nearer[:, None], trial, whole)

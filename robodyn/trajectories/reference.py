@@ -19,6 +19,7 @@ from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.closing import wrapped
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
@@ -93,6 +94,7 @@ def reference_motion(
     the way, SingularError where the actuated joints do not determine the others.  Warns
     (RobodynWarning) of a change point that the loops just miss.
     """
+    refuse_driven(mechanism, "a trajectory")
     full = all_joints(mechanism, points)
     if (duration is None) == (times is None):
         raise InputError("duration and times", limit="give one of them")
@@ -117,6 +119,7 @@ def motion_along(
     Passive angles that are not NaN must be those that the motion reaches.  `watch` is told how far
     (0 to 1) the loops are followed.
     """
+    refuse_driven(mechanism, "a trajectory")
     check_duration(duration)
     try:
         whole = whole_path(mechanism, path, points, watch)
@@ -165,6 +168,7 @@ def check_duration(duration: float) -> None:
 
 def check_driven(mechanism: Mechanism) -> None:
     """Raise InputError where there are fewer actuated joints than freedoms."""
+    refuse_driven(mechanism, "a trajectory")
     driven, freedoms = len(mechanism.actuated), mechanism.n - len(mechanism.rows)
     if driven < freedoms:
         names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.passive)
@@ -176,8 +180,8 @@ def check_driven(mechanism: Mechanism) -> None:
 def started(mechanism: Mechanism, pose: Array, driven: Array) -> Array:
     """The closed state (n,) of a pose (n,), assembled from its actuated joints if it has NaN."""
     if np.isnan(pose).any():
-        return assembly.assemble(mechanism, driven)
-    fault = loop_rates.check_closed(mechanism, pose)
+        return assembly.assemble(mechanism, driven, t=0.0)
+    fault = loop_rates.check_closed(mechanism, pose, t=0.0)
     if fault is not None:
         raise fault[1]
     return pose.copy()

@@ -48,6 +48,7 @@ from robodyn.engines.factors import damped, svd
 from robodyn.errors import AssemblyError, InputError, SingularError
 from robodyn.loops.assembly import all_branches, assembly_plan, attempt, scene_branches
 from robodyn.loops.closing import close_positions, closed_jacobians, loop_size, wrapped
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.scene import Closure, Link, Point
 from robodyn.tables.arrays import Array, Truth
@@ -258,7 +259,9 @@ class RedundantPath(WholePath):
         return self._u, between
 
     def _regular(self, q: Array) -> bool:
-        s = np.linalg.svd(scaled_jacobian(self.mechanism, q)[:, self._passive], compute_uv=False)
+        s = np.linalg.svd(
+            scaled_jacobian(self.mechanism, q, 0.0)[:, self._passive], compute_uv=False
+        )
         return bool(s[-1] > DEAD * loop_size(self.mechanism))
 
     def _whole(self, u: Array, piece: Pieces, y: Array) -> Array:
@@ -273,7 +276,7 @@ class RedundantPath(WholePath):
         """q' and, if it is wanted, q'' at states q (T, n)."""
         mechanism, units = self.mechanism, self._units
         _, p1, p2 = self.path.evaluate(u, piece)
-        Psi = scaled_jacobian(mechanism, q)
+        Psi = scaled_jacobian(mechanism, q, 0.0)
         D = Psi[..., self._driven] / mechanism.arrays.units[self._driven]
         U, s, Vt = svd(Psi[..., self._passive])
         up, rows = np.swapaxes(U, -1, -2), np.swapaxes(Vt, -1, -2)
@@ -300,9 +303,9 @@ class RedundantPath(WholePath):
             way = np.where(size > 0.0, size, 1.0) * (
                 units[:, None] * np.eye(mechanism.n)[self._passive]
             )
-            two = [closure_bias(mechanism, q[:, None], q1[:, None] + x) for x in (way, -way)]
+            two = [closure_bias(mechanism, q[:, None], q1[:, None] + x, 0.0) for x in (way, -way)]
             bent = matvec((two[0] - two[1]) / (4.0 * np.where(size > 0.0, size, 1.0)), mu)
-            y2 = onto(-matvec(D, p2) - closure_bias(mechanism, q, q1)) + free(pull1 + bent)
+            y2 = onto(-matvec(D, p2) - closure_bias(mechanism, q, q1, 0.0)) + free(pull1 + bent)
             q2[:, self._driven], q2[:, self._passive] = p2, units * y2
         return q1, q2
 
@@ -350,6 +353,7 @@ def task_of(mechanism: Mechanism, of: NamedPoint, angle: bool = False) -> Task:
     Raises InputError where fewer freedoms than coordinates move the point, or joints are not
     actuated.
     """
+    refuse_driven(mechanism, "a trajectory")
     check_driven(mechanism)
     described, n = mechanism.description, mechanism.n
     # the second is turned so that its frame is X's
@@ -469,19 +473,19 @@ def out_of_reach(task: Task, q: Array, places: Array) -> float:
     missed, reach = 0.0, 0.5 * loop_size(guided)
     for place in places:
         begins[:, held] = place[2:]
-        here = close_positions(guided, begins, held)
+        here = close_positions(guided, begins, held, t=0.0)
         damping = np.ones(TRIES)
         for _ in range(STEPS):
             off = place[:2] - here[:, xy]
             far = np.linalg.norm(off, axis=1)
             pull = off * (reach / np.maximum(far, reach))[:, None]
-            _, s, Vt = svd(scaled_jacobian(guided, here)[..., free], full=True)
+            _, s, Vt = svd(scaled_jacobian(guided, here, 0.0)[..., free], full=True)
             N = np.swapaxes(Vt[:, s.shape[1] :], -1, -2)
             G = N[:, xy] * guided.arrays.units[xy, None]
             way = damped(G, pull, damping * (G * G).sum(axis=(1, 2)))
             trial = here.copy()
             trial[:, free] += matvec(N, way) * guided.arrays.units[free]
-            trial = close_positions(guided, trial, held)
+            trial = close_positions(guided, trial, held, t=0.0)
             better = np.linalg.norm(place[:2] - trial[:, xy], axis=1) < far
             here = np.where(better[:, None], trial, here)
             damping = np.where(better, 0.1 * damping, 10.0 * damping)
@@ -495,7 +499,7 @@ def pose_of(task: Task, pose: Array) -> Array:
     """The closed state (n,) of a pose (n,), NaN where passive joints are not given."""
     mechanism = task.mechanism
     begin = started(mechanism, pose, pose[list(mechanism.actuated)])
-    return close_positions(mechanism, begin, mechanism.actuated)
+    return close_positions(mechanism, begin, mechanism.actuated, t=0.0)
 
 
 MOST_WAYS = 8  # of dyads with two branches each, of which the nearest is looked for
@@ -550,7 +554,7 @@ def along_branch(task: Task, places: Array, pose: Array | None) -> Array:
             raise InputError("near", limit="missing: give the pose that it begins from")
         return _followed(task, places, pose)
     branches = _nearest_branches(task, places[0], pose)
-    whole, missing = attempt(task.guided, places, branches)
+    whole, missing = attempt(task.guided, places, branches, t=0.0)
     if not (missing <= 0.0).all():
         k = int(np.argmin(missing <= 0.0))
         at = f"({places[k, 0]:.9g}, {places[k, 1]:.9g})"
@@ -588,7 +592,7 @@ def _nearest_branches(task: Task, place: Array, pose: Array | None) -> tuple[str
         return words
     best, n = np.inf, task.mechanism.n
     for trial in all_branches(task.guided):
-        q, missing = attempt(task.guided, place, trial)
+        q, missing = attempt(task.guided, place, trial, t=0.0)
         away = float(np.linalg.norm(wrapped(task.mechanism, q[:n] - pose)))
         if missing <= 0.0 and away < best:
             best, words = away, trial

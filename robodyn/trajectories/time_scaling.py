@@ -153,7 +153,7 @@ def check_starts(motion: ReferenceMotion, limits: Limits) -> None:
         qd, qdd = np.where(still, FIRST * way, x * q1), x * x * q2
         qdd[:, joint] = 0.0
         if mechanism.rows:
-            qdd = loop_accelerations(mechanism, q, qd, qdd[:, driven])
+            qdd = loop_accelerations(mechanism, q, qd, qdd[:, driven], 0.0)
         held = replace(mechanism, elements=tuple(x.gradual(FALLS) for x in mechanism.elements))
         t = motion.begin + high * motion.duration
         tau = inverse_dynamics(held, q, qd, qdd, t)[:, joint]

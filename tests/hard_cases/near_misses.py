@@ -276,7 +276,7 @@ def off(
     beside: np.ndarray | float = 0.0,
 ) -> float:
     """What `found` misses `exact` by, in eps (w^2 + |qdd|)/(s/L)^2; `beside` it counts too."""
-    Psi = closure_jacobian(mechanism, q)
+    Psi = closure_jacobian(mechanism, q, t=0.0)
     if len(mechanism.actuated) > 1:  # two cranks may be at a dead centre where Psi is regular
         Psi = Psi[:, list(mechanism.passive)]
     size = np.abs(qd).max() ** 2 + np.abs(exact).max() + np.abs(beside).max()

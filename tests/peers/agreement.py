@@ -50,8 +50,8 @@ def motion_states(mechanism: Mechanism, count: int) -> States:
     if not mechanism.rows:
         return free[0] * 2.0, free[1], free[2]
     q = robodyn.assemble(mechanism, free[0] * 2.0)
-    qd = loop_velocities(mechanism, q, free[1])
-    return q, qd, loop_accelerations(mechanism, q, qd, free[2])
+    qd = loop_velocities(mechanism, q, free[1], t=0.0)
+    return q, qd, loop_accelerations(mechanism, q, qd, free[2], t=0.0)
 
 
 class Compared(NamedTuple):

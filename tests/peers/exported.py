@@ -164,7 +164,7 @@ def closed_exports(
     found = [model.constraints(*state) for state in zip(q, qd, strict=True)]
     J, gap, force, R, closing, qdd = (np.array(part) for part in zip(*found, strict=True))
     slider = [row.closure in sliders(mechanism) for row in mechanism.rows]
-    Psi, bias = robodyn.closure_jacobian(mechanism, q), closure_bias(mechanism, q, qd)
+    Psi, bias = robodyn.closure_jacobian(mechanism, q), closure_bias(mechanism, q, qd, t=0.0)
     bias[..., slider] = 0.0
     M, C = robodyn.mass_matrix(mechanism, q), robodyn.coriolis_matrix(mechanism, q, qd)
     damping = np.diag(mechanism.arrays.damping)
