@@ -100,6 +100,33 @@ class Table(Declared):
         return frozenset((self.over,))
 
 
+class Curve(Record):
+    """A cubic spline through the rows of a table, twice differentiable: a coupling's law.
+
+    On piece k, from x_k to x_{k+1}, it is the sum of `pieces[k][i]` (x - x_k)^i.  If it `repeats`
+    it gains `rise` with each span; else it ends at its first and last row.
+    """
+
+    file: str  # the CSV file, from the scene file's folder
+    over: str  # t, or a joint q0, ..
+    column: str
+    x: tuple[float, ...]
+    pieces: tuple[tuple[float, float, float, float], ...]
+    rise: float
+    repeats: bool
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The variable, as a law has its own."""
+        return frozenset((self.over,))
+
+    @property
+    def text(self) -> str:
+        """The file and its columns, for messages."""
+        over = self.over if self.over == "t" else f"q{int(self.over[1:]) + 1}"
+        return f"{self.column} over {over} in {self.file}"
+
+
 Signal = Law | Table
 
 # of files that a scene names: x and value of each row, by file, both columns' names, and whether

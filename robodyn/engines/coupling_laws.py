@@ -21,7 +21,7 @@ from robodyn.engines.series import Series, State
 from robodyn.errors import LawError
 from robodyn.mechanics.law_rows import LawRows
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.scene.scene import Law
+from robodyn.scene.scene import Curve, Law
 from robodyn.tables.arrays import Array
 
 NUMPY = {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}  # what numpy calls them
@@ -127,7 +127,7 @@ class _Code:
         return values.reshape(*shape, self.width)
 
 
-def _codes(laws: list[Law], n: int) -> tuple[list[tuple[int, int]], _Code, _Code]:
+def _codes(laws: list[Law | Curve], n: int) -> tuple[list[tuple[int, int]], _Code, _Code]:
     """The joints that laws depend on; code of their values and slopes, and of second derivatives.
 
     Slopes by the time come first, one a law, and then one for each pair of a law and a joint.

@@ -66,7 +66,7 @@ def law_terms(
     `units` has the unit of a joint, rad or m.
     """
     law = coupling.law
-    assert law is not None
+    assert isinstance(law, Law)
     program = Program()
 
     def variable(name: str) -> Slot:

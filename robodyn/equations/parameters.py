@@ -32,7 +32,7 @@ from robodyn.errors import InputError, printable
 from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.grammar import NUMBERS
-from robodyn.scene.scene import MASS, Closure, Coupling, Link, Point, Table, signals_of, told
+from robodyn.scene.scene import MASS, Closure, Coupling, Curve, Link, Point, Table, signals_of, told
 
 ROLES = {  # by unit
     "kg": Role.mass,
@@ -221,6 +221,10 @@ class Parameters:
             per = "" if unit == other else f"{unit}/{other}"
             turns[joint] = -size * self._symbol(name, place, ratio, per, meaning, Role.length)
         law = None
+        if isinstance(coupling.law, Curve):
+            limit, file = "equations have expressions, no tables", coupling.law.file
+            source = self.description.source
+            raise InputError(f"couplings[{c}]", where=source, value=file, limit=limit)
         if coupling.law is not None:
             law, names = law_terms(c, coupling, size, lambda k: "m" if self._slides(k) else "rad")
             self.laws += names

@@ -10,7 +10,7 @@ from typing import Any
 
 from robodyn.elements.base import Element
 from robodyn.elements.keys import Declared, Key
-from robodyn.elements.values import FRAMES, Law, Point, Signal, Table, told
+from robodyn.elements.values import FRAMES, Curve, Law, Point, Signal, Table, told
 from robodyn.scene.grammar import FORMS, NUMBERS, Form
 from robodyn.scene.scene import Closure, Coupling, Description
 
@@ -114,8 +114,17 @@ class _Writer:
             return self.pair((closure.first, closure.second))
         return self.mapping(closure)
 
-    def couplings(self, couplings: tuple[Coupling, ...]) -> list[str]:
-        return [f"q{x.joint + 1} = {_right_side(x)}" for x in couplings]
+    def couplings(self, couplings: tuple[Coupling, ...]) -> list[str | dict[str, Any]]:
+        return [self._coupling(x) for x in couplings]
+
+    def _coupling(self, coupling: Coupling) -> str | dict[str, Any]:
+        law = coupling.law
+        if isinstance(law, Curve):
+            over = law.over if law.over == "t" else f"q{int(law.over[1:]) + 1}"
+            joint = self.links[coupling.joint].name
+            found = {"joint": joint, "table": law.file, "over": over, "column": law.column}
+            return found | ({"period": law.x[-1] - law.x[0]} if law.repeats else {})
+        return f"q{coupling.joint + 1} = {_right_side(coupling)}"
 
     # -- what varies ---------------------------------------------------------------------------
 
