@@ -202,20 +202,22 @@ def law_derivatives(
     return laws.values(at, t)[..., i], laws.slopes(at, t)[..., i, joint], bends
 
 
-def check_laws(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike) -> None:
+def check_laws(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike | None, t: ArrayLike) -> None:
     """Raise LawError for a law that is not finite at states q, qd (..., n), t, or its derivatives.
+
+    Without qd its value is looked at alone.
 
     It names the law, and the first such state.
     """
     laws = laws_of(mechanism)
     if laws is None:
         return
-    q, qd = np.broadcast_arrays(np.asarray(q, float), np.asarray(qd, float))
-    each = {
-        "no value": laws.values(q, t),
-        "no derivative": laws.slopes(q, t).sum(axis=-1) + laws.drifts(q, t),
-        "no second derivative": laws.bends(q, qd, t),
-    }
+    q = np.asarray(q, float)
+    each = {"no value": laws.values(q, t)}
+    if qd is not None:
+        q, qd = np.broadcast_arrays(q, np.asarray(qd, float))
+        each["no derivative"] = laws.slopes(q, t).sum(axis=-1) + laws.drifts(q, t)
+        each["no second derivative"] = laws.bends(q, qd, t)
     first = len(mechanism.rows) - len(mechanism.description.couplings)
     for what, values in each.items():
         lost = np.argwhere(~np.isfinite(values))
