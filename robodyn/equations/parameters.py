@@ -29,7 +29,6 @@ from robodyn.equations.law_terms import LawTerms, law_terms
 from robodyn.equations.named_laws import Definition
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
 from robodyn.errors import InputError, printable
-from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.grammar import NUMBERS
 from robodyn.scene.scene import MASS, Closure, Coupling, Curve, Link, Point, Table, signals_of, told
@@ -69,7 +68,6 @@ class Parameters:
 
     def __init__(self, mechanism: Mechanism) -> None:
         description = self.description = mechanism.description
-        refuse_driven(mechanism, "equations")
         for x in mechanism.added:
             limit = "equations have no symbols for it"
             raise InputError(x.word, where=description.source, limit=limit)
