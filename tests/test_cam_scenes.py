@@ -457,3 +457,32 @@ def test_a_cam_whose_joint_is_driven() -> None:
     np.testing.assert_allclose(run.t[-1], math.acos(cosine) / 130.0, rtol=1e-9)
     with pytest.raises(DescriptionError, match="names t: the law of a cam"):
         from_text(text.replace("q2 = 10 mm", "q2 = 1 m/s t + 10 mm"), "scene.yaml")
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_a_cam_by_a_table(repeats: bool, tmp_path: Path) -> None:
+    """A lift from a file: the profile of a spline is near that of the law it is drawn from."""
+    angle = np.linspace(0.0, 2.0 * np.pi if repeats else 3.0, 241)
+    rows = np.stack([angle, 0.01 * (1 - np.cos(angle))], axis=-1)
+    rows[-1, 1] = rows[0, 1] if repeats else rows[-1, 1]
+    lines = "".join(f"{a!r},{s!r}\n" for a, s in rows.tolist())
+    (tmp_path / "lift.csv").write_text(f"q1,lift\n{lines}")
+    text = SCENE.format(law="q2 = 10 mm (1 - cos(q1))", cam="roller: 8 mm", y=S0)
+    exact = build(from_text(text, str(tmp_path / "exact.yaml")))
+    whole = ", period: 360deg" * repeats
+    table = f"joint: follower, table: lift.csv, over: q1, column: lift{whole}, "
+    drawn = text.replace('law: "q2 = 10 mm (1 - cos(q1))",', table)
+    mechanism = build(from_text(drawn, str(tmp_path / "scene.yaml")))
+    (cam,), (own,) = cams_of(mechanism), cams_of(exact)
+    theta, touch = outline(mechanism, cam, 100)
+    assert (theta[0], theta[-1]) == (angle[0], angle[-1])
+    near = contact_along(exact, own, theta)
+    np.testing.assert_allclose(touch.profile, near.profile, atol=1e-6)
+    np.testing.assert_allclose(touch.curvature, near.curvature, rtol=1e-2)
+    assert profile_of(mechanism, cam).closed == repeats
+    again = from_text(json.dumps(plain_scene(mechanism.description)), str(tmp_path / "again.yaml"))
+    assert again.couplings[0].cam == mechanism.description.couplings[0].cam
+    timed = drawn.replace("over: q1", "over: t").replace(", period: 360deg", "")
+    (tmp_path / "lift.csv").write_text(f"t,lift\n{lines}")
+    with pytest.raises(DescriptionError, match="names t: the law of a cam"):
+        from_text(timed, str(tmp_path / "scene.yaml"))

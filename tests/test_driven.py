@@ -23,7 +23,7 @@ from robodyn import (
     points,
     simulate,
 )
-from robodyn.dynamics import identities
+from robodyn.dynamics import closed_form, identities
 from robodyn.dynamics.closed_form import energies
 from robodyn.errors import InputError, LawError
 from robodyn.mechanics.actuation import Actuation
@@ -266,7 +266,7 @@ class TestStates:
     @pytest.mark.parametrize(
         "command",
         [
-            ["linearize"], ["equilibrium"], ["equations"], ["export", "--format", "mjcf"],
+            ["linearize"], ["equilibrium"], ["export", "--format", "mjcf"],
             ["export", "--format", "urdf"], ["terms", "--derivatives"],
             ["trajectory", "--from", "0", "--to", "1", "--time", "1"],
             ["assemble", "--range"],
@@ -291,6 +291,26 @@ class TestStates:
     def test_every_command_on_a_wholly_driven_scene(self, robodyn, scene, command):
         given = robodyn(command[0], scene(FOUR_BAR), *command[1:])
         assert given.code == 0, given.err
+
+    def test_equations(self, robodyn, scene):
+        path, mech = scene(RELATIVE), mechanism(RELATIVE)
+        text = robodyn("equations", path).out
+        assert "gap = 0    Psi qd + gap t = 0    Psi qdd + Psidot qd = 0" in text
+        assert "(gap t)1 = -R1 h1_t" in text
+        assert "(Psidot qd)1 = -R1 (2 h1_1_t qd1 + 0.2 qd3² + h1_t_t)" in text
+        steps = robodyn("equations", path, "--steps").out
+        assert "d/dt gap1 = -R1 (h1_1 qd1 - qd2" in steps
+        assert "h1_1 qd1" in steps
+        known: dict = {}
+        exec(robodyn("equations", path, "--format", "python").out, known)
+        q, qd, t = np.array([0.3, 0.2, -0.4]), np.array([1.0, 0.5, 0.2]), 0.7
+        for name, given, right in (
+            ("Psi", (q, t), closed_form.closure_jacobian(mech, q, t)),
+            ("Psidot_qd", (q, qd, t), closed_form.closure_bias(mech, q, qd, t)),
+            ("gap", (q, t), closed_form.closure_gap(mech, q, t)),
+            ("gap_t", (q, t), closed_form.closure_drift(mech, q, t)),
+        ):
+            np.testing.assert_allclose(known[name](*given), right, atol=1e-14)
 
 
 class TestFaults:

@@ -37,7 +37,7 @@ def agree(one: Mechanism, other: Mechanism, seed: int = 0) -> None:
         (mass_matrix, (q,)),
         (coriolis_matrix, (q, qd)),
         (gravity_vector, (q,)),
-        (closure_jacobian, (q,)),
+        (closure_jacobian, (q, 0.0)),
         (other_forces, (q, qd)),
     ):
         own, its = (function(x, *state) for x in (one, other))

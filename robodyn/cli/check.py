@@ -23,6 +23,7 @@ from robodyn.dynamics.identities import (
     sample_states,
 )
 from robodyn.elements.contacts import Mode
+from robodyn.elements.values import Curve
 from robodyn.errors import InputError, overflow
 from robodyn.loops import assembly
 from robodyn.loops.branches import scene_start
@@ -32,6 +33,9 @@ from robodyn.mechanics.modes import in_mode
 
 STATES = 200
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains
+
+
+DIGITS = 0.01  # part of the largest second derivative that digits may make
 
 
 def check(model: Model, format: OutputStructured = None, out: Out = None) -> None:
@@ -86,6 +90,8 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         "bound": BOUND,
         "passed": all(item.holds for item in results) if results else None,
     }
+    if tables := [*_curves(mechanism)]:
+        content["tables"] = tables
     write_structure(format, out, content, lambda: _tables(content, results))
     if mechanism.rows and sample.closing == 0.0 and not len(sample.q) and not unknown:
         note("Error: the loops close at none of the random positions of the actuated joints")
@@ -97,6 +103,17 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         note(f"Error: does not hold to {BOUND:g}: {'; '.join(failed)}")
     if failed or singular is not None:
         raise typer.Exit(1)
+
+
+def _curves(mechanism: Mechanism) -> Iterator[dict[str, object]]:
+    """Of each coupling by a table its largest second derivative, with a note where digits lack."""
+    for c, coupling in enumerate(mechanism.description.couplings, start=1):
+        if isinstance(law := coupling.law, Curve):
+            bend, off = law.largest_bend, law.bend_of_digits
+            yield {"coupling": c, "file": law.file, "bend": bend, "bend_of_digits": off}
+            if off > DIGITS * bend:
+                told = f"{off:.2g} of {bend:.2g}, for the digits of its values"
+                note(f"Warning: {law.text}: its second derivative may be off by {told}: give more")
 
 
 def _start(mechanism: Mechanism) -> dict[str, object] | None:
@@ -202,6 +219,9 @@ def _tables(content: dict[str, Any], results: list[Identity]) -> list[Grid]:
         if content[key]:
             span = ["infinite" if x is None else f"{x:.3g}" for x in content[key]]
             facts.append([label, " to ".join(span)])
+    for table in content.get("tables", ()):
+        told = f"largest second derivative {table['bend']:.3g}"
+        facts.append([table["file"], told])
     if content["closing"] is not None:
         facts.append(["closes at", f"{100 * content['closing']:.0f} % of positions"])
     proof = []

@@ -24,7 +24,7 @@ from robodyn.engines.coupling_laws import law_derivatives
 from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.scene import Point
+from robodyn.scene.scene import Curve, Point
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
 
@@ -184,8 +184,14 @@ class Profile(NamedTuple):
 
 
 def span(mechanism: Mechanism, cam: Cam) -> tuple[float, float]:
-    """The angles of the cam between which its profile lies: its joint's limits, else a turn."""
+    """The angles of the cam between which its profile lies.
+
+    Those are its joint's limits or the rows of a table that does not repeat, else a turn.
+    """
     low, high = 0.0, TURN
+    law = mechanism.description.couplings[cam.coupling].law
+    if isinstance(law, Curve) and not law.repeats:
+        return law.x[0], min(law.x[-1], law.x[0] + TURN)
     own: Range | None = next((x for x in mechanism.ranges if x.joint == cam.driver), None)
     if own is not None:
         ends = dict(own.ends)

@@ -100,6 +100,65 @@ class Table(Declared):
         return frozenset((self.over,))
 
 
+MOST_DECIMALS = 14  # from which the digits of a file are those of floats
+
+
+def _decimals(value: float) -> int:
+    """The decimals that a number is written with."""
+    number, _, power = repr(round(value, MOST_DECIMALS)).partition("e")
+    written = number.rstrip("0").partition(".")[2]
+    return max(0, len(written) - int(power or 0))
+
+
+class Curve(Record):
+    """A cubic spline through the rows of a table, twice differentiable: a coupling's law.
+
+    On piece k, from x_k to x_{k+1}, it is the sum of `pieces[k][i]` (x - x_k)^i.  If it `repeats`
+    it gains `rise` with each span; else it ends at its first and last row.
+    """
+
+    file: str  # the CSV file, from the scene file's folder
+    over: str  # t, or a joint q0, ..
+    column: str
+    x: tuple[float, ...]
+    pieces: tuple[tuple[float, float, float, float], ...]
+    rise: float
+    repeats: bool
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The variable, as a law has its own."""
+        return frozenset((self.over,))
+
+    @property
+    def text(self) -> str:
+        """The file and its columns, for messages."""
+        over = self.over if self.over == "t" else f"q{int(self.over[1:]) + 1}"
+        return f"{self.column} over {over} in {self.file}"
+
+    @property
+    def largest_bend(self) -> float:
+        """The largest second derivative, which is at a row."""
+        widths = [b - a for a, b in pairwise(self.x)]
+        ends = [
+            (2 * c, 2 * c + 6 * d * h) for (_, _, c, d), h in zip(self.pieces, widths, strict=True)
+        ]
+        return max(abs(x) for pair in ends for x in pair)
+
+    @property
+    def bend_of_digits(self) -> float:
+        """What the second derivative may be off by, as the values have only so many decimals.
+
+        A value that is rounded by d makes 4 d/h^2 of a second difference over rows h apart, and a
+        spline three times as much at most.
+        """
+        decimals = max(_decimals(piece[0]) for piece in self.pieces)
+        if decimals >= MOST_DECIMALS:
+            return 0.0
+        h = min(b - a for a, b in pairwise(self.x))
+        return 12.0 * 0.5 * 10.0**-decimals / (h * h)
+
+
 Signal = Law | Table
 
 # of files that a scene names: x and value of each row, by file, both columns' names, and whether

@@ -21,7 +21,7 @@ from robodyn.engines.series import Series, State
 from robodyn.errors import LawError
 from robodyn.mechanics.law_rows import LawRows
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.scene.scene import Law
+from robodyn.scene.scene import Curve, Law
 from robodyn.tables.arrays import Array
 
 NUMPY = {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}  # what numpy calls them
@@ -127,7 +127,7 @@ class _Code:
         return values.reshape(*shape, self.width)
 
 
-def _codes(laws: list[Law], n: int) -> tuple[list[tuple[int, int]], _Code, _Code]:
+def _codes(laws: list[Law | Curve], n: int) -> tuple[list[tuple[int, int]], _Code, _Code]:
     """The joints that laws depend on; code of their values and slopes, and of second derivatives.
 
     Slopes by the time come first, one a law, and then one for each pair of a law and a joint.
@@ -202,20 +202,22 @@ def law_derivatives(
     return laws.values(at, t)[..., i], laws.slopes(at, t)[..., i, joint], bends
 
 
-def check_laws(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike) -> None:
+def check_laws(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike | None, t: ArrayLike) -> None:
     """Raise LawError for a law that is not finite at states q, qd (..., n), t, or its derivatives.
+
+    Without qd its value is looked at alone.
 
     It names the law, and the first such state.
     """
     laws = laws_of(mechanism)
     if laws is None:
         return
-    q, qd = np.broadcast_arrays(np.asarray(q, float), np.asarray(qd, float))
-    each = {
-        "no value": laws.values(q, t),
-        "no derivative": laws.slopes(q, t).sum(axis=-1) + laws.drifts(q, t),
-        "no second derivative": laws.bends(q, qd, t),
-    }
+    q = np.asarray(q, float)
+    each = {"no value": laws.values(q, t)}
+    if qd is not None:
+        q, qd = np.broadcast_arrays(q, np.asarray(qd, float))
+        each["no derivative"] = laws.slopes(q, t).sum(axis=-1) + laws.drifts(q, t)
+        each["no second derivative"] = laws.bends(q, qd, t)
     first = len(mechanism.rows) - len(mechanism.description.couplings)
     for what, values in each.items():
         lost = np.argwhere(~np.isfinite(values))

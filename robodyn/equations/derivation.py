@@ -822,7 +822,10 @@ class Derivation:
                 sides.append(Line(one, (two,)))
             else:
                 sides.append(Line(name, (gap, ZERO)))
-            moving = written(in_place(slope(flat[r], self.by_time), "gap"), BY_RATE)
+            moved = slope(flat[r], self.by_time)
+            if self.mechanism.rows[r].law is not None:
+                moved = self._law_rate(r)
+            moving = written(in_place(moved, "gap"), BY_RATE)
             left = Name(f"d/dt {name.plain}", rf"\frac{{d}}{{dt}}{name.latex}")
             rates.append(Line(left, (moving, ZERO)))
         yield sides
@@ -838,6 +841,14 @@ class Derivation:
                 entries.append(Line(name, (entry,)))
         yield entries
         yield from self._multipliers()
+
+    def _law_rate(self, r: int) -> Sum:
+        """The rate of a row with a law: Psi qd, and what the time moves."""
+        entries = enumerate(self.blocks["Psi"].rows[r])
+        parts = [expanded(x) * of(Atom(Role.rate, (k,))) for k, x in entries if x]
+        if "gap_t" in self.blocks:
+            parts.append(expanded(self.blocks["gap_t"].rows[r][0]))
+        return total(parts)
 
     def _is_point(self, r: int) -> bool:
         """Whether a row of the gap is one of points, measured along a fixed direction."""

@@ -19,7 +19,7 @@ from typing import Any
 from robodyn.engines.arithmetic import plus, times
 from robodyn.engines.formulas import Recorded, balance, joint_jacobian
 from robodyn.engines.series import Series
-from robodyn.equations.law_terms import LawTerms
+from robodyn.equations.law_terms import TIME, LawTerms
 from robodyn.mechanics import parts
 from robodyn.mechanics.planar_model import Mechanism
 
@@ -75,7 +75,8 @@ class Entries:
                 for row, (_, _, law) in zip(slopes, self.couplings, strict=True):
                     if law is not None:
                         for k, x in law.slopes.items():
-                            row[k] = row[k] - law.arm * x
+                            if k != TIME:
+                                row[k] = row[k] - law.arm * x
                 return joint_jacobian(self.at, series) + slopes
             case "Psidot_qd":
                 bias = self._series(rows=named.rows).residuals(0)[named.n :]
@@ -83,6 +84,12 @@ class Entries:
                 laws = [law for _, _, law in self.couplings]
                 bends = [0.0 if x is None else 0.0 - x.arm * x.bend(rates) for x in laws]
                 return [[x] for x in (*bias, *bends)]
+            case "gap_t":
+                drifts = [0.0 for _ in self._series(rows=named.rows).program.named["gap"]]
+                for _, _, law in self.couplings:
+                    own = 0.0 if law is None else law.slopes.get(TIME, 0.0)
+                    drifts.append(0.0 if law is None else 0.0 - law.arm * own)
+                return [[x] for x in drifts]
             case "inverse_dynamics" | "joint_torques":
                 return self._load(replace(named, rows=()), accelerated=True)
             case "gap":

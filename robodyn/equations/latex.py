@@ -40,6 +40,7 @@ NAMES = {
     "Psi": r"\Psi",
     "Psidot_qd": r"\dot{\Psi}\dot{q}",
     "gap": r"\mathrm{gap}",
+    "gap_t": r"\mathrm{gap}_{t}",
 }
 
 
@@ -135,7 +136,8 @@ def _head(equations: Equations[Sum]) -> Iterator[str]:
     right += r" + \Psi^{T}\lambda" if equations.side("closures") else ""
     yield f"{' + '.join(terms) or '0'} &= {right}"
     if equations.side("closures"):
-        more = [r"\Psi\dot{q} = 0", r"\Psi\ddot{q} + \dot{\Psi}\dot{q} = 0"]
+        drift = r" + \mathrm{gap}_{t}" if equations.mechanism.driven else ""
+        more = [rf"\Psi\dot{{q}}{drift} = 0", r"\Psi\ddot{q} + \dot{\Psi}\dot{q} = 0"]
         yield r", \quad ".join([r"\mathrm{gap} &= 0", *more])
     if equations.mechanism.passive:
         driven = ", ".join(equations.driven(r"\tau_{{{}}}"))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import combinations_with_replacement
 from typing import Any
 
@@ -34,9 +35,15 @@ from robodyn.scene.syntax import Node
 Value = Any
 
 
+TIME = -1  # among joints
+
+
 @dataclass(frozen=True)
 class LawTerms:
-    """A law in the gap -arm h, with its slopes by joints and by pairs of joints; zeros left out."""
+    """A law in the gap -arm h, with its slopes by joints and by pairs of joints; zeros left out.
+
+    TIME stands for the time among joints.
+    """
 
     arm: Value
     value: Value
@@ -53,7 +60,9 @@ class LawTerms:
         """The sum of second slopes times both rates, of rates qd (n)."""
         total: Value = 0.0
         for (k, j), x in self.second.items():
-            part = x * qd[k] * qd[j]
+            part = x
+            for moved in (k, j):
+                part = part if moved == TIME else part * qd[moved]
             total = total + (part if k == j else part * 2)
         return total
 
@@ -66,13 +75,21 @@ def law_terms(
     `units` has the unit of a joint, rad or m.
     """
     law = coupling.law
-    assert law is not None
+    assert isinstance(law, Law)
     program = Program()
 
     def variable(name: str) -> Slot:
         return program.add(Given(name))
 
     rows, joints = LawRows(program, variable), sorted(coupling.others)
+    joints += [TIME] if coupling.timed else []
+
+    def slot_name(k: int) -> str:
+        return "t" if k == TIME else f"q{k}"
+
+    def shown(k: int) -> str:
+        return "t" if k == TIME else f"q{k + 1}"
+
     value = rows.value(law)
     definitions: list[Definition] = []
     own, letter = units(coupling.joint), f"h{c + 1}"
@@ -80,10 +97,10 @@ def law_terms(
     def named(part: Part, by: tuple[int, ...], meaning: str) -> symbolic.Sum:
         """A name for what is no number."""
         if not isinstance(part, Slotted):
-            return ONE.times(part)
-        name = "_".join([letter, *(str(k + 1) for k in by)])
+            return ONE.times(Fraction(repr(float(part))))
+        name = "_".join([letter, *("t" if k == TIME else str(k + 1) for k in by)])
         formula = _formula(law, program, int(part)) if by else formula_of(law, {})
-        unit = _unit(own, [units(k) for k in by])
+        unit = _unit(own, ["s" if k == TIME else units(k) for k in by])
         definitions.append(Definition(name, formula, unit, meaning))
         return of(Atom(Role.length, (c, name), name))
 
@@ -91,15 +108,15 @@ def law_terms(
     h = named(value, (), told)
     slopes: dict[int, Any] = {}
     second: dict[tuple[int, int], Any] = {}
-    names = [f"q{k}" for k in joints]
+    names = [slot_name(k) for k in joints]
     first = dict(zip(joints, rows.slopes(value, names), strict=True))
     for k, part in first.items():
         if isinstance(part, Slotted) or part:
-            slopes[k] = named(part, (k,), f"derivative of {letter} by q{k + 1}")
+            slopes[k] = named(part, (k,), f"derivative of {letter} by {shown(k)}")
     for k, j in combinations_with_replacement(joints, 2):
-        (part,) = rows.slopes(first[k], [f"q{j}"])
+        (part,) = rows.slopes(first[k], [slot_name(j)])
         if isinstance(part, Slotted) or part:
-            by = f"q{k + 1} and q{j + 1}" if k != j else f"q{k + 1} twice"
+            by = f"{shown(k)} and {shown(j)}" if k != j else f"{shown(k)} twice"
             second[k, j] = named(part, (k, j), f"derivative of {letter} by {by}")
     return LawTerms(arm, h, slopes, second), tuple(definitions)
 

@@ -119,9 +119,13 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
     if not mechanism.massless:
         yield from _heads_of_motion(mechanism)
     if mechanism.rows:
-        yield Head("closures", "Psi", "closure Jacobian, d gap/dq", unit("m", "1"), "matrix")
-        yield Head("closures", "Psidot_qd", "closure bias", "m/s²", "vector", ("q", "qd"))
-        yield Head("closures", "gap", "closure gap, first side less second", "m", "vector")
+        t = ("t",) if mechanism.driven else ()
+        at = ("q", *t)
+        yield Head("closures", "Psi", "closure Jacobian, d gap/dq", unit("m", "1"), "matrix", at)
+        yield Head("closures", "Psidot_qd", "closure bias", "m/s²", "vector", ("q", "qd", *t))
+        yield Head("closures", "gap", "closure gap, first side less second", "m", "vector", at)
+        if t:
+            yield Head("closures", "gap_t", "d gap/dt of laws of the time", "m/s", "vector", at)
 
 
 def _heads_of_motion(mechanism: Mechanism) -> Iterator[Head]:
@@ -207,7 +211,8 @@ class Equations(Generic[Entry]):
         right = "".join(f" + {block.name}" for block in self.others)
         if not self.side("closures"):
             return [f"{left} = tau{right}"]
-        closed = "gap = 0    Psi qd = 0    Psi qdd + Psidot qd = 0"
+        rate = "Psi qd + gap t" if self.mechanism.driven else "Psi qd"
+        closed = f"gap = 0    {rate} = 0    Psi qdd + Psidot qd = 0"
         if self.mechanism.massless:
             return [closed]
         return [f"{left} = tau{right} + Psi^T lambda", closed]

@@ -29,10 +29,9 @@ from robodyn.equations.law_terms import LawTerms, law_terms
 from robodyn.equations.named_laws import Definition
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
 from robodyn.errors import InputError, printable
-from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.grammar import NUMBERS
-from robodyn.scene.scene import MASS, Closure, Coupling, Link, Point, Table, signals_of, told
+from robodyn.scene.scene import MASS, Closure, Coupling, Curve, Link, Point, Table, signals_of, told
 
 ROLES = {  # by unit
     "kg": Role.mass,
@@ -70,7 +69,6 @@ class Parameters:
     def __init__(self, mechanism: Mechanism) -> None:
         mechanism.check_rubbing("equations")
         description = self.description = mechanism.description
-        refuse_driven(mechanism, "equations")
         for x in mechanism.added:
             limit = "equations have no symbols for it"
             raise InputError(x.word, where=description.source, limit=limit)
@@ -222,6 +220,10 @@ class Parameters:
             per = "" if unit == other else f"{unit}/{other}"
             turns[joint] = -size * self._symbol(name, place, ratio, per, meaning, Role.length)
         law = None
+        if isinstance(coupling.law, Curve):
+            limit, file = "equations have expressions, no tables", coupling.law.file
+            source = self.description.source
+            raise InputError(f"couplings[{c}]", where=source, value=file, limit=limit)
         if coupling.law is not None:
             law, names = law_terms(c, coupling, size, lambda k: "m" if self._slides(k) else "rad")
             self.laws += names

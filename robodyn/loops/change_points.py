@@ -112,6 +112,8 @@ def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
     """The rank of Psi about q (n,), on the branch that q is on, and s/L there."""
     Psi = closed_form.scaled_jacobian(mechanism, q, 0.0)
     regular, size = regular_rank(mechanism), loop_size(mechanism)
+    if mechanism.laws and not np.isfinite(Psi).all():  # beyond where a law has a value
+        return regular, 1.0
     if regular == len(Psi) > FEW:  # squares, which tell no small ones, in a third of the time
         least = float(np.linalg.eigvalsh(Psi @ Psi.T)[0])
         if least > (COARSE * size) ** 2:

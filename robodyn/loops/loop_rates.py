@@ -30,7 +30,7 @@ from robodyn.dynamics.placed import (
     matvec,
     placed,
 )
-from robodyn.engines.coupling_laws import law_values
+from robodyn.engines.coupling_laws import check_laws, law_values
 from robodyn.errors import InputError
 from robodyn.loops.change_points import (
     NEAR,
@@ -162,6 +162,8 @@ def check_closed(
     """The first of the states (..., n) that does not keep the closures, with the error to raise."""
     if not mechanism.rows or q.size == 0:
         return None
+    if mechanism.laws:
+        check_laws(mechanism, q, None, np.broadcast_to(np.asarray(t, float), q.shape[:-1]))
     sizes, at = _sizes(mechanism), placed(mechanism, q)
     opening = gap_at(mechanism, mechanism.arrays, at, t) + _turned_over(mechanism, at)
     fault = _first_open(mechanism, "position", "m", opening, loop_size(mechanism), q, t)

@@ -41,7 +41,7 @@ from robodyn.elements.program import (
 )
 from robodyn.mechanics.expression_rows import Slotted
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
-from robodyn.scene.scene import Law, Signal, Table
+from robodyn.scene.scene import Curve, Law, Signal, Table
 
 
 class EquationsOfMotion(Builder):
@@ -293,7 +293,7 @@ class EquationsOfMotion(Builder):
                 angle = program.number(turn)
                 total.append((angle, self.coordinate(k)))
                 self.moments[k].append((angle, mu))
-            drift = program.sum()
+            drift = program.sum() if self.mechanism.driven else -1
             if row.law is not None:
                 term, drift = self._law(row, mu)
                 total.append(term)
@@ -331,6 +331,10 @@ class EquationsOfMotion(Builder):
             if (above := self.mechanism.above[joint]) is not None:
                 self.moments[above].append((-c, pull))
         slot = laws.made.slot(value)
-        if degree(row.law.node) is None:  # its series may tell nothing of what lies ahead
+        if isinstance(row.law, Curve):
+            lines = laws.zigzag(row.law)
+            self.bends(lines, 1.0)
+            program.named.setdefault("lines", []).append(lines)
+        elif degree(row.law.node) is None:  # its series may tell nothing of what lies ahead
             self.bends(program.add(Derivative(slot)), 1.0)
         return (program.number(-row.arm), slot), drift

@@ -6,7 +6,9 @@ machine code want slopes as rows, with coefficients of every order; numpy reads 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 from robodyn.elements.program import (
     Function,
@@ -16,11 +18,12 @@ from robodyn.elements.program import (
     Program,
     Quotient,
     Slot,
+    Step,
     Sum,
 )
 from robodyn.errors import InputError
 from robodyn.mechanics.expression_rows import ExpressionRows, Part, Slotted
-from robodyn.scene.scene import Law
+from robodyn.scene.scene import Curve, Law
 
 
 class LawRows:
@@ -30,9 +33,43 @@ class LawRows:
         self.program, self.variable = program, variable
         self.made = ExpressionRows(program, variable, lambda what: InputError(what))
 
-    def value(self, law: Law) -> Part:
+    def value(self, law: Law | Curve) -> Part:
         """The law."""
-        return self.made.read(law.node)
+        return self.made.read(law.node) if isinstance(law, Law) else self._curve(law)
+
+    def _curve(self, curve: Curve) -> Part:
+        """c0 + xi (c1 + xi (c2 + xi c3)), xi = x - x_k of the interval k in which x is."""
+        made, x = self.made, self.variable(curve.over)
+
+        def step(values: Sequence[float], rise: float = 0.0) -> Part:
+            return Slotted(self.program.add(step_of(curve, x, values, rise)))
+
+        first, last = curve.x[0], curve.x[-1]
+        begins = step(curve.x[:-1], last - first if curve.repeats else 0.0)
+        xi = made.sum(Slotted(x), begins, -1.0)
+        c0, *others = zip(*curve.pieces, strict=True)
+        total: Part = 0.0
+        for c in reversed(others):
+            total = made.product(xi, made.sum(step(c), total, 1.0))
+        return made.sum(step(c0, curve.rise), total, 1.0)
+
+    def zigzag(self, curve: Curve) -> Slot:
+        """Between 1 and 2 from row to row: a series that passes a row shows by it."""
+        made, x, rows = self.made, self.variable(curve.over), curve.x
+        if curve.repeats and len(rows) % 2 == 0:  # it must meet its own beginning
+            k = max(range(len(rows) - 1), key=lambda k: rows[k + 1] - rows[k])
+            rows = (*rows[: k + 1], 0.5 * (rows[k] + rows[k + 1]), *rows[k + 1 :])
+        finer = curve._replace(x=rows)
+
+        def step(values: Sequence[float], rise: float = 0.0) -> Part:
+            return Slotted(self.program.add(step_of(finer, x, values, rise)))
+
+        span = rows[-1] - rows[0] if curve.repeats else 0.0
+        xi = made.sum(Slotted(x), step(rows[:-1], span), -1.0)
+        levels = [1.0 + k % 2 for k in range(len(rows))]
+        pairs = zip(pairwise(levels), pairwise(rows), strict=True)
+        slopes = [(d - c) / (b - a) for (c, d), (a, b) in pairs]
+        return made.slot(made.sum(step(levels[:-1]), made.product(xi, step(slopes)), 1.0))
 
     def slopes(self, value: Part, names: Sequence[str]) -> list[Part]:
         """The derivatives of a value by variables of these names."""
@@ -94,6 +131,16 @@ class LawRows:
                 return made.sum(1.0, made.product(Slotted(slot), Slotted(slot)), -1.0)
         partner, sign = PARTNERS[name]
         return made.product(sign, Slotted(self.program.add(Function(partner, x))))
+
+
+def step_of(curve: Curve, x: Slot, values: Sequence[float], rise: float) -> Step:
+    """One value an interval of the curve; beyond a curve that does not repeat there is none."""
+    inner = tuple(curve.x[1:-1])
+    if curve.repeats:
+        first, period = curve.x[0], curve.x[-1] - curve.x[0]
+        return Step(x, inner, tuple(values), first, period, rise)
+    end = math.nextafter(curve.x[-1], math.inf)
+    return Step(x, (curve.x[0], *inner, end), (math.nan, *values, math.nan))
 
 
 PARTNERS = {

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
-from robodyn.elements.values import Law
+from robodyn.elements.values import Curve, Law
 
 T = TypeVar("T")
 Terms = Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
@@ -78,7 +78,7 @@ class ClosureRow(NamedTuple):
     line: int | None = None
     ground: complex = 0j
     held: bool = False
-    law: Law | None = None
+    law: Law | Curve | None = None
     lengths: Mapping[int, float] = {}  # that displacements are compared by, m
 
     @property

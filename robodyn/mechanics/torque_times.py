@@ -15,7 +15,7 @@ kinks, as those of a table of torques are.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -36,7 +36,7 @@ from robodyn.mechanics.time_samples import (
 )
 from robodyn.mechanics.torque_edges import cut, lines_at_edges, with_lines
 from robodyn.scene.expressions import COMPARISONS, fold
-from robodyn.scene.scene import Law, Table, signal_place
+from robodyn.scene.scene import Curve, Law, Table, signal_place
 from robodyn.scene.syntax import Node
 
 NEAR_END = 1e-15  # of the run: a switch nearer to its ends is none
@@ -128,16 +128,19 @@ def over_a_scene_run(
     for signal in (*mechanism.signals, *filter(None, laws)):
         if isinstance(signal, Law) and "t" in signal.names:
             torques.append(signal.node)
-        elif isinstance(signal, Table) and signal.over == "t":
+        elif isinstance(signal, Curve) and signal.repeats and signal.over == "t":
+            times.update(_repeated(signal.x, first, last))
+        elif isinstance(signal, (Table, Curve)) and signal.over == "t":
             if signal.x[0] > first or signal.x[-1] < last:
                 span = f"{signal.x[0]:g} to {signal.x[-1]:g} s"
                 limit = f"the rows of {signal.file} must cover the simulation, {first:g} to "
-                place = signal_place(mechanism.description, signal)
+                place = _place_of(mechanism, signal)
                 raise InputError(
                     place, where=mechanism.source, value=span, limit=f"{limit}{last:g} s"
                 )
             times.update(t for t in signal.x if first < t < last)
-            jumps.update(t for t in signal.lines.jumps if first < t < last)
+            if isinstance(signal, Table):
+                jumps.update(t for t in signal.lines.jumps if first < t < last)
     found = over_a_run(Actuation.of(torques), state, t_end, small)
     leaves = {*actuation.leaves, *found.leaves}
     if actuation.control is not None:  # it takes kinks for samples
@@ -155,6 +158,21 @@ def over_a_scene_run(
         leaves=tuple(sorted(leaves)),
         told_by_leaves=enough,
     )
+
+
+def _place_of(mechanism: Mechanism, signal: Table | Curve) -> str:
+    """Where the scene has a table."""
+    if isinstance(signal, Table):
+        return signal_place(mechanism.description, signal)
+    laws = [x.law for x in mechanism.description.couplings]
+    return f"couplings[{next(c for c, law in enumerate(laws) if law is signal)}]"
+
+
+def _repeated(x: Sequence[float], first: float, last: float) -> Iterator[float]:
+    """The rows of a table that repeats, within a run."""
+    span = x[-1] - x[0]
+    for k in range(math.floor((first - x[0]) / span), math.ceil((last - x[0]) / span) + 1):
+        yield from (t for row in x[:-1] if first < (t := row + k * span) < last)
 
 
 def _pick(k: float, *values: float) -> float:

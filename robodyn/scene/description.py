@@ -16,7 +16,7 @@ from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
 from robodyn.scene.expressions import names_of
 from robodyn.scene.point_values import PointReader
-from robodyn.scene.quantities import parse_coupling
+from robodyn.scene.quantities import parse_coupling, state_variables
 from robodyn.scene.scene import (
     BRANCHES,
     JOINTS,
@@ -36,6 +36,7 @@ from robodyn.scene.varying import SignalReader
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import TooManyFaults
 
+LAW_KEYS = ("law", "table")  # of a mapping that is a coupling
 UNIT = 4e-16  # by which rounding may leave a unit vector longer or shorter than 1
 
 
@@ -239,7 +240,7 @@ class _Reader(PointReader, SignalReader):
     def couplings(self, node: Node, place: str) -> tuple[Coupling, ...]:
         """A list of couplings, or a single one, `q3 = -2 q1 + 0.1`."""
         keys = node.pairs if isinstance(node, Mapping) else []
-        single = isinstance(node, Scalar) or any(key.text == "law" for key, _ in keys)
+        single = isinstance(node, Scalar) or any(key.text in LAW_KEYS for key, _ in keys)
         found: dict[int, Coupling] = {}  # by the joint that they give
         for c, entry in enumerate([node] if single else self.items(node, place)):
             where = place if single else f"{place}[{c}]"
@@ -256,6 +257,8 @@ class _Reader(PointReader, SignalReader):
         """An equation, or a mapping of one, {law: "q2 = ...", cam: {...}}."""
         cam: Cam | None = None
         if isinstance(node, Mapping):
+            if any(key.text in ("joint", "table") for key, _ in node.pairs):
+                return self.tabled(node, place)
             found = self.keys(node, place, ["law"], ["cam"], "key")
             if "cam" in found:
                 cam = self.cam(found["cam"], f"{place}.cam")
@@ -302,6 +305,45 @@ class _Reader(PointReader, SignalReader):
         elif drivers[0] in self.slides:
             limit = f"q{drivers[0] + 1} slides: a cam turns"
             self.fault(place, node, limit, self.shown(node))
+
+    def tabled(self, node: Node, place: str) -> Coupling | None:
+        """A coupling whose law is a table, {joint: lift, table: lift.csv, over: q1, column: s}."""
+        from robodyn.scene.table_files import read_curve
+
+        before = len(self.faults)
+        needed = ["joint", "table", "over", "column"]
+        found = self.keys(node, place, needed, ["period", "cam"], "key")
+        texts = {x: self.name(found[x], f"{place}.{x}") for x in needed if x in found}
+        cam = self.cam(found["cam"], f"{place}.cam") if "cam" in found else None
+        joint, over = self.index.get(texts.get("joint", "")), texts.get("over", "")
+        if len(self.faults) > before:
+            return None
+        if joint is None or joint >= self.count:
+            limit = "names no link that has a joint"
+            self.fault(f"{place}.joint", found["joint"], limit, texts["joint"])
+            return None
+        own = state_variables(self.count).named(over)
+        if own is None or own.startswith("qd") or own == f"q{joint}":
+            limit = f"must be t, or another joint: q1 to q{self.count}"
+            self.fault(f"{place}.over", found["over"], limit, over)
+            return None
+        turns = own != "t" and int(own[1:]) not in self.slides
+        period = None
+        if "period" in found:
+            unit = "s" if own == "t" else "rad" if turns else "m"
+            period = self.number(found["period"], f"{place}.period", Key("number", "", unit))
+        if len(self.faults) > before:
+            return None
+        where, file, column = f"{place}.table", texts["table"], texts["column"]
+        try:
+            curve = read_curve(self.source, file, own, over, column, turns, period, self.tables)
+        except ValueError as error:
+            self.fault(where, found["table"], str(error), file)
+            return None
+        made = Coupling(joint, law=curve, cam=cam)
+        if cam is not None:
+            self.cam_drives(found["over"], f"{place}.over", made)
+        return made
 
 
 def _scalars(node: Node) -> Iterator[tuple[str, Scalar]]:

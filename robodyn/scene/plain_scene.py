@@ -11,7 +11,7 @@ from typing import Any
 from robodyn.elements.base import Element
 from robodyn.elements.keys import Declared, Key
 from robodyn.elements.pin_friction import PinFriction
-from robodyn.elements.values import FRAMES, Law, Point, Signal, Table, told
+from robodyn.elements.values import FRAMES, Curve, Law, Point, Signal, Table, told
 from robodyn.scene.grammar import FORMS, NUMBERS, Form
 from robodyn.scene.scene import Closure, Coupling, Description
 
@@ -120,11 +120,25 @@ class _Writer:
         return self.mapping(closure)
 
     def couplings(self, couplings: tuple[Coupling, ...]) -> list[str | dict[str, Any]]:
-        found: list[str | dict[str, Any]] = []
-        for coupling in couplings:
-            law, cam = f"q{coupling.joint + 1} = {_right_side(coupling)}", coupling.cam
-            found.append(law if cam is None else {"law": law, "cam": self.mapping(cam)})
-        return found
+        return [self._coupling(x) for x in couplings]
+
+    def _coupling(self, coupling: Coupling) -> str | dict[str, Any]:
+        law = coupling.law
+        if isinstance(law, Curve):
+            over = law.over if law.over == "t" else f"q{int(law.over[1:]) + 1}"
+            joint = self.links[coupling.joint].name
+            found: dict[str, Any] = {
+                "joint": joint,
+                "table": law.file,
+                "over": over,
+                "column": law.column,
+            }
+            found |= {"period": law.x[-1] - law.x[0]} if law.repeats else {}
+            return found if coupling.cam is None else found | {"cam": self.mapping(coupling.cam)}
+        text = f"q{coupling.joint + 1} = {_right_side(coupling)}"
+        if coupling.cam is None:
+            return text
+        return {"law": text, "cam": self.mapping(coupling.cam)}
 
     # -- what varies ---------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ from robodyn.elements.base import Element
 from robodyn.elements.joints import DryFriction, SmoothFriction, Stops
 from robodyn.elements.keys import TOGETHER, Declared, Way, at_joints, key
 from robodyn.elements.pin_friction import PinFriction
+from robodyn.elements.values import Curve as Curve
 from robodyn.elements.values import Law as Law
 from robodyn.elements.values import Point as Point
 from robodyn.elements.values import Signal as Signal
@@ -365,7 +366,7 @@ class Coupling(Declared):
     joint: int
     terms: tuple[tuple[int, float], ...] = ()
     angle: float = 0.0
-    law: Law | None = None
+    law: Law | Curve | None = None
     cam: Cam | None = None
 
     @property

@@ -84,7 +84,21 @@ def _other_kinds() -> dict[str, Schema]:
         "start": {"type": "object", "additionalProperties": _ref("angle")},
         "assembly": {"anyOf": [_ref("branch"), _list("branch")]},
         "equation": {"type": "string", "pattern": r"^\s*q\s*[0-9][0-9\s]*=\s*\S"},
-        "coupling": _any("equation", "law_coupling"),
+        "coupling": _any("equation", "law_coupling", "table_coupling"),
+        "table_coupling": {
+            "description": "A coupling by a table, a cubic spline through its rows.",
+            "type": "object",
+            "properties": {
+                "joint": {"description": "The link whose joint it gives.", **_ref("name")},
+                "table": {"description": "The CSV file.", **_ref("name")},
+                "over": {"description": "t, or a joint: q1.", **_ref("name")},
+                "column": {"description": "The column of the joint's values.", **_ref("name")},
+                "period": {"description": "After which it repeats.", **_ref("number")},
+                "cam": {"description": "The cam that drives the joint.", **_ref("cam")},
+            },
+            "required": ["joint", "table", "over", "column"],
+            "additionalProperties": False,
+        },
         "law_coupling": {
             "description": "A coupling by its law.",
             "type": "object",

@@ -9,10 +9,10 @@ import io
 import math
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import BinaryIO, Literal, cast
 
 from robodyn.errors import InputError
-from robodyn.scene.scene import Table, Tables
+from robodyn.scene.scene import Curve, Table, Tables
 from robodyn.tables.csv_fields import Delimited
 from robodyn.tables.input_file import read_regular
 from robodyn.tables.table import Reader
@@ -20,6 +20,7 @@ from robodyn.tables.table import Reader
 MOST_ROWS = 2000  # every engine writes the rows into its code
 PERIODS = (2.0 * math.pi, 4.0 * math.pi)  # of a joint's angle, after which a table repeats
 PERIOD_OFF = 1e-6  # rad that the digits of a file may miss them by
+LEAST_ROWS = 4  # of a law, whose ends are not-a-knot
 ENDS_AGREE = 1e-9  # of the largest value
 
 
@@ -53,6 +54,52 @@ def read_table(
         if repeats:
             places = (*places[:-1], places[0] + period)
     return Table(file, over, column, hold, places, values, repeats)
+
+
+def read_curve(
+    source: str,
+    file: str,
+    over: str,
+    x: str,
+    column: str,
+    turns: bool,
+    period: float | None,
+    known: Tables,
+) -> Curve:
+    """The cubic spline over the variable `over` through the rows of a file: see `read_table`.
+
+    With a `period`, which is the span of x, it repeats after that, and keeps its rise; else it is
+    not-a-knot at its ends.  Raises ValueError with the reason for what is no such table.
+    """
+    from scipy.interpolate import CubicSpline  # only scenes with such tables import it
+
+    key = file, x, column, turns
+    if key not in known:
+        known[key] = _columns(Path(source).parent / file, x, column, turns)
+    places, values = known[key]
+    if len(places) < LEAST_ROWS:
+        raise ValueError(f"has {len(places)} rows below its header; a law needs {LEAST_ROWS}")
+    if any(a == b for a, b in pairwise(places)):
+        raise ValueError(f"has two rows at one {x}: a law does not jump")
+    rise, slope, above = 0.0, 0.0, list(values)
+    if period is not None:
+        span = places[-1] - places[0]
+        if not abs(span - period) <= PERIOD_OFF * max(1.0, abs(period)):
+            raise ValueError(f"goes from {places[0]:g} to {places[-1]:g}, not over {period:g}")
+        places = (*places[:-1], places[0] + period)
+        rise = values[-1] - values[0]
+        slope = rise / period
+        above = [y - slope * (at - places[0]) for at, y in zip(places, values, strict=True)]
+        above[-1] = above[0]
+    ends: Literal["not-a-knot", "periodic"] = "not-a-knot" if period is None else "periodic"
+    coefficients = CubicSpline(places, above, bc_type=ends).c[::-1].T
+    pieces = [[float(c) for c in piece] for piece in coefficients]
+    if period is not None:
+        for piece, at in zip(pieces, places, strict=False):
+            piece[0] += slope * (at - places[0])
+            piece[1] += slope
+    each = tuple((a, b, c, d) for a, b, c, d in pieces)
+    return Curve(file, over, column, places, each, rise, period is not None)
 
 
 def _columns(

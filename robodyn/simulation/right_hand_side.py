@@ -158,7 +158,14 @@ def _projecting(
                 return led
         return solved(t, closing(t, y)[0])
 
-    return careful
+    def within_laws(t: float, y: Array) -> Any:
+        """The same; nan beyond where a law of a coupling has a value."""
+        try:
+            return careful(t, y)
+        except ValueError:
+            return np.full(len(y), np.nan)
+
+    return within_laws if mechanism.laws else careful
 
 
 def _best_kind(mechanism: Mechanism) -> str:

@@ -1,0 +1,157 @@
+"""Couplings by tables: cubic splines over a joint or over t."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from robodyn import assemble, load, loop_velocities, simulate
+from robodyn.dynamics import identities
+from robodyn.engines.coupling_laws import law_derivatives
+from robodyn.errors import InputError, LawError
+from robodyn.simulation.report import Outcome
+
+METHODS = ["DOP853", "RK45", "Radau", "taylor"]
+CAM = """
+gravity: 9.81
+links:
+  - {name: cam, m: 2, l: 0.1, r: 0.01, I: 0.02}
+  - {name: lift, joint: prismatic, axis: [0, 1], m: 0.5, l: 0, r: 0, I: 0, from: [0.3, 0]}
+couplings: {joint: lift, table: lift.csv, over: q1, column: lift, period: 360deg}
+"""
+CART = """
+gravity: 9.81
+links:
+  - {name: cart, joint: prismatic, axis: [1, 0], m: 2, l: 0, r: 0, I: 0}
+  - {name: pole, m: 0.5, l: 0.6, r: 0.3, I: 0.015, from: cart}
+couplings: [{joint: cart, table: cart.csv, over: t, column: x}]
+"""
+
+
+def rows(header, x, y, told=repr):
+    lines = (f"{a!r},{told(b)}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
+    return "\n".join([header, *lines, ""])
+
+
+@pytest.fixture
+def cam(tmp_path):
+    """A scene of a cam whose lift is this function of its angle."""
+
+    def write(lift, count=73, text=CAM, told=repr):
+        x = np.linspace(0, 2 * np.pi, count)
+        (tmp_path / "lift.csv").write_text(rows("q1,lift", x, lift(x), told))
+        (tmp_path / "cam.yaml").write_text(text)
+        return tmp_path / "cam.yaml"
+
+    return write
+
+
+@pytest.fixture
+def cart(tmp_path):
+    t = np.linspace(0, 4, 41)
+    (tmp_path / "cart.csv").write_text(rows("t,x", t, 0.3 * np.sin(2 * t)))
+    (tmp_path / "cart.yaml").write_text(CART)
+    return tmp_path / "cart.yaml"
+
+
+def test_a_periodic_table_keeps_its_rise(cam):
+    mech = load(cam(lambda x: 0.02 * (1 - np.cos(x)) + 0.003 * x))
+    q = np.zeros((99, 2))
+    q[:, 0] = np.linspace(-20, 30, 99)
+    found = law_derivatives(mech, 0, 0, q, 0.0)
+    x = q[:, 0]
+    exact = 0.02 * (1 - np.cos(x)) + 0.003 * x, 0.02 * np.sin(x) + 0.003, 0.02 * np.cos(x)
+    for value, known, near in zip(found, exact, (4e-9, 2e-7, 2e-5), strict=True):
+        np.testing.assert_allclose(value, known, rtol=0, atol=near)
+    knots = np.linspace(0, 2 * np.pi, 73)
+    values = 0.02 * (1 - np.cos(knots))
+    values[-1] = values[0]
+    spline = CubicSpline(knots, values, bc_type="periodic")
+    np.testing.assert_allclose(found[2], spline(np.mod(x, 2 * np.pi), 2), atol=1e-11)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_cam_by_its_table_keeps_its_energy(cam, method):
+    mech = load(cam(lambda x: 0.02 * (1 - np.cos(x))))
+    q = assemble(mech, [0.2])
+    motion = simulate(
+        mech, q, loop_velocities(mech, q, [9.0]), 1.0, method=method, rtol=1e-10, atol=1e-10
+    )
+    assert motion.outcome is Outcome.FINISHED
+    assert motion.report.energy_drift < 1e-7
+    np.testing.assert_allclose(motion.q[:, 1], 0.02 * (1 - np.cos(motion.q[:, 0])), atol=4e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_cart_follows_a_table(cart, method):
+    """The steps land on the rows: the series are exact between them."""
+    mech = load(cart)
+    q = assemble(mech, [0.2])
+    qd = loop_velocities(mech, q, [0.0])
+    motion = simulate(mech, q, qd, 4.0, method=method, rtol=1e-10, atol=1e-10)
+    assert motion.report.energy_drift < 1e-7
+    t = np.linspace(0, 4, 41)
+    spline = CubicSpline(t, 0.3 * np.sin(2 * t), bc_type="not-a-knot")
+    np.testing.assert_allclose(motion.q[:, 0], spline(motion.t), atol=1e-13)
+    assert np.isin(np.round(t, 12), np.round(motion.t, 12)).all()
+    with pytest.raises(InputError, match=r"rows of cart\.csv must cover the simulation, 0 to 5 s"):
+        simulate(mech, q, qd, 5.0)
+
+
+def test_the_identities_hold(cam, cart):
+    for path in (cam(lambda x: 0.02 * (1 - np.cos(x))),):
+        mech = load(path)
+        for x in identities.identities(mech, identities.sample_states(mech, 20)):
+            assert x.residual is not None, x
+            assert x.residual < 1e-9 or x.name.startswith("Psi"), x
+
+
+def test_a_state_beyond_the_table_is_refused(cam):
+    mech = load(cam(lambda x: 0.02 * x, text=CAM.replace(", period: 360deg", "")))
+    with pytest.raises(LawError, match=r"lift over q1 in lift\.csv: has no value at q1 = 7"):
+        simulate(mech, [7.0, 0.1], [0.0, 0.0], 1.0)
+    motion = simulate(mech, assemble(mech, [6.0]), [5.0, 0.1], 1.0)
+    assert motion.outcome is not Outcome.FINISHED
+    assert "lift over q1 in lift.csv" in motion.report.advice
+
+
+def test_check_tells_what_digits_make_of_it(robodyn, cam):
+    def lift(x):
+        return 0.02 * (1 - np.cos(x))
+
+    good = robodyn("check", cam(lift), "--format", "json")
+    (told,) = json.loads(good.out)["tables"]
+    assert told["bend"] == pytest.approx(0.02, rel=1e-2)
+    assert "Warning" not in good.err
+    poor = robodyn("check", cam(lift, 361, told=lambda y: f"{y:.5f}"), "--format", "json")
+    assert "second derivative may be off by" in poor.err
+
+
+def test_a_scene_with_a_table_is_written_back(cam):
+    mech = load(cam(lambda x: 0.02 * (1 - np.cos(x))))
+    (coupling,) = mech.to_dict()["couplings"]
+    assert coupling.pop("period") == pytest.approx(2 * math.pi)
+    assert coupling == {"joint": "lift", "table": "lift.csv", "over": "q1", "column": "lift"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "limit"),
+    [
+        ("joint: lift", "joint: nobody", "names no link"),
+        ("over: q1", "over: q2", "must be t, or another joint"),
+        ("over: q1", "over: qd1", "must be t, or another joint"),
+        ("period: 360deg", "period: 180deg", "goes from 0 to 6.28319, not over 3.14159"),
+        ("table: lift.csv", "table: none.csv", "cannot be read"),
+        ("column: lift, ", "", "column: is missing"),
+    ],
+)
+def test_what_is_no_table_is_refused(cam, old, new, limit):
+    with pytest.raises(InputError, match=limit):
+        load(cam(lambda x: 0.02 * x, text=CAM.replace(old, new)))
+
+
+def test_few_rows_are_no_law(cam):
+    with pytest.raises(InputError, match="a law needs 4"):
+        load(cam(lambda x: 0.02 * x, 3))
