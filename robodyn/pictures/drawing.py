@@ -14,12 +14,13 @@ from __future__ import annotations
 import cmath
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.cam_contacts import cams_of, outline
+from robodyn.dynamics.cam_contacts import Cam, cams_of, outline
 from robodyn.dynamics.named_points import NamedPoint
 from robodyn.dynamics.placed import Placed, placed
 from robodyn.elements.springs import JointSpring, PointSpring
@@ -338,7 +339,9 @@ def link_points(mechanism: Mechanism, k: int, marked: Sequence[Point] = ()) -> C
     found = [0j, complex(mechanism.description.links[k].l), *_attached(mechanism, k)]
     found += [point.at for _, point in mechanism.description.points if point.link == k]
     found += [point.at for point in marked if point.link == k]
-    found += [cam.follower.at for cam in cams_of(mechanism) if cam.link == k]
+    for cam in cams_of(mechanism):
+        if cam.link == k:
+            found += touching(mechanism, cam).tolist()
     found += [point.at for point in _welded(mechanism) if point.link == k]
     return np.array(list(dict.fromkeys(found)))
 
@@ -418,16 +421,29 @@ def _cams(mechanism: Mechanism, k: int, w: float) -> Iterator[Shape]:
     for cam in cams_of(mechanism):
         if k not in (cam.driver, cam.link):
             continue
-        profile = outline(mechanism, cam, PROFILE)[1]
         if k == cam.driver:
-            points = profile.profile[np.isfinite(profile.profile)]
+            points = outline(mechanism, cam, PROFILE)[1].profile
+            points = points[np.isfinite(points)]
             yield Shape("cam", points, bool(abs(points[-1] - points[0]) < w))
         elif cam.follower.face is not None:
-            along = profile.along[np.isfinite(profile.along)]
-            ends = np.array([along.min() - 2.0 * w, along.max() + 2.0 * w])
-            yield Shape("face", cam.follower.at + ends * cam.follower.face, False)
+            beyond = w * cam.follower.face
+            yield Shape("face", touching(mechanism, cam) + np.array([-beyond, beyond]), False)
         elif cam.follower.radius:
-            yield Shape("roller", cam.follower.at + circle(cam.follower.radius))
+            yield Shape("roller", cam.follower.at + circle(cam.follower.radius, 4 * ARC))
+
+
+@lru_cache(maxsize=64)
+def touching(mechanism: Mechanism, cam: Cam) -> Complex:
+    """The roller's centre (1,), or the ends of the contact on a flat face (2,), m.
+
+    In the frame of the follower.
+    """
+    if cam.follower.face is None:
+        return np.array([cam.follower.at], complex)
+    along = outline(mechanism, cam, PROFILE)[1].along
+    along = along[np.isfinite(along)]
+    ends = np.array([along.min(), along.max()] if len(along) else [0.0, 0.0])
+    return np.asarray(cam.follower.at + ends * cam.follower.face)
 
 
 def _supports(mechanism: Mechanism, E: Complex, w: float) -> Iterator[Shape]:
