@@ -53,7 +53,8 @@ class Contact(NamedTuple):
     is the angle from the velocity of the follower's point to the normal, rad, NaN where that point
     stands for any rate.  `curvature` is that of the profile, 1/m, positive where it is convex,
     `pitch_curvature` that of the pitch curve (of a flat face that of the profile).  `along` is the
-    place of the contact on the face, m from its point (0 of a roller).
+    place of the contact on the face, m from its point (0 of a roller).  `side` is 1 if the normal
+    lies to the left of the face, or of the pitch curve, else -1.
     """
 
     pitch: Complex
@@ -63,6 +64,7 @@ class Contact(NamedTuple):
     curvature: Array
     pitch_curvature: Array
     along: Array
+    side: Array
 
 
 def contact(
@@ -114,7 +116,7 @@ def _contact(follower: Follower, theta: Array, f: Array, f1: Array, f2: Array) -
         way = 1j * contact_arm if turns else way
     outward = np.where(_dot(way, normal / back) < 0.0, -way, way)
     pressure = np.where(way == 0.0, np.nan, np.angle(normal / back * outward.conj()))
-    return Contact(w, profile, normal, pressure, curvature, bent, along)
+    return Contact(w, profile, normal, pressure, curvature, bent, along, side)
 
 
 def convex_radius(follower: Follower, touch: Contact) -> Array:

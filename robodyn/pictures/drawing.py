@@ -339,9 +339,8 @@ def link_points(mechanism: Mechanism, k: int, marked: Sequence[Point] = ()) -> C
     found = [0j, complex(mechanism.description.links[k].l), *_attached(mechanism, k)]
     found += [point.at for _, point in mechanism.description.points if point.link == k]
     found += [point.at for point in marked if point.link == k]
-    for cam in cams_of(mechanism):
-        if cam.link == k:
-            found += touching(mechanism, cam).tolist()
+    touching = [cam for cam in cams_of(mechanism) if cam.link == k]
+    found += [cam.follower.at for cam in touching if cam.follower.face is None]
     found += [point.at for point in _welded(mechanism) if point.link == k]
     return np.array(list(dict.fromkeys(found)))
 
@@ -378,6 +377,10 @@ def _link(
     yield from _cams(mechanism, k, w)
     sliding = [c.first.at for c in closures if c.along is not None and c.first.link == k]
     feet = [way.foot() for way in ways if way.link == k and way.joint is None]
+    for cam in cams_of(mechanism):
+        if cam.link == k and cam.follower.face is not None:
+            ends, normal = _face(mechanism, cam)
+            feet += (ends + w * normal).tolist()
     yield Shape("link", rounded_hull([*link_points(mechanism, k, marked), *feet], w))
     for way in ways:
         if way.joint == k:
@@ -427,23 +430,19 @@ def _cams(mechanism: Mechanism, k: int, w: float) -> Iterator[Shape]:
             yield Shape("cam", points, bool(abs(points[-1] - points[0]) < w))
         elif cam.follower.face is not None:
             beyond = w * cam.follower.face
-            yield Shape("face", touching(mechanism, cam) + np.array([-beyond, beyond]), False)
+            yield Shape("face", _face(mechanism, cam)[0] + np.array([-beyond, beyond]), False)
         elif cam.follower.radius:
             yield Shape("roller", cam.follower.at + circle(cam.follower.radius, 4 * ARC))
 
 
 @lru_cache(maxsize=64)
-def touching(mechanism: Mechanism, cam: Cam) -> Complex:
-    """The roller's centre (1,), or the ends of the contact on a flat face (2,), m.
-
-    In the frame of the follower.
-    """
-    if cam.follower.face is None:
-        return np.array([cam.follower.at], complex)
-    along = outline(mechanism, cam, PROFILE)[1].along
-    along = along[np.isfinite(along)]
+def _face(mechanism: Mechanism, cam: Cam) -> tuple[Complex, complex]:
+    """The ends of the contact on a flat face, m, and its normal, in the frame of the follower."""
+    touch, face = outline(mechanism, cam, PROFILE)[1], cam.follower.face
+    assert face is not None
+    along = touch.along[np.isfinite(touch.along)]
     ends = np.array([along.min(), along.max()] if len(along) else [0.0, 0.0])
-    return np.asarray(cam.follower.at + ends * cam.follower.face)
+    return np.asarray(cam.follower.at + ends * face), float(np.median(touch.side)) * 1j * face
 
 
 def _supports(mechanism: Mechanism, E: Complex, w: float) -> Iterator[Shape]:
