@@ -259,6 +259,13 @@ class TestStates:
         assert given.code == 0
         assert robodyn("simulate", path, "--q", "0.2", "--time", "0.1").code == 0
 
+    def test_the_power_of_a_drive_is_a_column(self, robodyn, scene):
+        given = ["--q", "1.2,0.2", "--qd", "3,0.5", "--at-time", "0.4"]
+        out = robodyn("accel", scene(ROD), *given, "--columns", "tc1,drive_power1").out
+        torque, power = map(float, out.splitlines()[1].split(","))
+        assert torque == pytest.approx(2 * 0.5 * 0.2 * 0.5 * 3)
+        assert power == pytest.approx(3 * torque)
+
     def test_actuated_and_driven_is_refused(self):
         with pytest.raises(InputError, match="names rod, which a law of the time drives"):
             mechanism(ROD + "actuated: [rod]\n")
