@@ -365,6 +365,13 @@ class TestFaults:
         assert motion.report.t_reached == pytest.approx(1.0, abs=1e-3)
         assert "couplings[0] = 1 - sqrt(1 - t)" in motion.report.advice
 
+    @pytest.mark.parametrize("method", ["DOP853", "taylor"])
+    def test_the_limit_of_a_driven_joint_ends_a_run(self, method):
+        mech = mechanism(ROD.replace("name: rod,", "name: rod, limits: {max: 2},"))
+        motion = simulate(mech, [0, 0.1], [3, 0], 2.0, method=method)
+        assert motion.outcome is Outcome.LIMIT
+        assert motion.t[-1] == pytest.approx(2 / 3, abs=1e-12)
+
     def test_friction_that_sticks_is_refused_beside_a_law_of_the_time(self):
         text = ROD.replace("m: 0.5,", "m: 0.5, friction: {force: 2, static: 3},")
         with pytest.raises(InputError, match="couplings"):
