@@ -259,6 +259,13 @@ class TestStates:
         assert given.code == 0
         assert robodyn("simulate", path, "--q", "0.2", "--time", "0.1").code == 0
 
+    def test_the_power_of_a_drive_is_a_column(self, robodyn, scene):
+        given = ["--q", "1.2,0.2", "--qd", "3,0.5", "--at-time", "0.4"]
+        out = robodyn("accel", scene(ROD), *given, "--columns", "tc1,drive_power1").out
+        torque, power = map(float, out.splitlines()[1].split(","))
+        assert torque == pytest.approx(2 * 0.5 * 0.2 * 0.5 * 3)
+        assert power == pytest.approx(3 * torque)
+
     def test_actuated_and_driven_is_refused(self):
         with pytest.raises(InputError, match="names rod, which a law of the time drives"):
             mechanism(ROD + "actuated: [rod]\n")
@@ -357,6 +364,13 @@ class TestFaults:
         assert motion.outcome is not Outcome.FINISHED
         assert motion.report.t_reached == pytest.approx(1.0, abs=1e-3)
         assert "couplings[0] = 1 - sqrt(1 - t)" in motion.report.advice
+
+    @pytest.mark.parametrize("method", ["DOP853", "taylor"])
+    def test_the_limit_of_a_driven_joint_ends_a_run(self, method):
+        mech = mechanism(ROD.replace("name: rod,", "name: rod, limits: {max: 2},"))
+        motion = simulate(mech, [0, 0.1], [3, 0], 2.0, method=method)
+        assert motion.outcome is Outcome.LIMIT
+        assert motion.t[-1] == pytest.approx(2 / 3, abs=1e-12)
 
     def test_friction_that_sticks_is_refused_beside_a_law_of_the_time(self):
         text = ROD.replace("m: 0.5,", "m: 0.5, friction: {force: 2, static: 3},")

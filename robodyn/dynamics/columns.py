@@ -57,6 +57,17 @@ def _couplings(state: State) -> Array:
     return state.loop_forces[:, first:]
 
 
+def _drive_power(state: State) -> Array:
+    from robodyn.engines.coupling_laws import laws_of
+
+    laws, drives = laws_of(state.mechanism), _drives(state.mechanism)
+    if laws is None or not drives:
+        return np.zeros((len(state.q), 0))
+    numbers = [c for c, x in enumerate(state.mechanism.description.couplings) if x.law is not None]
+    slopes = laws.drifts(state.q, state.t)[:, [numbers.index(c) for c in drives]]
+    return np.asarray(_couplings(state)[:, drives] * slopes)
+
+
 def _contacts(state: State) -> Array:
     from robodyn.dynamics.cam_contacts import contacts_on_links
     from robodyn.dynamics.placed import placed
@@ -271,6 +282,15 @@ _DECLARED = (
         "couplings", "tc{g}", "N m", "the torque of each coupling", _couplings, "tau", slides=True
     ),
     Family(
+        "drive_power",
+        "drive_power{d}",
+        "W",
+        "the power of a drive, a law of the time",
+        _drive_power,
+        "tau",
+        lacking="no coupling has a law of the time",
+    ),
+    Family(
         "contacts",
         "contact{h}",
         "N",
@@ -410,6 +430,10 @@ def _aligned(mechanism: Mechanism) -> list[int]:
     return [c for c, closure in enumerate(closures) if closure.aligned is not None]
 
 
+def _drives(mechanism: Mechanism) -> list[int]:
+    return [c for c, x in enumerate(mechanism.description.couplings) if x.timed]
+
+
 def _free(mechanism: Mechanism) -> list[int]:
     from robodyn.dynamics.free_joints import free_joints
 
@@ -442,6 +466,7 @@ PLACES: dict[str, Callable[[Mechanism, Sequence[str]], Sequence[str]]] = {
     "c": lambda x, _: _numbers(range(len(x.description.closures))),  # each closure
     "m": lambda x, _: _numbers(_aligned(x)),  # each closure that keeps an angle
     "g": lambda x, _: _numbers(range(len(x.description.couplings))),  # each coupling
+    "d": lambda x, _: _numbers(_drives(x)),  # each coupling that is a law of the time
     "h": lambda x, _: _numbers(_cams(x)),  # each coupling that has a cam
     "v": lambda x, _: _numbers(_motors(x)),  # each actuated joint with a motor
     "e": lambda x, _: _numbers(_motors(x, electric=True)),  # the same, with its constants
