@@ -13,7 +13,7 @@ import pytest
 from conftest import FRESH
 from matplotlib.mathtext import MathTextParser
 from sliding_scenes import SLIDING_SCENES
-from unwritten import UNWRITTEN
+from unwritten import UNWRITTEN, WITH_LAWS
 
 from random_mechanisms import LOOPS, forced, mechanism, seeded_scene, seeded_tree
 from robodyn.equations.latex import latex, measure, subscripted
@@ -21,7 +21,7 @@ from robodyn.equations.written import Equations, equations
 from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
-NAMES = sorted({path.stem for path in ROBOTS.glob("*.yaml")} - UNWRITTEN)
+NAMES = sorted({path.stem for path in ROBOTS.glob("*.yaml")} - UNWRITTEN - WITH_LAWS)
 COMPILER = shutil.which("pdflatex") or shutil.which("lualatex") or shutil.which("tectonic")
 PAGE = 17 / 2.54 * 72  # width of the text, big points
 HOSTILE = r"""

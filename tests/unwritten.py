@@ -1,3 +1,8 @@
-"""The examples that have no equations: friction by the forces in pins, which are unknowns."""
+"""Examples that general tests leave out.
+
+Those of friction by the forces in pins have no equations.  Laws of couplings are no part of
+oracles, and MJCF refuses them; `test_laws.py` and `test_equations_laws.py` have tests of their own.
+"""
 
 UNWRITTEN = frozenset(("shaper",))
+WITH_LAWS = frozenset(("disc-cam",))
