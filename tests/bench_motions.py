@@ -21,9 +21,10 @@ import robodyn
 from hard_cases.cases import n_four_bar
 from oracles import n_four_bar_exact
 from random_mechanisms import mechanism as read
-from robodyn.engines import machine, machine_motion
-from robodyn.engines.machine_steps import Scene
+from robodyn.engines import machine
 from robodyn.mechanics.actuation import Actuation
+from robodyn.runs import machine_motion
+from robodyn.runs.machine_steps import Scene
 from robodyn.simulation.benchmark import benchmark
 from robodyn.simulation.right_hand_side import right_hand_side
 from robodyn.taylor.compiled import CompiledEngine

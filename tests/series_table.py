@@ -17,11 +17,11 @@ from engine_table import NUMBERS
 from known_terms import DIGITS
 from mpmath import mp, mpf
 
-from robodyn.engines import machine_motion
 from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
-from robodyn.engines.machine_motion import Observer
-from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation, expressions
+from robodyn.runs import machine_motion
+from robodyn.runs.machine_motion import Observer
+from robodyn.runs.machine_steps import Scene
 from robodyn.taylor.compiled import CompiledEngine
 
 ORDER = 12 if FRESH else 8

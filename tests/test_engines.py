@@ -22,9 +22,9 @@ from series_table import ORDER, known, states
 from random_mechanisms import loops, trees
 from robodyn import kinetic_energy, potential_energy, simulate
 from robodyn.engines import machine
-from robodyn.engines.machine_motion import Status
 from robodyn.loops.projection import float_closing, suspect_quality
 from robodyn.mechanics.actuation import Actuation, expressions, table
+from robodyn.runs.machine_motion import Status
 from robodyn.taylor.compiled import serves
 
 EVERYWHERE = (*KINDS, *ROBOTS)

@@ -12,13 +12,13 @@ import pytest
 from example_starts import start
 from named_case import case
 
-from robodyn.engines.machine_motion import Status
 from robodyn.errors import InputError
 from robodyn.events.watch import Events
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly import assemble
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.runs.machine_motion import Status
 from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.simulation import Motion, simulate

@@ -15,10 +15,10 @@ from robodyn import assemble, closure_gap, kinetic_energy, load, potential_energ
 from robodyn.elements.joints import SmoothFriction
 from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.engines import machine
-from robodyn.engines.machine_motion import Status
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.loops.projection import suspect_quality
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.runs.machine_motion import Status
 from robodyn.scene.description import from_text
 from robodyn.scene.scene_values import SceneValues
 from robodyn.sweeps import lane_observer

@@ -20,13 +20,14 @@ import robodyn as api
 from machine_sines import hard_angles, run, sine_and_cosine
 from random_mechanisms import LOOPS, mechanism, seeded_scene
 from robodyn.dynamics import dense_dynamics, dynamics
-from robodyn.engines import batches, expression, formulas, machine, machine_motion, segment
+from robodyn.engines import batches, expression, formulas, machine, segment
 from robodyn.engines.assembler import Kernel, Module
 from robodyn.engines.batches import Rows
 from robodyn.engines.expression import Expression, Graph
-from robodyn.engines.machine_motion import Observer
-from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
+from robodyn.runs import machine_motion
+from robodyn.runs.machine_motion import Observer
+from robodyn.runs.machine_steps import Scene
 
 FAMILIES = pytest.mark.parametrize("family", ["", machine.PLAIN], ids=["this", "plain"])
 

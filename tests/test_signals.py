@@ -29,11 +29,11 @@ from robodyn import (
 )
 from robodyn.engines import machine
 from robodyn.engines.expansion import MotionProgram
-from robodyn.engines.machine_motion import Status
 from robodyn.engines.row_values import SignalError, TableLeftError
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build, load
+from robodyn.runs.machine_motion import Status
 from robodyn.scene.description import from_text
 from robodyn.scene.scene_schema import scene_schema
 from robodyn.scene.scene_values import SceneValues

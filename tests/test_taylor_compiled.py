@@ -22,19 +22,20 @@ from robodyn import (
     potential_energy,
     simulate,
 )
-from robodyn.engines.machine_motion import Status
 from robodyn.mechanics.actuation import Actuation, constant, expressions
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs.machine_motion import Status
 
 pytest.importorskip("llvmlite")
 
-from robodyn.engines import machine, machine_motion
+from robodyn.engines import machine
 from robodyn.engines.arithmetic import FLOATS
 from robodyn.engines.expression import Expression
-from robodyn.engines.machine_motion import Observer
-from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import build
+from robodyn.runs import machine_motion
+from robodyn.runs.machine_motion import Observer
+from robodyn.runs.machine_steps import Scene
 from robodyn.scene.description import from_text
 from robodyn.taylor import compiled
 from robodyn.taylor.compiled import CompiledEngine, NoCodeError, serves

@@ -21,13 +21,14 @@ from hard_cases.cases import n_four_bar, scaled
 from hard_cases.cases import scene as hard_case
 from random_mechanisms import mechanism
 from robodyn import assemble, closure_gap, closure_jacobian, load, simulate
-from robodyn.engines import machine, machine_motion
+from robodyn.engines import machine
 from robodyn.engines.expansion import Coefficients, longest_step
-from robodyn.engines.machine_motion import Status
 from robodyn.errors import InputError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.loops.projection import float_closing, suspect_quality
 from robodyn.mechanics.actuation import Actuation, expressions
+from robodyn.runs import machine_motion
+from robodyn.runs.machine_motion import Status
 from robodyn.simulation.accuracy import AUTO, best_method, settings_for
 from robodyn.simulation.benchmark import reference as longdouble_reference
 from robodyn.simulation.report import Outcome

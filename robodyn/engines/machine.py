@@ -124,6 +124,7 @@ ROOMS = (
     "events",
     "loops",
     "mechanics",
+    "runs",
     "sweeps",
     "taylor",
 )  # that decide the text

@@ -23,9 +23,9 @@ import numpy as np
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import anything, energies
-from robodyn.engines.machine_motion import RUNNING, Observer, Status, aligned
-from robodyn.engines.machine_steps import Items, Scene
 from robodyn.mechanics.planar_model import Mechanism
+from robodyn.runs.machine_motion import RUNNING, Observer, Status, aligned
+from robodyn.runs.machine_steps import Items, Scene
 from robodyn.tables.arrays import Array
 
 KEPT = ("start", "off", "KE", "PE_low", "PE_high", "E_low", "E_high", "angle", "flip", "begun")

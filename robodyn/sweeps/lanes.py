@@ -1,6 +1,6 @@
 """Many motions of one structure at once in machine code, one in each lane.
 
-The code is that of `engines/machine_motion.py` and `lane_observer.py`, for every scene that machine
+The code is that of `runs/machine_motion.py` and `lane_observer.py`, for every scene that machine
 code serves: numbers of the scene and torques may differ from lane to lane.
 """
 
@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.engines import machine_motion
-from robodyn.engines.machine_motion import RUNNING, Loaded, Status
-from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs import machine_motion
+from robodyn.runs.machine_motion import RUNNING, Loaded, Status
+from robodyn.runs.machine_steps import Scene
 from robodyn.sweeps.lane_observer import LaneObserver, Notes, kept
 from robodyn.tables.arrays import Array
 from robodyn.taylor.compiled import serves

@@ -31,7 +31,6 @@ from robodyn.dynamics import closed_form
 from robodyn.dynamics.columns import TORQUE, column_names
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.engines import machine
-from robodyn.engines.machine_motion import Status
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
 from robodyn.events.watch import Event
 from robodyn.loops import assembly, loop_rates
@@ -41,6 +40,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.rest.balance import rests
+from robodyn.runs.machine_motion import Status
 from robodyn.scene.scene_values import read_numbers
 from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.settings import SCIPY_RTOL

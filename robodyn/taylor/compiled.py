@@ -30,11 +30,9 @@ import numpy as np
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.dynamics.placed import relative_matrix
 from robodyn.elements.contacts import Mode
-from robodyn.engines import machine, machine_motion
+from robodyn.engines import machine
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.expansion import MotionProgram
-from robodyn.engines.machine_motion import RUNNING, Loaded, Observer, Status
-from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError, RobodynError
 from robodyn.events.single_zeros import MISSED
 from robodyn.loops.closing import loop_terms, regular_rank
@@ -42,6 +40,9 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.mechanics.torque_rows import linear_piece
+from robodyn.runs import machine_motion
+from robodyn.runs.machine_motion import RUNNING, Loaded, Observer, Status
+from robodyn.runs.machine_steps import Scene
 from robodyn.tables.arrays import Array, Complex
 
 SLACK = 1e-12  # of the sizes of what is added: more than rounding adds

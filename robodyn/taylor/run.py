@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robodyn.engines.machine_motion import Status
 from robodyn.events.pieces import Step
 from robodyn.events.single_zeros import NODES, Places
 from robodyn.loops.change_points import suspect_quality
@@ -24,6 +23,7 @@ from robodyn.loops.projection import float_closing
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs.machine_motion import Status
 from robodyn.simulation.motion_columns import check_start
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome

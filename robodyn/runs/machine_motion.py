@@ -22,10 +22,10 @@ from robodyn.engines.assembler import ADDRESS, WHOLE, Kernel, Module, Word
 from robodyn.engines.expression import Expression, Graph
 from robodyn.engines.formulas import Formula
 from robodyn.engines.machine import Code, Processor
-from robodyn.engines.machine_steps import ALIGNED, Items, Scene
 from robodyn.engines.segment import Segment
 from robodyn.loops.misses import SLOWEST, TURN, orientation
 from robodyn.loops.projection import PASSES
+from robodyn.runs.machine_steps import ALIGNED, Items, Scene
 
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 RUNNING = -1.0
