@@ -32,6 +32,7 @@ SPECIAL = {
     "|": "$|$",
     **{character: f"\\{character}" for character in "{}#$%&_"},
 }
+GREEK = "alpha beta gamma delta epsilon zeta eta theta kappa mu nu xi rho sigma phi chi psi omega"
 NAMES = {
     "qd": r"\dot{q}",
     "qdd": r"\ddot{q}",
@@ -74,7 +75,9 @@ def escaped(text: str) -> str:
 
 
 def subscripted(name: str) -> str:
-    """A parameter: r1x -> r_{1x}, mp2 -> m_{p2}, phi1 -> \varphi_{1}."""
+    r"""A parameter: r1x -> r_{1x}, mp2 -> m_{p2}, phi1 -> \varphi_{1}, omega -> \omega."""
+    if len(name) > 1 and not re.search("[0-9]", name) and name not in ("gx", "gy"):
+        return f"\\{name}" if name in GREEK.split() else rf"\mathit{{{escaped(name)}}}"
     for letters, greek in (("phi", r"\varphi"), ("psi", r"\psi"), ("beta", r"\beta")):
         if name.startswith(letters):
             return f"{greek}_{{{name[len(letters) :]}}}"

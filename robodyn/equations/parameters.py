@@ -26,12 +26,24 @@ from robodyn.elements.base import Element
 from robodyn.elements.joints import DryFriction, Stops
 from robodyn.elements.keys import BY_DIRECTION, WAYS, Declared, Key
 from robodyn.equations.law_terms import LawTerms, law_terms
-from robodyn.equations.named_laws import Definition
+from robodyn.equations.named_laws import Definition, symbol_of, with_symbols
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
+from robodyn.scene.expressions import names_of
 from robodyn.scene.grammar import NUMBERS
-from robodyn.scene.scene import MASS, Closure, Coupling, Link, Point, Table, signals_of, told
+from robodyn.scene.scene import (
+    MASS,
+    Closure,
+    Coupling,
+    Description,
+    Law,
+    Link,
+    Point,
+    Table,
+    signals_of,
+    told,
+)
 
 ROLES = {  # by unit
     "kg": Role.mass,
@@ -76,6 +88,7 @@ class Parameters:
                 limit = "equations have expressions, no tables"
                 raise InputError(place, where=description.source, value=told(signal), limit=limit)
         self.known: dict[str, Parameter] = {}
+        self._constants(description)
         self.zero: dict[str, None] = {}
         self.has_masses = all(link.has_mass for link in description.links)
         self.dry: dict[int, DryFriction] = {}
@@ -115,6 +128,17 @@ class Parameters:
                 self._element(i, x, f"load {i + 1}", i) for i, x in enumerate(description.loads)
             ),
         )
+
+    def _constants(self, description: Description) -> None:
+        """Take the constants of the scene that its laws have: those of numbers are in these."""
+        laws = [x.law for x in description.couplings] + [x for _, x in signals_of(description)]
+        trees = (with_symbols(law.node) for law in laws if isinstance(law, Law))
+        within = frozenset().union(*map(names_of, trees))
+        for name, constant in description.constants:
+            if (symbol := symbol_of(name)) in within:
+                unit = "" if constant.unit == "1" else constant.unit
+                told = printable(f"constant {name}")
+                self.known[symbol] = Parameter(symbol, constant.value, unit, told)
 
     @cached_property
     def values(self) -> dict[str, Fraction]:

@@ -11,7 +11,9 @@ from typing import Any
 from robodyn.elements.base import Element
 from robodyn.elements.keys import Declared, Key
 from robodyn.elements.values import FRAMES, Law, Point, Signal, Table, told
+from robodyn.scene.constants import Constants
 from robodyn.scene.grammar import FORMS, NUMBERS, Form
+from robodyn.scene.quantities import is_plain
 from robodyn.scene.scene import Closure, Coupling, Description
 
 
@@ -77,6 +79,9 @@ class _Writer:
 
     def frame(self, turns: bool) -> str:
         return FRAMES[turns]
+
+    def constants(self, constants: Constants) -> dict[str, str | float]:
+        return {name: x.value if is_plain(x.text) else x.text for name, x in constants}
 
     # -- names and points ----------------------------------------------------------------------
 

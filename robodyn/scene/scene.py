@@ -18,6 +18,7 @@ from robodyn.elements.values import Signal as Signal
 from robodyn.elements.values import Table as Table
 from robodyn.elements.values import Tables as Tables
 from robodyn.elements.values import told as told
+from robodyn.scene.constants import Constants
 
 BRANCHES = ("open", "crossed")
 MASS = ("m", "r", "I")  # what a link has of its own, or has not, all three
@@ -406,6 +407,11 @@ class Description(Declared):
     points: tuple[tuple[str, Point], ...] = key(
         "points",
         "names of points of links, {P: {link: coupler, at: [0.5, 0.2]}, Q: rocker}",
+        default=(),
+    )
+    constants: Constants = key(
+        "constants",
+        "names for numbers, which any expression may use, {A: 20 mm, w: 300 rad/s}",
         default=(),
     )
     pins: tuple[tuple[str, Point], ...] = ()  # of several links of a drawing, by their names

@@ -9,7 +9,7 @@ from robodyn.scene.dimensions import dimension_of, misfit
 from robodyn.scene.expressions import check_smooth, number_of
 from robodyn.scene.quantities import Variables, expressions, read_value, state_variables
 from robodyn.scene.scene import Law, Signal, Table, Tables
-from robodyn.scene.syntax import NotAllowedError
+from robodyn.scene.syntax import CONSTANTS, NotAllowedError
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import ValueReader
 
@@ -47,7 +47,7 @@ class SignalReader(ValueReader):
         """A number, an expression in t, q1.., qd1.., or {table, over, column}."""
         if isinstance(node, Mapping):
             return self.load_table(node, place) or 0.0
-        if not isinstance(node, Scalar) or _meant_as_number(node):
+        if not isinstance(node, Scalar) or self._meant_as_number(node):
             return self.number(node, place, Key("number", "", unit))
         law = self.expression(node, place, unit)
         if law is None or law.names:
@@ -112,7 +112,7 @@ class SignalReader(ValueReader):
         """A smooth expression in the state, or of a spring in x and v; None, and a fault."""
         known = SPRING[unit] if of_spring else state_variables(self.count, self.slides)
         try:
-            found = expressions(node.text, known)
+            found = expressions(node.text, known, {**CONSTANTS, **self.named})
             check_smooth([x.node for x in found])
             limit = misfit(found[0].measure, unit)
         except NotAllowedError as error:
@@ -124,11 +124,10 @@ class SignalReader(ValueReader):
             return None
         return Law(node.text.strip(), found[0].node, found[0].names)
 
-
-def _meant_as_number(node: Scalar) -> bool:
-    """Whether it is a number, or was meant as one."""
-    try:
-        read_value(node.text)
-    except ValueError as error:
-        return not str(error).startswith("is not a number")
-    return True
+    def _meant_as_number(self, node: Scalar) -> bool:
+        """Whether it is a number, or was meant as one."""
+        try:
+            read_value(node.text, self.named)
+        except ValueError as error:
+            return not str(error).startswith("is not a number")
+        return True
