@@ -121,6 +121,8 @@ def formula_text(notation: Notation, formula: Formula) -> tuple[str, int]:
                 other = bound(last, 1 if operation == "+" else 2)
                 other = notation.bracketed(other) if other.startswith("-") else other
                 return f"{bound(first, 1)} {operation}{GLUE}{other}", 1
+            case "*" if type(node[1]) is tuple and node[1][0] == "neg":
+                return first[0] + notation.times + bound(last, 2), 1
             case "*":
                 return bound(first, 2) + notation.times + bound(last, 2), 2
             case "/":

@@ -102,7 +102,7 @@ class Parameters:
         self.couplings = [self._coupling(c, *x) for c, x in enumerate(coupled)]
         angles = ((row.closure, row) for row in mechanism.rows if row.arm)
         self.kept = {c: self._kept(c, row) for c, row in angles if c is not None}
-        gravity: Any = self._gravity(description.gravity)
+        gravity: Any = self._gravity(description)
         for k, link in enumerate(description.links):
             for field in ("friction", "limits"):
                 element = getattr(link, field)
@@ -248,14 +248,21 @@ class Parameters:
             self.laws += names
         return -size * angle, turns, law
 
-    def _gravity(self, gamma: complex) -> Planar:
-        """gx + i gy; -i g where it acts along -Y."""
-        unit = "m/s²"
+    def _gravity(self, description: Description) -> Planar:
+        """gx + i gy; -i g where it acts along -Y.  What varies is no symbol of it."""
+        gamma, field = description.gravity, description.field
+        if field is not None:
+            parts = zip(field.varying, "xy", (gamma.real, gamma.imag), strict=True)
+            x, y = (self._component(axis, z) if one is None else ZERO for one, axis, z in parts)
+            return Planar(x, y)
         if gamma.real == 0.0 and gamma.imag <= 0.0:
-            g = self._symbol("g", (0, ""), -gamma.imag, unit, "gravity, along -Y")
+            g = self._symbol("g", (0, ""), -gamma.imag, "m/s²", "gravity, along -Y")
             return Planar(ZERO, -g)
-        x = self._symbol("gx", (0, "x"), gamma.real, unit, "gravity along X")
-        return Planar(x, self._symbol("gy", (0, "y"), gamma.imag, unit, "gravity along Y"))
+        return Planar(self._component("x", gamma.real), self._component("y", gamma.imag))
+
+    def _component(self, axis: str, value: float) -> Sum:
+        told = f"gravity along {axis.upper()}"
+        return self._symbol(f"g{axis}", (0, axis), value, "m/s²", told)
 
     def _element(self, i: int, element: Element, told: str, place: int) -> Element:
         """An element of a list of the scene; `place` is that of its points among lengths."""

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from robodyn.elements.base import Element
-from robodyn.errors import SingularPoseError
+from robodyn.errors import InputError, SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism
 
 NOTHING = 8 * sys.float_info.epsilon  # part of the lengths to a distance that is rounding
@@ -47,8 +47,19 @@ def spent(mechanism: Mechanism) -> Mechanism:
     return bare(mechanism, (x.spent() for x in mechanism.elements))
 
 
+def check_lasting_gravity(mechanism: Mechanism, what: str) -> None:
+    """Raise InputError, naming gravity, if it varies with the time, which `what` does not know."""
+    if mechanism.description.field is not None:
+        limit = f"varies with the time, which {what} does not know"
+        raise InputError("gravity", where=mechanism.source, limit=limit)
+
+
 def untimed(mechanism: Mechanism) -> Mechanism:
-    """All but loads that depend on the time, which a model of a controller does not know."""
+    """All but loads that depend on the time, which a model of a controller does not know.
+
+    Raises InputError if gravity varies.
+    """
+    check_lasting_gravity(mechanism, "the model of a controller")
     if not mechanism.timed:
         return mechanism
     left = (x.untimed() for x in mechanism.elements)

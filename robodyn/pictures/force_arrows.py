@@ -15,6 +15,7 @@ from robodyn.dynamics.dynamics import (
 )
 from robodyn.dynamics.placed import placed
 from robodyn.dynamics.reaction_forces import reactions
+from robodyn.elements.gravity import GravityField
 from robodyn.elements.loads import Force as LoadForce
 from robodyn.elements.springs import PointSpring
 from robodyn.engines.row_values import rows_of
@@ -86,6 +87,12 @@ def forces(
     if rows.acting:
         acting = rows.planar("forces", q, qd, 0.0).tolist()
         for x, force in zip(rows.acting, acting, strict=True):
+            if isinstance(x.element, GravityField):  # m g of a link, at its centre of gravity
+                k = x.at[1] or 0
+                own, g = description.links[k], force / x.element.masses[k]
+                add("gravity", f"m{k + 1} g", mechanism.centres[k], own.m * g)
+                add("gravity", f"payload {k + 1} g", mechanism.tips[k], own.payload * g)
+                continue
             name = next(names.get(type(x.element), iter([x.element.word])))
             add("load", name, x.at[0], force)
     torques = np.zeros(mechanism.n) if tau is None else tau

@@ -40,6 +40,7 @@ from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed, check_way_on
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word, in_mode, moving_mode
+from robodyn.mechanics.parts import check_lasting_gravity
 from robodyn.rest.balance import bend, free_motions, single
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.short_repr import short_repr
@@ -162,6 +163,7 @@ def linearize(
     beyond an end of a joint that no compliant stop makes, RobodynError where nothing moves,
     SingularError at a change point and where a freedom has no inertia.
     """
+    check_lasting_gravity(mechanism, "a linear model")
     pose, rates, torques = (
         single(mechanism, name, x) for name, x in (("q", q), ("qd", qd), ("tau", tau))
     )

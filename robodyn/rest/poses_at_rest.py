@@ -35,6 +35,7 @@ from robodyn.loops.closing import close_positions, half_turn, loop_size, random_
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.mechanism import Mechanism, joint_index
 from robodyn.mechanics.modes import beyond, end_word, in_mode, pressed
+from robodyn.mechanics.parts import check_lasting_gravity
 from robodyn.rest.balance import Balance, balance, balances, free_motions, single
 from robodyn.rest.linear_model import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
@@ -91,6 +92,7 @@ def equilibrium(
     friction is left out.  Raises InputError for values that do not fit and a pose that does not
     close, RobodynError where no pose at rest is found, or it is beyond the end of a joint.
     """
+    check_lasting_gravity(mechanism, "a pose at rest")
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     begin = _near(mechanism, near)
     found, _ = next(_poses(mechanism, joints, [begin], torques))
@@ -117,6 +119,7 @@ def equilibria(
     and then what part of the most starts is tried.  Raises RobodynError where there is none, or no
     end of them, else as `equilibrium`.
     """
+    check_lasting_gravity(mechanism, "a pose at rest")
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     sprung = {x.at for x in mechanism.elements if x.free is not None}
     counting = {*sprung, *(x.joint for x in mechanism.ranges), *mechanism.slides}

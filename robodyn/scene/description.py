@@ -94,6 +94,7 @@ class _Reader(PointReader, SignalReader):
         **PointReader.missing,
         "frame": False,
         "line": Line(None, 0j, 1.0 + 0j),
+        "gravity": 0j,
         "varying": 0.0,
         "varying_vector": (0.0, 0.0),
     }

@@ -65,7 +65,9 @@ class _Writer:
 
     direction = vector
 
-    def gravity(self, z: complex) -> float | list[float]:
+    def gravity(self, z: complex | tuple[float | Signal, ...]) -> float | list[Any]:
+        if isinstance(z, tuple):
+            return [self.varying(part) for part in z]
         return self.vector(z) if z.real else -z.imag
 
     def centre(self, z: complex) -> float | list[float]:

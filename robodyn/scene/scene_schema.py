@@ -131,6 +131,7 @@ def _other_kinds() -> dict[str, Schema]:
         "closure": _any("pair", "slider"),
         "law": {"type": ["string", "number"], "pattern": _expression("x|v")},
         "spring_table": _ref("name"),
+        "gravity": _any("varying", "varying_vector"),
         "varying": _any("number", "expression", "load_table"),
         "expression": {"type": "string", "pattern": _expression("t|qd?[0-9]+")},
         "varying_vector": {**pair, "items": _ref("varying")},

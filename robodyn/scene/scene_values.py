@@ -31,6 +31,7 @@ _INNER: dict[str, str | None] = {
     "closure": "point",
     "pair": "point",
     "varying_vector": "varying",
+    "gravity": "varying",
 } | dict.fromkeys(("joints", "assembly", "couplings", "pin_names"))
 # mappings by names, and what they hold
 _BY_NAME = {
@@ -255,6 +256,7 @@ def _numbers(
     `named` are the constants of the scene.
     """
     wide = kind in OR_VECTOR or kind in OR_PAIR
+    wide |= kind == "gravity" and (isinstance(node, Sequence) or _varies("varying", node, named))
     if wide or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node, named):
         yield name, place
     if kind == "pin":
