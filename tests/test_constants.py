@@ -22,6 +22,8 @@ from random_mechanisms import LOOPS, forced, seeded_scene
 from robodyn.dynamics.named_numbers import named_values
 from robodyn.engines import machine
 from robodyn.errors import DescriptionError, InputError
+from robodyn.export.mjcf import mjcf
+from robodyn.export.urdf import urdf
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 from robodyn.scene.plain_scene import plain_scene
@@ -387,3 +389,13 @@ def test_the_schema_takes_them() -> None:
     assert not obeys(SCENE.replace("I: 0.01,", "I: -0.01,"))
     assert not obeys(PLAIN.replace("l: 0.2", "l: len"))
     assert yaml.safe_load(SCENE)["constants"]["A"] == "20 mm"
+
+
+def test_models_of_other_tools_have_their_values() -> None:
+    text = SCENE.partition("springs:")[0]
+    plain = PLAIN.partition("springs:")[0]
+    for export in (urdf, mjcf):
+        one, other = (
+            re.sub("<!--.*?-->", "", export(scene(x)), flags=re.DOTALL) for x in (text, plain)
+        )
+        assert one == other

@@ -366,7 +366,7 @@ class Description(Declared):
     name: str = key("name", "text for titles", told="the file's name less .yaml")
     gravity: complex = key(
         "gravity",
-        "a number g acts along -Y, or a vector [gx, gy]; each may be an expression in t",
+        "a number g acts along -Y, or [gx, gy]; each may be an expression in t",
         unit="m/s²",
         absent=0j,
     )

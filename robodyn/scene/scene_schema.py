@@ -53,6 +53,7 @@ def scene_schema() -> Schema:
         "quantity": {"type": "string", "pattern": _quantity(True)},
         "law": {"type": ["string", "number"], "pattern": _expression(_ANY_NAME)},
         "expression": {"type": "string", "pattern": _expression(_ANY_NAME)},
+        "timed": {"type": "string", "pattern": "^(?=.*t)" + _expression(_ANY_NAME)[1:]},
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -131,7 +132,8 @@ def _other_kinds() -> dict[str, Schema]:
         "closure": _any("pair", "slider"),
         "law": {"type": ["string", "number"], "pattern": _expression("x|v")},
         "spring_table": _ref("name"),
-        "gravity": _any("varying", "varying_vector"),
+        "gravity": _any("number", "timed", "load_table", "varying_vector"),
+        "timed": {"type": "string", "pattern": "^(?=.*t)" + _expression("t")[1:]},
         "varying": _any("number", "expression", "load_table"),
         "expression": {"type": "string", "pattern": _expression("t|qd?[0-9]+")},
         "varying_vector": {**pair, "items": _ref("varying")},

@@ -29,7 +29,7 @@ TIME = Variables({"t": "t"}.get, "t", {"t": dimension_of("s")}.get)
 def _has_time(node: Node) -> bool:
     """Whether a component of gravity varies."""
     if isinstance(node, Mapping):
-        return True
+        return any(key.text == "table" for key, _ in node.pairs)
     names = tokens_of(node.text) if isinstance(node, Scalar) else []
     return any(token.text == "t" for token in names)
 
