@@ -97,6 +97,7 @@ class _Reader(PointReader, SignalReader):
         "gravity": 0j,
         "varying": 0.0,
         "varying_vector": (0.0, 0.0),
+        "varying_place": (0.0, 0.0),
     }
 
     def __init__(self, tables: Tables | None) -> None:

@@ -138,6 +138,9 @@ class _Writer:
             return self.mapping(value._replace(over=over))
         return told(value) if isinstance(value, Law) else value
 
+    def varying_place(self, parts: list[float | Signal]) -> list[Any]:
+        return self.varying_vector(parts)
+
     def varying_vector(self, parts: list[float | Signal]) -> list[Any]:
         return [self.varying(part) for part in parts]
 

@@ -136,6 +136,7 @@ def _other_kinds() -> dict[str, Schema]:
         "timed": {"type": "string", "pattern": "^(?=.*t)" + _expression("t")[1:]},
         "varying": _any("number", "expression", "load_table"),
         "expression": {"type": "string", "pattern": _expression("t|qd?[0-9]+")},
+        "varying_place": _ref("varying_vector"),
         "varying_vector": {**pair, "items": _ref("varying")},
     }
 

@@ -31,6 +31,7 @@ _INNER: dict[str, str | None] = {
     "closure": "point",
     "pair": "point",
     "varying_vector": "varying",
+    "varying_place": "varying",
     "gravity": "varying",
 } | dict.fromkeys(("joints", "assembly", "couplings", "pin_names"))
 # mappings by names, and what they hold

@@ -105,6 +105,18 @@ class SignalReader(ValueReader):
             return 0.0, down._replace(F=tuple(-x for x in down.F))
         return down
 
+    def varying_place(
+        self, node: Node, place: str, unit: str
+    ) -> tuple[float | Signal, float | Signal]:
+        """Two coordinates, numbers or expressions in t and q1.., or tables over these."""
+        state = state_variables(self.count, self.slides)
+
+        def named(name: str) -> str | None:
+            return None if name.startswith("qd") else state.named(name)
+
+        known = Variables(named, f"t, q1..q{self.count}", state.of)
+        return self.varying_vector(node, place, unit, known)
+
     def load_table(self, node: Node, place: str) -> Table | None:
         """A table over t or a joint."""
         faults, (_, values) = len(self.faults), self.form("varying", node, place)
