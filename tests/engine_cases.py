@@ -91,8 +91,8 @@ VARIED = {
 }
 KINDS = ("tree", *LOOPS, *SLIDERS, "geared tree", "geared five-bar", *MOTORED, *VARIED)
 # of the cart-pole the torque of one joint alone makes no motion that is asked for
-# a joint without an actuator, and a zero along a weld, which the oracle does not know
-UNLIKE = ("cart-pole", "bell-crank")
+# a joint without an actuator, a zero along a weld, constants: the oracle does not know them
+UNLIKE = ("cart-pole", "bell-crank", "weather-vane")
 ROBOTS = sorted(x for x in (ROOT / "robots").glob("*.yaml") if x.stem not in UNLIKE)
 
 
