@@ -399,3 +399,13 @@ def test_models_of_other_tools_have_their_values() -> None:
             re.sub("<!--.*?-->", "", export(scene(x)), flags=re.DOTALL) for x in (text, plain)
         )
         assert one == other
+
+
+def test_numbers_of_laws_are_decimal_in_the_steps_too(tmp_path: Path, robodyn: Run) -> None:
+    path = tmp_path / "my.yaml"
+    path.write_text(PLAIN.replace("2 cos(30 t + 40 deg) sqrt(0.5 + q1^2)", "9.81 cos(0.3 t)"))
+    for form in ("text", "latex"):
+        steps = robodyn("equations", str(path), "--steps", "--format", form)
+        assert steps.code == 0, steps.err
+        assert "9.81" in steps.out
+        assert "562949953421312" not in steps.out

@@ -101,6 +101,7 @@ FUNCTIONS = {name: rf"\operatorname{{{name}}}" for name in ("sign", "step", "hyp
 FUNCTIONS |= {"asin": r"\arcsin", "acos": r"\arccos", "atan": r"\arctan", "log": r"\ln"}
 LATEX = Notation(
     number=_number,
+    decimal=_number,
     symbol=subscripted,
     call=lambda function, angles: (
         rf"\{function}" + (f"({added(angles)})" if len(angles) > 1 else GLUE + angles[0])
