@@ -18,7 +18,9 @@ from robodyn.equations.derivation_text import derivation_json
 from robodyn.equations.written import equations
 from robodyn.mechanics.mechanism import Mechanism
 
-TAKEN = re.compile(r"[HTFBY]\d+[xy]?")  # laws that vary: what their names stand for is as given
+TAKEN = re.compile(
+    r"[HTFBY]\d+[xy]?|c\d+[xy]"
+)  # laws that vary: what their names stand for is as given
 NAMED = re.compile(  # what is left of an equal sign, but for the first side of a closure
     r"(omega|vC|vP|v|KE|PEs|PEl|PE|rF|tau|Q|D_qd|f|lambda|[bcu]|gap|Psidot_qd|d/dt gap|dL/dqd?"
     r"|d/dt dL/dqd)\d+|(Psi|N|W|d)\d\d|[SVKP]\d+[xy]?|KE|PE|L|dW|(centripetal|Coriolis) \(C qd\)\d+"
@@ -141,7 +143,15 @@ class Oracle:
 
     def steady(self, load) -> bool:
         turns = load.turns and self.angle_moves(load.point.link)
-        return not load.varied and not turns
+        return not load.varied and not load.moves and not turns
+
+    def acting_at(self, load):
+        """Where a load acts on the ground; what varies along its link by its name."""
+        at, i = [load.point.at.real, load.point.at.imag], self.scene.loads.index(load) + 1
+        for k, axis in enumerate("xy"):
+            if load.moving[k] is not None:
+                at[k] = self.values[f"c{i}{axis}"]
+        return self.place(load.point.link, complex(*at))
 
     def angle_moves(self, k) -> bool:
         return bool(sp.sympify(self.angles[k]).free_symbols)
@@ -213,7 +223,7 @@ class Oracle:
                 total -= self.values[f"H{j + 1}"] * self.value(sp.diff(reach, self.q[i]))
         for j, load in enumerate(self.scene.loads):
             if isinstance(load, Force) and not self.steady(load):
-                arm = self.place(load.point.link, load.point.at).diff(self.q[i])
+                arm = self.acting_at(load).diff(self.q[i])
                 total += self.value((self.force(load).T * arm)[0])
             elif isinstance(load, Moment) and load.varying is not None:
                 slope = self.value(sp.diff(self.angles[load.link], self.q[i]))
@@ -349,8 +359,7 @@ class Oracle:
             case ("", "D_qd"):
                 return self.damping(k)
             case ("", "rF"):
-                point = self.scene.loads[k].point
-                return self.vector(self.place(point.link, point.at))
+                return self.vector(self.acting_at(self.scene.loads[k]))
             case ("", "gap"):
                 return self.value(self.gaps[k])
             case ("d/dt", "gap"):

@@ -17,6 +17,7 @@ from robodyn.export.mjcf import mjcf
 from robodyn.export.urdf import urdf
 from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.scene.scene import signals_of
 
 Run = Callable[..., Outcome]
 SCENES = sorted(path.stem for path in (ROOT / "robots").glob("*.yaml"))
@@ -40,6 +41,9 @@ def test_mjcf_of_every_scene(robodyn: Run, name: str) -> None:
     mechanism = load(f"robots/{name}.yaml")
     if mechanism.laws:
         given.fails(2, f"robots/{name}.yaml: couplings[0]", "linear in joints, no laws")
+        return
+    if any(place.startswith("loads") for place, _ in signals_of(mechanism.description)):
+        given.fails(2, f"robots/{name}.yaml: loads[0]", "MJCF has constant loads alone")
         return
     model = read_mjcf(given.out)
     if not mechanism.rows:

@@ -23,6 +23,7 @@ from robodyn.elements import kinds
 from robodyn.elements.base import SPENT, STORED, Element
 from robodyn.elements.builder import Name, PointForce
 from robodyn.elements.contacts import Mode
+from robodyn.elements.gravity import GravityField
 from robodyn.elements.joints import (
     CompliantStop,
     DryFriction,
@@ -239,6 +240,10 @@ def rotors(rng, scene):
     scene["links"][2]["motor"] = motor
 
 
+def gravity_fields(rng, scene):
+    scene["gravity"] = [f"{number(rng, 1, 3)} + sin(2*t)", number(rng, -9, -5)]
+
+
 def drags(rng, scene):
     scene["loads"] = [{"joint": NAMES[1], "c": number(rng, 0.3, 0.9)}]
 
@@ -268,6 +273,7 @@ CASES = {
     HardStop: hard_stops,
     CompliantStop: stops,
     Rotor: rotors,
+    GravityField: gravity_fields,
     QuadraticDrag: drags,
     Magnet: magnets,
     Drag: air,
@@ -382,8 +388,8 @@ def test_torques_are_linear_in_its_parameters(kind, seed):
 def test_its_equations_in_python_are_its_rows(kind, seed):
     mechanism, written = made(kind, seed), module(made(kind, seed))["inverse_dynamics"]
     for q, qd, qdd in np.moveaxis(states(seed), 0, 1):
-        tau = inverse_dynamics(mechanism, q, qd, qdd)
-        assert np.allclose(written(q, qd, qdd), tau, rtol=1e-12, atol=1e-12)
+        tau, t = inverse_dynamics(mechanism, q, qd, qdd), [0.0] * mechanism.timed
+        assert np.allclose(written(q, qd, qdd, *t), tau, rtol=1e-12, atol=1e-12)
 
 
 @each_kind
@@ -445,7 +451,7 @@ def test_the_mapping_of_its_scene_reads_back(kind):
 @pytest.mark.parametrize("write", [mjcf, urdf])
 def test_an_export_writes_it_or_refuses_it_by_name(kind, write):
     mechanism = made(kind, 0)
-    places = [place for place, _ in mechanism.description.elements] or ["links"]
+    places = [place for place, _ in mechanism.description.elements] or ["links", "gravity"]
     try:
         model = write(mechanism)
     except InputError as refused:

@@ -84,5 +84,5 @@ def tell_what_is_left_out(mechanism: Mechanism) -> None:
     """On stderr what poses at rest do not see, where the scene has any."""
     if mechanism.switches:
         note("Note: dry friction and hard stops hold nothing here")
-    if mechanism.timed:
+    if mechanism.timed and mechanism.description.field is None:
         note("Note: loads that vary are those at t = 0")

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 from robodyn.dynamics.joint_vectors import joint_units
 from robodyn.elements.springs import JointSpring
 from robodyn.errors import InputError
+from robodyn.scene.constants import nodes_of
 from robodyn.scene.expressions import COMPARISONS, names_of, number_of, walk
-from robodyn.scene.quantities import entries, expressions, read_value, state_variables
-from robodyn.scene.syntax import Node, plain_text
+from robodyn.scene.quantities import NOTHING, entries, expressions, read_value, state_variables
+from robodyn.scene.syntax import VALUE_CONSTANTS, Node, plain_text
 from robodyn.scene.units import Quantity
 from robodyn.tables.csv_fields import shown
 
@@ -47,10 +48,13 @@ def tell_large_angles(mechanism: Mechanism, values: Callable[[], SceneValues]) -
         note(f"Note: {told}; write {degrees} for degrees")
 
 
-def is_large(text: str) -> bool:
-    """Whether a value has no unit and no pi, and is beyond a turn in rad."""
+def is_large(text: str, named: Mapping[str, Node] = NOTHING) -> bool:
+    """Whether a value has no unit and no pi, and is beyond a turn in rad.
+
+    `named` are constants of the scene; what is made of one is told where the constant is.
+    """
     with suppress(ValueError):
-        return _is_large(read_value(text).written)
+        return _is_large(read_value(text, named).written)
     return False
 
 
@@ -95,8 +99,9 @@ def _in_scene(mechanism: Mechanism, values: Callable[[], SceneValues]) -> Iterat
     angles += scene.start or ()
     if any(abs(x) > math.tau for x in angles if x is not None):
         numbers = values()
+        named = nodes_of(scene.constants)
         for name in numbers.names:
-            if _is_angle(numbers, name) and is_large(text := numbers.text(name)):
+            if _is_angle(numbers, name) and is_large(text := numbers.text(name), named):
                 yield f"{mechanism.source}: {name} = {text}", text
     large = {x.joint for x in scene.couplings if abs(x.angle) > math.tau}
     if large - set(mechanism.slides):
@@ -105,7 +110,8 @@ def _in_scene(mechanism: Mechanism, values: Callable[[], SceneValues]) -> Iterat
             if x.law is not None:
                 continue
             text = item.text.partition("=")[2]
-            (found,) = expressions(text, state_variables(mechanism.n))
+            constants = {**VALUE_CONSTANTS, **nodes_of(scene.constants)}
+            (found,) = expressions(text, state_variables(mechanism.n), constants)
             unit = any(isinstance(part, Quantity) for part in walk(found.written))
             if x.joint not in mechanism.slides and abs(x.angle) > math.tau and not unit:
                 yield f"{mechanism.source}: {item.text}", f"{abs(x.angle):g}"

@@ -20,6 +20,7 @@ from robodyn.engines.expression import Expression, Graph, Value, slopes_by, subs
 from robodyn.engines.formulas import KINDS, Formula, Recorded, residuals
 from robodyn.engines.planar_numbers import Planar
 from robodyn.errors import DescriptionError, InputError
+from robodyn.mechanics.loop_rows import coupling_rows
 from robodyn.mechanics.mechanism import ClosureRow, Mechanism, constants, with_kept
 from robodyn.mechanics.modes import in_mode
 from robodyn.scene.scene import Description
@@ -57,12 +58,12 @@ def with_variables(
     """The mechanism whose numbers of these names are what they are plus these values."""
     values = named_values(mechanism, *numbers)
     base = values.base
-    scene: Any = _without_kept_angles(base)
+    scene: Any = _comparable(base)
     turned: list[Any] = [None if c.aligned is None else 0.0 for c in base.closures]
     for name, x in numbers.items():
         try:
             size, others = _changed(values, name)
-            plain, whole, half = map(_without_kept_angles, (base, *others))
+            plain, whole, half = map(_comparable, (base, *others))
             scene = _seeded(scene, plain, whole, half, size, x)
             three = ([c.aligned for c in each.closures] for each in (base, *others))
             angles = zip(*three, strict=True)
@@ -71,7 +72,8 @@ def with_variables(
                 for now, (a, b, c) in zip(turned, angles, strict=True)
             ]
         except _NoMultipleError:
-            limit = "no derivative is known by it: it changes a mode or a limit"
+            limit = "no derivative is known by it: it changes a mode, a limit or an exponent, or "
+            limit += "numbers of the scene by no multiple of its change"
             if f"{name}[0]" in values.names:
                 limit = f"is two numbers there: take {name}[0] or {name}[1]"
             raise InputError(name, where=mechanism.source, limit=limit) from None
@@ -81,7 +83,7 @@ def with_variables(
         if row.arm and row.closure is not None
     }
     made = with_kept(constants(without_welds(scene)), kept)
-    couplings = tuple(row for row in mechanism.rows if row.closure is None)
+    couplings = _coupling_rows(mechanism, base, scene)
     rows = (*made.rows, *couplings)
     if mode is None:
         return in_mode(replace(made, rows=rows), Mode())
@@ -91,8 +93,17 @@ def with_variables(
     return replace(moving, rows=moving.rows + held)
 
 
-def _without_kept_angles(scene: Description) -> Description:
-    return scene._replace(closures=tuple(c._replace(aligned=None) for c in scene.closures))
+def _coupling_rows(mechanism: Mechanism, base: Description, scene: Any) -> tuple[ClosureRow, ...]:
+    """The rows of couplings with the numbers that `scene` has in them, as long as they are."""
+    if scene.couplings == base.couplings:
+        return tuple(row for row in mechanism.rows if row.closure is None)
+    return tuple(coupling_rows(mechanism.description._replace(couplings=scene.couplings)))
+
+
+def _comparable(scene: Description) -> Description:
+    """The scene without angles that closures keep, and without the constants by themselves."""
+    closures = tuple(c._replace(aligned=None) for c in scene.closures)
+    return scene._replace(closures=closures, constants=())
 
 
 def _turned(row: ClosureRow, by: Any) -> ClosureRow:

@@ -1,6 +1,7 @@
 """The kinds of elements that a scene has."""
 
 from robodyn.elements.base import Element
+from robodyn.elements.gravity import GravityField
 from robodyn.elements.joints import (
     CompliantStop,
     DryFriction,
@@ -28,6 +29,7 @@ KINDS: tuple[type[Element], ...] = (
     HardStop,
     CompliantStop,
     Rotor,
+    GravityField,
 )
 
 

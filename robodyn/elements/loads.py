@@ -2,6 +2,10 @@
 
 A constant force F turns with its link as F E.  A force f at a point that has the coefficients c_k
 gives F_k -= conj(c_k) f.  Loads that vary are signals in place of numbers.
+
+Where a force acts at a place of its link that varies, it acts on the material point that is there:
+as at a fixed place of the link, with the moment of the way from there, z of the link's frame,
+Im(conj(z E) f).
 """
 
 from __future__ import annotations
@@ -12,21 +16,26 @@ from typing import Any, ClassVar
 from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element
 from robodyn.elements.builder import Builder, Name, PlanarTerm, PointForce
 from robodyn.elements.keys import Way, key
-from robodyn.elements.link_rows import Tree
+from robodyn.elements.link_rows import PlanarPoint, Tree
 from robodyn.elements.values import Point, Signal
 
+PLACES = tuple(Name("c", "m", f"place of {{}} along {axis} of its link", axis) for axis in "xy")
 AXES = tuple(Name("F", "N", f"force of {{}}, {axis}", axis) for axis in "xy")
 
 
 class Force(Element):
     """A force at a point of a link; one that turns with the link, or varies, has no potential.
 
-    Where x or y is a signal it is in `varying`, and zero in `force`.
+    Where x or y is a signal it is in `varying`, and zero in `force`; so are coordinates of its
+    place along the link in `moving`, and zero in `point`.
     """
 
     link: ClassVar[Any] = key("link_name", "the link that it acts on", ways=("force",))
     at: ClassVar[Any] = key(
-        "vector", "where, [x, y] in the link's frame", unit="m", ways=("force",)
+        "varying_place",
+        "where, [x, y] in the link's frame; each may be an expression in t, q1..",
+        unit="m",
+        ways=("force",),
     )
     point: Point = key(
         "moving_point",
@@ -47,6 +56,7 @@ class Force(Element):
         name="frame",
     )
     varying: tuple[Signal | None, Signal | None] = (None, None)
+    moving: tuple[Signal | None, Signal | None] = (None, None)
     turn: complex = 1.0 + 0j  # from the link's frame to that which a turning force is told in
 
     points: ClassVar[dict[str, str]] = {"point": "c: point of {}"}
@@ -58,7 +68,11 @@ class Force(Element):
     @classmethod
     def from_keys(cls, values: dict[str, Any]) -> Force:
         if "at" in values:
-            values["point"] = Point(values.pop("link"), values.pop("at"))
+            x, y = values.pop("at")
+            at = complex(*(part if isinstance(part, float) else 0.0 for part in (x, y)))
+            values["point"] = Point(values.pop("link"), at)
+            moves = [None if isinstance(part, float) else part for part in (x, y)]
+            values["moving"] = moves[0], moves[1]
         parts = values.pop("force")
         constant = [x if isinstance(x, float) else 0.0 for x in parts]
         x, y = (None if isinstance(part, float) else part for part in parts)
@@ -67,7 +81,9 @@ class Force(Element):
     def to_keys(self) -> dict[str, Any]:
         numbers = self.force.real, self.force.imag
         parts = [x if y is None else y for x, y in zip(numbers, self.varying, strict=True)]
-        place = {"link": self.point.link, "at": self.point.at}
+        at = self.point.at.real, self.point.at.imag
+        places = [x if y is None else y for x, y in zip(at, self.moving, strict=True)]
+        place = {"link": self.point.link, "at": places}
         return place | {"force": parts, "turns": self.turns}
 
     def moved(
@@ -81,10 +97,16 @@ class Force(Element):
         """Whether it is not constant."""
         return self.varying != (None, None)
 
+    @property
+    def moves(self) -> bool:
+        """Whether its place along the link varies."""
+        return self.moving != (None, None)
+
     def varies(self) -> Iterator[tuple[str, Signal]]:
-        for k, signal in enumerate(self.varying):
-            if signal is not None:
-                yield f"force[{k}]", signal
+        for name, signals in (("force", self.varying), ("at", self.moving)):
+            for k, signal in enumerate(signals):
+                if signal is not None:
+                    yield f"{name}[{k}]", signal
 
     def called(self, names: Sequence[str]) -> str:
         return f", in {'its link' if self.turns else 'the ground'}'s frame"
@@ -111,13 +133,15 @@ class Force(Element):
 
     @property
     def steady(self) -> bool:
-        return not self.turns and not self.varied
+        return not self.turns and not self.varied and not self.moves
 
     @property
     def steady_force(self) -> tuple[Point, complex] | None:
         return (self.point, self.force) if self.steady else None
 
-    def untimed(self) -> Force:
+    def untimed(self) -> Force | None:
+        if any(signal is not None and "t" in signal.names for signal in self.moving):
+            return None
         if not self.varied:
             return self
         x, y = (None if x is None or "t" in x.names else x for x in self.varying)
@@ -131,7 +155,7 @@ class Force(Element):
         if self.turns:
             turned = tree.turned(link, self.turn)
             whole = tree.turned(link, whole if self.turn == 1.0 else self.turn * whole)
-        if not self.varied:
+        if not self.varied and not self.moves:
             b.force(PointForce(self, whole, E, (point, link)))
             if b.work and E is not None:
                 acting = b.planar_sum((b.planar_number(whole), E))
@@ -150,6 +174,17 @@ class Force(Element):
         b.force(PointForce(self, 1.0, acting, (point, link)))
         if b.work and point.terms:
             b.works(1.0, b.inner(acting, b.rate(b.point(point))))
+        if self.moves:
+            arm = PlanarPoint(0j, ((link, self.force), (link, 1.0)))  # at least 1 N
+            unit, across = tree.turned(link, self.turn), []
+            E = b.direction(link)
+            each_place = zip((1j * unit, -unit), self.moving, PLACES, strict=True)
+            for unit, signal, name in each_place:  # of i z E
+                if signal is not None:
+                    slot = b.signal(signal, arm, name)
+                    slot = slot if E is None else b.scaled(slot, E)
+                    across.append((b.planar_number(unit), slot))
+            b.moment(link, b.inner(b.planar_sum(*across), acting))
 
 
 class Moment(Element):

@@ -476,7 +476,8 @@ class Derivation:
 
     def _constant(self, load: Force) -> bool:
         """Whether a force is that of a potential: it neither varies nor turns."""
-        return not load.varied and not (load.turns and self.paths[load.point.link])
+        steady = not load.varied and not load.moves
+        return steady and not (load.turns and self.paths[load.point.link])
 
     # -- slopes ------------------------------------------------------------------------------------
 
@@ -785,10 +786,17 @@ class Derivation:
         lines = []
         if "Q" in self.blocks and not self.blocks["Q"].zero:
             told = "By virtual work Q is F . dr/dq of forces on points, and torques as they are."
+            if any(isinstance(x, Force) and x.moves for x in self.scene.loads):
+                told += " Where the place of a force along its link varies, r is the point there."
             lines.append(said(told))
             for i, load in enumerate(self.scene.loads):
                 if isinstance(load, Force) and not self._constant(load):
-                    where = self.components(self.point_place(load.point), 1)
+                    at = planar(load.point.at)
+                    for k, axis in enumerate("xy"):  # along the link, by a name
+                        if load.moving[k] is not None:
+                            c = of(Atom(Role.stretch, (i, axis), f"c{i + 1}{axis}"))
+                            at = at + (Planar(ZERO, c) if k else Planar(c, ZERO))
+                    where = self.components(self._place_on(load.point.link, at), 1)
                     name = Name(f"r{i + 1}", rf"r_{{F_{{{i + 1}}}}}", f"rF{i + 1}")
                     lines.append(
                         Line(

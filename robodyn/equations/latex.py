@@ -32,6 +32,7 @@ SPECIAL = {
     "|": "$|$",
     **{character: f"\\{character}" for character in "{}#$%&_"},
 }
+GREEK = "alpha beta gamma delta epsilon zeta eta theta kappa mu nu xi rho sigma phi chi psi omega"
 NAMES = {
     "qd": r"\dot{q}",
     "qdd": r"\ddot{q}",
@@ -75,7 +76,9 @@ def escaped(text: str) -> str:
 
 
 def subscripted(name: str) -> str:
-    """A parameter: r1x -> r_{1x}, mp2 -> m_{p2}, phi1 -> \varphi_{1}."""
+    r"""A parameter: r1x -> r_{1x}, mp2 -> m_{p2}, phi1 -> \varphi_{1}, omega -> \omega."""
+    if len(name) > 1 and not re.search("[0-9]", name) and name not in ("gx", "gy"):
+        return f"\\{name}" if name in GREEK.split() else rf"\mathit{{{escaped(name)}}}"
     for letters, greek in (("phi", r"\varphi"), ("psi", r"\psi"), ("beta", r"\beta")):
         if name.startswith(letters):
             return f"{greek}_{{{name[len(letters) :]}}}"
@@ -99,6 +102,7 @@ FUNCTIONS = {name: rf"\operatorname{{{name}}}" for name in ("sign", "step", "hyp
 FUNCTIONS |= {"asin": r"\arcsin", "acos": r"\arccos", "atan": r"\arctan", "log": r"\ln"}
 LATEX = Notation(
     number=_number,
+    decimal=_number,
     symbol=subscripted,
     call=lambda function, angles: (
         rf"\{function}" + (f"({added(angles)})" if len(angles) > 1 else GLUE + angles[0])

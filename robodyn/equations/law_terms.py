@@ -6,6 +6,7 @@ from the rows of the law (`mechanics/law_rows.py`), read as expressions again.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -25,14 +26,16 @@ from robodyn.elements.program import (
     Sum,
 )
 from robodyn.equations import symbolic
-from robodyn.equations.named_laws import Definition, Formula, formula_of
+from robodyn.equations.named_laws import Definition, Formula, formula_of, with_symbols
 from robodyn.equations.symbolic import ONE, Atom, Role, of
 from robodyn.mechanics.expression_rows import Part, Slotted
 from robodyn.mechanics.law_rows import LawRows
+from robodyn.scene.expressions import names_of
 from robodyn.scene.scene import Coupling, Law
 from robodyn.scene.syntax import Node
 
 Value = Any
+_JOINT = re.compile("q[0-9]+|t")
 
 
 TIME = -1  # among joints
@@ -90,7 +93,7 @@ def law_terms(
     def shown(k: int) -> str:
         return "t" if k == TIME else f"q{k + 1}"
 
-    value = rows.value(law)
+    value = rows.value(law._replace(node=with_symbols(law.node)))
     definitions: list[Definition] = []
     own, letter = units(coupling.joint), f"h{c + 1}"
 
@@ -170,14 +173,27 @@ def _tree(program: Program, slot: Slot) -> Node:
         case Product(x=x, y=y) if x == y:
             return "**", of_slot(x), 2.0
         case Product(x=x, y=y):
-            return "*", of_slot(x), of_slot(y)
+            return _signed("*", *sorted((of_slot(x), of_slot(y)), key=_moves))
         case Quotient(x=x, y=y):
-            return "/", of_slot(x), of_slot(y)
+            return _signed("/", of_slot(x), of_slot(y))
         case Power(x=x, exponent=exponent):
             return ("sqrt", of_slot(x)) if exponent == 0.5 else ("**", of_slot(x), exponent)
         case Function(name=name, x=x) | Primitive(name=name, x=x):
             return name, of_slot(x)
     raise AssertionError(program.rows[slot])
+
+
+def _moves(tree: Node) -> bool:
+    """Whether a joint is in it: constants stand before what moves."""
+    return any(_JOINT.fullmatch(name) for name in names_of(tree))
+
+
+def _signed(operation: str, *parts: Node) -> Node:
+    """A product or quotient with its sign in front."""
+    plain = [x[1] if type(x) is tuple and x[0] == "neg" else x for x in parts]
+    odd = sum(x is not y for x, y in zip(parts, plain, strict=True)) % 2
+    found = operation, *plain
+    return ("neg", found) if odd else found
 
 
 def _number(program: Program, c: float | Number) -> float:

@@ -14,6 +14,7 @@ x how far it is beyond, v = x'; step(x) is 1 for x > 0, else 0.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,7 +27,15 @@ from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.expressions import OPERATIONS, changed, names_of, value_in, walk
 from robodyn.scene.scene import Law
 from robodyn.scene.syntax import Node
+from robodyn.scene.units import Named
 
+_TAKEN = (  # names of equations that have no number, and words of C
+    "M C D G Q E L T V W h s g gx gy Psi gap tau lambda KE PE out auto break case char const "
+    "continue default do double else enum extern float for goto if inline int long register "
+    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile "
+    "while"
+)
+TAKEN = frozenset(_TAKEN.split())
 ARITHMETIC = ("+", "-", "*", "/", "%", "**")
 SWITCHES = "sign(0) is 0, and step(x) is 1 for x > 0, else 0."
 
@@ -83,16 +92,39 @@ class JointTerm(NamedTuple):
     defined: Definition
 
 
+def symbol_of(constant: str) -> str:
+    """The symbol of a constant of the scene: its name, with a c behind it if it may be another's.
+
+    Symbols of equations have letters and then a number, or are one of `TAKEN`.
+    """
+    plain = constant.rstrip("c")
+    return f"{constant}c" if re.search("[A-Za-z][0-9]", constant) or plain in TAKEN else constant
+
+
+def with_symbols(node: Node) -> Node:
+    """The tree with symbols for constants of the scene; exponents remain numbers."""
+    if isinstance(node, Named):
+        return symbol_of(node.name)
+    if type(node) is not tuple:
+        return node
+    if node[0] in ("**", "pow") and not names_of(node[2]):
+        return node[0], with_symbols(node[1]), node[2]
+    return node[0], *map(with_symbols, node[1:])
+
+
 def formula_of(law: Law, own: Mapping[str, Sum]) -> Formula:
     """The formula of an expression in t, q0.., qd0..; `own` has a spring's x and v."""
 
     def meant(name: str) -> Sum:
         if name == "t":
             return of(Atom(Role.force, (-1, ""), "t"))
+        if name not in law.names:  # a constant
+            return of(Atom(Role.force, (-1, name), name))
         return _rate(int(name[2:])) if name[1] == "d" else _angle(int(name[1:]))
 
-    names = {name: own[name] if name in own else meant(name) for name in law.names}
-    return Formula(changed(law.node, _plain), names)
+    tree = changed(with_symbols(law.node), _plain)
+    names = {name: own[name] if name in own else meant(name) for name in names_of(tree) | law.names}
+    return Formula(tree, names)
 
 
 def contact_terms(

@@ -158,6 +158,8 @@ class NamedRows(EquationsOfMotion):
 
     def _atom(self, name: Name) -> Atom:
         kind, i = self._place
+        if not kind:  # of the scene itself
+            return Atom(Role.gravity, (i, name.axis), name.letter + name.axis)
         if name.unit in METRES:
             return Atom(Role.stretch, (i, name.axis), f"{name.letter}{i + 1}{name.axis}")
         letters = name.letter + name.axis if kind == "loads" else ""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import Any
 
 from robodyn.equations.named_laws import Formula
@@ -22,9 +21,13 @@ INDENT = "  "  # of what goes on within brackets
 
 @dataclass(frozen=True, slots=True)
 class Notation:
-    """How numbers, atoms and products are written; joints are counted from 0."""
+    """How numbers, atoms and products are written; joints are counted from 0.
+
+    `decimal` writes the numbers of laws, which are no fractions.
+    """
 
     number: Callable[[Number], str]
+    decimal: Callable[[float], str]
     symbol: Callable[[str], str]
     call: Callable[[str, list[str]], str]  # a function of the sum of these angles
     power: Callable[[str, int], str]
@@ -109,7 +112,7 @@ def formula_text(notation: Notation, formula: Formula) -> tuple[str, int]:
             one = len(entry.terms) == 1 and sum(map(len, entry.terms)) <= 1
             return notation.text(entry), 4 if one or not entry else 1
         whole = abs(x) < WHOLE and x == int(x)
-        text = notation.number(int(x) if whole else Fraction(x))
+        text = notation.number(int(x)) if whole else notation.decimal(x)
         return text, 4 if x >= 0.0 and "e" not in text and "cdot" not in text else 2
 
     def apply(node: tuple[Any, ...], parts: list[tuple[str, int]]) -> tuple[str, int]:
@@ -121,6 +124,8 @@ def formula_text(notation: Notation, formula: Formula) -> tuple[str, int]:
                 other = bound(last, 1 if operation == "+" else 2)
                 other = notation.bracketed(other) if other.startswith("-") else other
                 return f"{bound(first, 1)} {operation}{GLUE}{other}", 1
+            case "*" if type(node[1]) is tuple and node[1][0] == "neg":
+                return first[0] + notation.times + bound(last, 2), 1
             case "*":
                 return bound(first, 2) + notation.times + bound(last, 2), 2
             case "/":
@@ -152,12 +157,15 @@ def in_full(number: Number) -> str:
 
 PLAIN = Notation(
     number=six_digits,
+    decimal=six_digits,
     symbol=str,
     call=lambda function, angles: f"{function}({added(angles)})",
     power=lambda base, power: base + str(power).translate(SUPERSCRIPTS),
     times=GLUE,
 )
-PYTHON = replace(PLAIN, number=in_full, power="{}**{}".format, times="*", raised="{}**({})".format)
+PYTHON = replace(
+    PLAIN, number=in_full, decimal=repr, power="{}**{}".format, times="*", raised="{}**({})".format
+)
 
 
 def one_line(text: str) -> str:

@@ -26,12 +26,25 @@ from robodyn.elements.base import Element
 from robodyn.elements.joints import DryFriction, Stops
 from robodyn.elements.keys import BY_DIRECTION, WAYS, Declared, Key
 from robodyn.equations.law_terms import LawTerms, law_terms
-from robodyn.equations.named_laws import Definition
+from robodyn.equations.named_laws import Definition, symbol_of, with_symbols
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
+from robodyn.scene.expressions import names_of
 from robodyn.scene.grammar import NUMBERS
-from robodyn.scene.scene import MASS, Closure, Coupling, Curve, Link, Point, Table, signals_of, told
+from robodyn.scene.scene import (
+    MASS,
+    Closure,
+    Coupling,
+    Curve,
+    Description,
+    Law,
+    Link,
+    Point,
+    Table,
+    signals_of,
+    told,
+)
 
 ROLES = {  # by unit
     "kg": Role.mass,
@@ -77,6 +90,7 @@ class Parameters:
                 limit = "equations have expressions, no tables"
                 raise InputError(place, where=description.source, value=told(signal), limit=limit)
         self.known: dict[str, Parameter] = {}
+        self._constants(description)
         self.zero: dict[str, None] = {}
         self.has_masses = all(link.has_mass for link in description.links)
         self.dry: dict[int, DryFriction] = {}
@@ -90,7 +104,7 @@ class Parameters:
         self.couplings = [self._coupling(c, *x) for c, x in enumerate(coupled)]
         angles = ((row.closure, row) for row in mechanism.rows if row.arm)
         self.kept = {c: self._kept(c, row) for c, row in angles if c is not None}
-        gravity: Any = self._gravity(description.gravity)
+        gravity: Any = self._gravity(description)
         for k, link in enumerate(description.links):
             for field in ("friction", "limits"):
                 element = getattr(link, field)
@@ -116,6 +130,17 @@ class Parameters:
                 self._element(i, x, f"load {i + 1}", i) for i, x in enumerate(description.loads)
             ),
         )
+
+    def _constants(self, description: Description) -> None:
+        """Take the constants of the scene that its laws have: those of numbers are in these."""
+        laws = [x.law for x in description.couplings] + [x for _, x in signals_of(description)]
+        trees = (with_symbols(law.node) for law in laws if isinstance(law, Law))
+        within = frozenset().union(*map(names_of, trees))
+        for name, constant in description.constants:
+            if (symbol := symbol_of(name)) in within:
+                unit = "" if constant.unit == "1" else constant.unit
+                told = printable(f"constant {name}")
+                self.known[symbol] = Parameter(symbol, constant.value, unit, told)
 
     @cached_property
     def values(self) -> dict[str, Fraction]:
@@ -229,14 +254,21 @@ class Parameters:
             self.laws += names
         return -size * angle, turns, law
 
-    def _gravity(self, gamma: complex) -> Planar:
-        """gx + i gy; -i g where it acts along -Y."""
-        unit = "m/s²"
+    def _gravity(self, description: Description) -> Planar:
+        """gx + i gy; -i g where it acts along -Y.  What varies is no symbol of it."""
+        gamma, field = description.gravity, description.field
+        if field is not None:
+            parts = zip(field.varying, "xy", (gamma.real, gamma.imag), strict=True)
+            x, y = (self._component(axis, z) if one is None else ZERO for one, axis, z in parts)
+            return Planar(x, y)
         if gamma.real == 0.0 and gamma.imag <= 0.0:
-            g = self._symbol("g", (0, ""), -gamma.imag, unit, "gravity, along -Y")
+            g = self._symbol("g", (0, ""), -gamma.imag, "m/s²", "gravity, along -Y")
             return Planar(ZERO, -g)
-        x = self._symbol("gx", (0, "x"), gamma.real, unit, "gravity along X")
-        return Planar(x, self._symbol("gy", (0, "y"), gamma.imag, unit, "gravity along Y"))
+        return Planar(self._component("x", gamma.real), self._component("y", gamma.imag))
+
+    def _component(self, axis: str, value: float) -> Sum:
+        told = f"gravity along {axis.upper()}"
+        return self._symbol(f"g{axis}", (0, axis), value, "m/s²", told)
 
     def _element(self, i: int, element: Element, told: str, place: int) -> Element:
         """An element of a list of the scene; `place` is that of its points among lengths."""

@@ -18,12 +18,14 @@ from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, WRITTEN, Recorded
 from robodyn.equations.entries import Entries
-from robodyn.equations.named_laws import Formula, contact_terms
+from robodyn.equations.named_laws import Formula, contact_terms, with_symbols
 from robodyn.equations.outline import Block, Equations, Head, heads, load_unit
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import Planar, Role, Sum
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large, with_kept
 from robodyn.mechanics.parts import no_direction
+from robodyn.scene.expressions import changed
+from robodyn.scene.scene import Law
 
 SHORT = replace(RECORDED, keep=lambda value: value)  # signs and factors move where they fold
 
@@ -128,11 +130,21 @@ class _Numbers:
         """An entry of the scene with these numbers for its sums and planar sums."""
         if isinstance(item, Sum):
             return self._real(item)
+        if isinstance(item, Law):
+            return item if self.numeric else self._law(item)
         if isinstance(item, tuple):
             return item._make(map(self, item)) if hasattr(item, "_make") else tuple(map(self, item))
         if isinstance(item, Planar):
             return Planar(self(item.real), self(item.imag))
         return item
+
+    def _law(self, law: Law) -> Law:
+        """A law with variables of the graph for constants of the scene."""
+
+        def leaf(x: Any) -> Any:
+            return self.graph.variable(x) if isinstance(x, str) and x not in law.names else x
+
+        return law._replace(node=changed(with_symbols(law.node), lambda node: node, leaf))
 
     def _real(self, sum_: Sum) -> Value:
         if self.numeric:

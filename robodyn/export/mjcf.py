@@ -100,6 +100,8 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
 
 def _unsaid(place: str, signal: Signal) -> str:
     """Why MJCF does not have what varies; empty where it has."""
+    if place.startswith("gravity"):
+        return "MJCF has constant gravity alone"
     if not place.startswith("springs"):
         return "MJCF has constant loads alone"
     return "" if polynomial(signal) is not None else LIMIT

@@ -56,7 +56,7 @@ SAFE, UNSAFE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*"), re.compile(r"[^A-Za-z0-9_]
 # these say how a scene is named and assembled, are said in the comment, or act on nothing
 SCENE_SAID = frozenset(
     {"source", "name", "gravity", "links", "branches", "actuated", "start", "written"}
-    | {"points", "pins", "welds", "apart"}
+    | {"points", "pins", "welds", "apart", "constants", "field"}
 )
 LINK_SAID = frozenset(
     {"name", "m", "l", "r", "I", "hangs_from", "payload", "damping", "axis"} | {"turn", "has_mass"}

@@ -31,7 +31,7 @@ class Slotted(int):
     """A slot, told from a number."""
 
 
-Part = Slotted | float
+Part = Slotted | float  # a number may be a formula of numbers of the scene
 
 
 @dataclass
@@ -133,8 +133,12 @@ class ExpressionRows:
 
     def power(self, base: Part, exponent: Part) -> Part:
         """base to an exponent: products where it is a small whole number."""
+        if not isinstance(exponent, Slotted | float):
+            exponent = Slotted(self.slot(exponent))
         if isinstance(exponent, Slotted):
             return self.function("exp", [self.product(exponent, self.function("log", [base]))])
+        if not isinstance(base, Slotted | float):
+            base = Slotted(self.slot(base))
         if not isinstance(base, Slotted):
             try:
                 return math.pow(base, exponent)
@@ -156,7 +160,7 @@ class ExpressionRows:
     def function(self, name: str, x: list[Part]) -> Part:
         """sin' = cos x', exp' = exp x', and y' = x'/density for log and the inverse functions."""
         add = self.program.add
-        if not any(isinstance(part, Slotted) for part in x):
+        if all(isinstance(part, float) for part in x):
             try:
                 return float(FUNCTIONS[name](*x))
             except (ValueError, ArithmeticError):  # outside its domain: no state has a series

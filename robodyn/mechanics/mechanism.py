@@ -38,6 +38,7 @@ from robodyn.elements.springs import JointDamper
 from robodyn.errors import InputError
 from robodyn.mechanics.driven import driven_joints, refuse_driven
 from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest, places_of
+from robodyn.mechanics.link_tree import bodies as bodies_of
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
 from robodyn.mechanics.planar_model import Inertias, OnDemand
@@ -148,7 +149,7 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
         centres=OnDemand(map, tree.point, [Point(k, x.r) for k, x in enumerate(links)]),
         weights=tuple(weights),
         moments=tuple(moments),
-        elements=OnDemand(_elements, tree, description),
+        elements=OnDemand(_elements, tree, description, bodies),
         ranges=tuple(_ranges(description)),
         tree=tree,
         slides=tuple(k for k, link in enumerate(links) if link.slides),
@@ -222,10 +223,13 @@ def _dense_couplings(
     return A
 
 
-def _elements(tree: Tree, description: Description) -> Iterator[Element]:
+def _elements(tree: Tree, description: Description, own: Bodies | None = None) -> Iterator[Element]:
     """What acts, of each kind in the order of the scene."""
     found: list[Element] = list(_dampers(description))
     found += [y for _, x in description.elements for each in whole([x]) for y in each.placed(tree)]
+    if description.field is not None:
+        masses, first, _ = own or bodies_of(tree.links)
+        found.append(description.field._replace(masses=tuple(masses), first=tuple(first)))
     yield from sorted([*found, *_rotors(tree)], key=place_of)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from robodyn.elements.base import Element
 from robodyn.elements.pin_friction import PinFriction
-from robodyn.errors import SingularPoseError
+from robodyn.errors import InputError, SingularPoseError
 from robodyn.mechanics.planar_model import Mechanism
 
 NOTHING = 8 * sys.float_info.epsilon  # part of the lengths to a distance that is rounding
@@ -49,11 +49,20 @@ def spent(mechanism: Mechanism) -> Mechanism:
     return bare(mechanism, (x.spent() for x in mechanism.elements))
 
 
+def check_lasting_gravity(mechanism: Mechanism, what: str) -> None:
+    """Raise InputError, naming gravity, if it varies with the time, which `what` does not know."""
+    if mechanism.description.field is not None:
+        limit = f"varies with the time, which {what} does not know"
+        raise InputError("gravity", where=mechanism.source, limit=limit)
+
+
 def untimed(mechanism: Mechanism) -> Mechanism:
     """All that a model of a controller knows.
 
-    Those are neither loads that depend on the time nor friction by the forces in pins.
+    Those are neither loads that depend on the time nor friction by the forces in pins.  Raises
+    InputError if gravity varies.
     """
+    check_lasting_gravity(mechanism, "the model of a controller")
     if not (mechanism.timed or mechanism.rubbing):
         return mechanism
     left = (x.untimed() for x in mechanism.elements)

@@ -31,11 +31,12 @@ from robodyn.loops.loop_rates import nearest_velocities
 from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.regression_matrix import linear_parameters, regressor
-from robodyn.scene.scene import Description, Motor, Point
+from robodyn.scene.scene import Description, Motor, Point, Table
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
 STATES = 60  # drawn to find the base, each a row a motor
+SPAN = 10.0  # s, in which gravity that varies is looked at
 TRIES = 20  # drawings of so many, until enough of them close
 FARTHEST = 0.05  # s/L of the states that are taken
 CLOSED = 1e-12  # of the loop's size, that a state's gap may have
@@ -134,8 +135,18 @@ def structural(mechanism: Mechanism) -> Dependence:
     """What the columns of Y have in common at all states."""
     refuse_driven(mechanism, "base parameters")
     q, qd, qdd = random_states(mechanism)
-    found = regressor(mechanism, q, qd, qdd)
+    found = regressor(mechanism, q, qd, qdd, _times(mechanism, len(q)))
     return dependence(found.Y.reshape(-1, len(found.names)), found.names)
+
+
+def _times(mechanism: Mechanism, count: int) -> Array:
+    """Times (count,) at which gravity that varies is not the same; zeros if it does not."""
+    if mechanism.description.field is None:
+        return np.zeros(count)
+    tables = [x for x in mechanism.signals if isinstance(x, Table) and x.over == "t"]
+    rows = [x.x for x in tables if not x.repeats]
+    low, high = max((x[0] for x in rows), default=0.0), min((x[-1] for x in rows), default=SPAN)
+    return np.random.default_rng(1).uniform(low, high, count)
 
 
 def excited(mechanism: Mechanism, Y: Array) -> Dependence:

@@ -566,6 +566,7 @@ class LaneStates:
         lanes = replace(plan, steps=tuple(self._lane_steps(plan, p)))
         with np.errstate(all="ignore"):
             q, _ = known_joints(mechanism, lanes, given, 0.0)
+            self._couple(q, p)
             q, shorts, _ = by_dyads(mechanism, lanes, q, scene_branches(mechanism))
         missed = np.zeros((*q.shape[:2], len(self._conditions)))
         first = len(plan.coupled)
@@ -576,6 +577,21 @@ class LaneStates:
             q[..., rest] = self._own[:, rest]
             missed[..., -1] = self._newton(q, p)
         return q, missed
+
+    def _couple(self, q: Array, p: Array) -> None:
+        """Take joints to where changed couplings have them, in place: q_j less what it is off."""
+        rows, named = self.mechanism.rows, self.formulas.named.rows
+        first = len(rows) - len(self.mechanism.description.couplings)
+        if self.plan is None or named[first:] == rows[first:]:
+            return
+        x = np.zeros((*q.shape[:2], len(self.formulas.inputs)))
+        x[..., 3 * self.n] = self.rows.t
+        x[..., x.shape[-1] - self.k :] = p[:, None]
+        for joint, c in self.plan.coupled:
+            x[..., : self.n] = q
+            gap, Psi = self._code("gap")(x.reshape(-1, x.shape[-1]))
+            off = gap[:, first + c] / Psi[:, first + c, joint]
+            q[..., joint] -= off.reshape(q.shape[:2])
 
     @cached_property
     def _own(self) -> Array:

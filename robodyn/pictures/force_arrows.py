@@ -13,8 +13,9 @@ from robodyn.dynamics.dynamics import (
     inverse_dynamics_and_forces,
     pin_forces,
 )
-from robodyn.dynamics.placed import placed
+from robodyn.dynamics.placed import Placed, placed
 from robodyn.dynamics.reaction_forces import reactions
+from robodyn.elements.gravity import GravityField
 from robodyn.elements.loads import Force as LoadForce
 from robodyn.elements.springs import PointSpring
 from robodyn.engines.row_values import rows_of
@@ -24,7 +25,9 @@ from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.pictures.drawing import at, direction
-from robodyn.scene.scene import Point
+from robodyn.scene.expressions import OPERATIONS, value_in
+from robodyn.scene.scene import Law, Point, Signal
+from robodyn.scene.syntax import FUNCTIONS
 from robodyn.tables.arrays import Array, Complex
 
 LONGEST = 0.3  # the longest arrow, as a part of the mechanism's span
@@ -86,8 +89,18 @@ def forces(
     if rows.acting:
         acting = rows.planar("forces", q, qd, 0.0).tolist()
         for x, force in zip(rows.acting, acting, strict=True):
+            if isinstance(x.element, GravityField):  # m g of a link, at its centre of gravity
+                k = x.at[1] or 0
+                own, g = description.links[k], force / x.element.masses[k]
+                add("gravity", f"m{k + 1} g", mechanism.centres[k], own.m * g)
+                add("gravity", f"payload {k + 1} g", mechanism.tips[k], own.payload * g)
+                continue
             name = next(names.get(type(x.element), iter([x.element.word])))
-            add("load", name, x.at[0], force)
+            grip = x.at[0]
+            if isinstance(x.element, LoadForce) and x.element.moves:
+                way = _way(mechanism, x.element, q, here)
+                grip = grip._replace(constant=grip.constant + way)
+            add("load", name, grip, force)
     torques = np.zeros(mechanism.n) if tau is None else tau
     for k in mechanism.actuated:
         value, slides = float(torques[k]), k in mechanism.slides
@@ -169,3 +182,20 @@ def with_prefix(value: float, unit: str) -> str:
     if power not in PREFIXES:
         return f"{value:.3g} {unit}"
     return f"{value / 10.0**power:.3g} {PREFIXES[power]}{unit}"
+
+
+def _way(mechanism: Mechanism, load: LoadForce, q: Array, here: Placed) -> complex:
+    """How far a force is from its fixed place of the link, m, at q (n,) and t = 0."""
+    values = {"t": 0.0} | {f"q{k}": x for k, x in enumerate(np.asarray(q, float).tolist())}
+
+    def value(signal: Signal | None) -> float:
+        if signal is None:
+            return 0.0
+        if isinstance(signal, Law):
+            return float(value_in(signal.node, values, {**OPERATIONS, **FUNCTIONS}))
+        return float(np.interp(values[signal.over], signal.x, signal.F))
+
+    link = load.point.link or 0
+    turned = mechanism.tree.turned(link, load.turn * complex(*map(value, load.moving)))
+    frame = mechanism.frames[link]
+    return turned if frame is None else turned * complex(here.E[frame])

@@ -41,6 +41,7 @@ from robodyn.loops.loop_rates import check_closed, check_way_on
 from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word, in_mode, moving_mode
+from robodyn.mechanics.parts import check_lasting_gravity
 from robodyn.rest.balance import bend, free_motions, single
 from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.short_repr import short_repr
@@ -165,6 +166,7 @@ def linearize(
     """
     mechanism.check_rubbing("linear models")
     refuse_driven(mechanism, "linearize")
+    check_lasting_gravity(mechanism, "a linear model")
     pose, rates, torques = (
         single(mechanism, name, x) for name, x in (("q", q), ("qd", qd), ("tau", tau))
     )

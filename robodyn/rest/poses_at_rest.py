@@ -36,7 +36,7 @@ from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, joint_index
 from robodyn.mechanics.modes import beyond, end_word, in_mode, pressed
-from robodyn.mechanics.parts import without_rubbing
+from robodyn.mechanics.parts import check_lasting_gravity, without_rubbing
 from robodyn.rest.balance import Balance, balance, balances, free_motions, single
 from robodyn.rest.linear_model import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
@@ -95,6 +95,7 @@ def equilibrium(
     """
     mechanism = without_rubbing(mechanism)  # at rest such friction is none
     refuse_driven(mechanism, "equilibrium")
+    check_lasting_gravity(mechanism, "a pose at rest")
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     begin = _near(mechanism, near)
     found, _ = next(_poses(mechanism, joints, [begin], torques))
@@ -123,6 +124,7 @@ def equilibria(
     """
     mechanism = without_rubbing(mechanism)
     refuse_driven(mechanism, "equilibrium")
+    check_lasting_gravity(mechanism, "a pose at rest")
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     sprung = {x.at for x in mechanism.elements if x.free is not None}
     counting = {*sprung, *(x.joint for x in mechanism.ranges), *mechanism.slides}

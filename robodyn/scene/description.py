@@ -14,9 +14,18 @@ from robodyn.elements.keys import Key
 from robodyn.elements.values import FRAMES
 from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
+from robodyn.scene.constants import (
+    Constant,
+    Constants,
+    constant_of,
+    cycle,
+    in_order,
+    node_of,
+    not_free,
+)
 from robodyn.scene.expressions import names_of
 from robodyn.scene.point_values import PointReader
-from robodyn.scene.quantities import parse_coupling, state_variables
+from robodyn.scene.quantities import is_plain, parse_coupling, state_variables
 from robodyn.scene.scene import (
     BRANCHES,
     JOINTS,
@@ -32,6 +41,7 @@ from robodyn.scene.scene import (
     Tables,
     Written,
 )
+from robodyn.scene.units import Named
 from robodyn.scene.varying import SignalReader
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import TooManyFaults
@@ -64,6 +74,7 @@ def from_tree(
         raise DescriptionError(source, [fault])
     reader = _Reader(tables)
     with suppress(TooManyFaults):
+        reader.name_constants(root)
         drawing = None
         if any(key.text == "pins" for key, _ in root.pairs):
             from robodyn.scene.drawn import Drawing  # other scenes start without it
@@ -85,13 +96,16 @@ class _Reader(PointReader, SignalReader):
         **PointReader.missing,
         "frame": False,
         "line": Line(None, 0j, 1.0 + 0j),
+        "gravity": 0j,
         "varying": 0.0,
         "varying_vector": (0.0, 0.0),
+        "varying_place": (0.0, 0.0),
     }
 
     def __init__(self, tables: Tables | None) -> None:
         super().__init__()
         self.tables = dict(tables or {})
+        self.known_constants: dict[str, Constant] = {}
         self.closures = 0  # how many were read
         self.order: list[int] = []  # places in the file, of links and then of welds
         self.entry = -1  # of the links, the one that is read
@@ -116,6 +130,48 @@ class _Reader(PointReader, SignalReader):
             free = words is None and described.start
             words = () if free else (words or BRANCHES[0],) * self.closures
         return described._replace(branches=words, points=tuple(self.places.points.items()))
+
+    def name_constants(self, root: Mapping) -> None:
+        """Read the constants, which all else may use, each after those that it is made of."""
+        node = next((node for key, node in root.pairs if key.text == "constants"), None)
+        if node is None:
+            return
+        if not isinstance(node, Mapping):
+            limit = "must map names to numbers, {A: 20 mm, w: 300 rad/s}"
+            self.fault("constants", node, limit, self.shown(node))
+            return
+        given: dict[str, Scalar] = {}
+        for key, value in node.pairs:
+            place = f"constants.{key.text}"
+            if key.text in given:
+                self.fault(place, key, "is given twice")
+            elif limit := not_free(key.text):
+                self.fault(place, key, limit)
+            elif not isinstance(value, Scalar) or (value.quoted and is_plain(value.text)):
+                self.fault(place, value, "must be a number", self.shown(value))
+            else:
+                given[key.text] = value
+        texts = {name: value.text for name, value in given.items()}
+        while ring := cycle(texts):
+            limit = f"is made of itself: {' -> '.join(ring)}"
+            self.fault(f"constants.{ring[0]}", given[ring[0]], limit)
+            texts = {name: text for name, text in texts.items() if name not in ring}
+        for name in in_order(texts):
+            try:
+                made = constant_of(texts[name], self.named)
+            except ValueError as error:
+                limit = str(error).replace("is not", "must be")
+                self.fault(f"constants.{name}", given[name], limit, self.shown(given[name]))
+                made = Constant(texts[name], 1.0)
+            self.known_constants[name] = made
+            self.named[name] = node_of(name, made)
+        left = {key.text for key, _ in node.pairs if key.text not in self.named}
+        self.named |= {name: Named(1.0, name) for name in left if not not_free(name)}
+
+    def constants(self, node: Node, place: str) -> Constants:
+        """The constants that `name_constants` read before the rest, in the order of the file."""
+        keys = [key.text for key, _ in node.pairs] if isinstance(node, Mapping) else []
+        return tuple((x, self.known_constants[x]) for x in keys if x in self.known_constants)
 
     def assembly(self, node: Node, place: str) -> str | tuple[str, ...]:
         if not (self.closures or self.faults):
@@ -268,7 +324,7 @@ class _Reader(PointReader, SignalReader):
         text = self.name(node, place)
         units = ["m" if k in self.slides else "rad" for k in range(count)]
         try:
-            said = parse_coupling(text, units)
+            said = parse_coupling(text, units, self.named)
         except ValueError as error:
             if text:  # else it is told that it is no name
                 self.fault(place, node, str(error), self.shown(node))

@@ -466,7 +466,7 @@ class Drawing:
 
         Then what else there is can be read all the same, and its faults told with the drawing's.
         """
-        passed = ("name", "gravity", "links", "actuated", "couplings")
+        passed = ("name", "constants", "gravity", "links", "actuated", "couplings")
         found = {key: self.given[key] for key in passed if key in self.given}
         if self.bars:
             found["links"] = Sequence(

@@ -73,8 +73,15 @@ KEEPS: dict[str, Callable[[float], bool]] = {
 }
 WORDS = {"branch": BRANCHES, "frame": FRAMES, "joint_kind": JOINTS, "curve": CURVES}
 BY_JOINT = "rad or m"  # as the joint turns or slides
-WITH_UNIT = ("vector", "varying", "varying_vector", "law")  # beside numbers
-OR_VECTOR = {"gravity": "number", "centre": "amount"}  # a number of this kind, or [x, y]
+WITH_UNIT = (
+    "vector",
+    "varying",
+    "varying_vector",
+    "varying_place",
+    "law",
+    "gravity",
+)  # beside numbers
+OR_VECTOR = {"centre": "amount"}  # a number of this kind, or [x, y]
 OR_PAIR = {BY_DIRECTION: "amount"}  # a number of this kind, or two
 OTHERS: tuple[type[Declared], ...] = (
     Description,

@@ -12,7 +12,9 @@ from robodyn.elements.base import Element
 from robodyn.elements.keys import Declared, Key
 from robodyn.elements.pin_friction import PinFriction
 from robodyn.elements.values import FRAMES, Curve, Law, Point, Signal, Table, told
+from robodyn.scene.constants import Constants
 from robodyn.scene.grammar import FORMS, NUMBERS, Form
+from robodyn.scene.quantities import is_plain
 from robodyn.scene.scene import Closure, Coupling, Description
 
 
@@ -64,7 +66,9 @@ class _Writer:
 
     direction = vector
 
-    def gravity(self, z: complex) -> float | list[float]:
+    def gravity(self, z: complex | tuple[float | Signal, ...]) -> float | list[Any]:
+        if isinstance(z, tuple):
+            return [self.varying(part) for part in z]
         return self.vector(z) if z.real else -z.imag
 
     def centre(self, z: complex) -> float | list[float]:
@@ -78,6 +82,9 @@ class _Writer:
 
     def frame(self, turns: bool) -> str:
         return FRAMES[turns]
+
+    def constants(self, constants: Constants) -> dict[str, str | float]:
+        return {name: x.value if is_plain(x.text) else x.text for name, x in constants}
 
     # -- names and points ----------------------------------------------------------------------
 
@@ -153,6 +160,9 @@ class _Writer:
             over = value.over if value.over == "t" else f"q{int(value.over[1:]) + 1}"
             return self.mapping(value._replace(over=over))
         return told(value) if isinstance(value, Law) else value
+
+    def varying_place(self, parts: list[float | Signal]) -> list[Any]:
+        return self.varying_vector(parts)
 
     def varying_vector(self, parts: list[float | Signal]) -> list[Any]:
         return [self.varying(part) for part in parts]

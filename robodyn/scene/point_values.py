@@ -41,11 +41,15 @@ class PointReader(ValueReader):
     def survey_link(self, i: int, given: dict[str, Node]) -> None:
         """What points need to know of link i, as far as its keys are right."""
         with suppress(ValueError):
-            self.lengths[i] = _number(given.get("l"))
+            self.lengths[i] = self._number(given.get("l"))
         with suppress(ValueError):
             r = given.get("r")
             x, y = r.items if isinstance(r, Sequence) else (r, None)
-            self.centres[i] = complex(_number(x), 0.0 if y is None else _number(y))
+            self.centres[i] = complex(self._number(x), 0.0 if y is None else self._number(y))
+
+    def _number(self, node: Node | None) -> float:
+        """A length that a scalar has, m; ValueError if it has none."""
+        return parse_quantity(node.text if isinstance(node, Scalar) else "", "m", self.named)
 
     def tip(self, link: int) -> Point:
         return Point(link, complex(self.lengths.get(link, 0.0)))
@@ -136,7 +140,3 @@ class PointReader(ValueReader):
             whole = "the ground" if first.link is None else "one link"
             self.fault(place, node, f"joins two points of {whole}; {sides} must move apart")
         return first, second
-
-
-def _number(node: Node | None) -> float:
-    return parse_quantity(node.text if isinstance(node, Scalar) else "", "m")

@@ -48,6 +48,7 @@ from robodyn.scene.units import UNITS, Dimension
 from robodyn.tables.csv_fields import shown
 
 _JOINT = re.compile(r"q(\d{1,18})", re.ASCII)
+NOTHING: Mapping[str, Node] = {}
 # of values, by the unit of their place
 EXAMPLES = {
     "": "1.5 or -2e-3",
@@ -113,7 +114,7 @@ def state_variables(n: int, slides: Container[int] = ()) -> Variables:
 
 
 def expressions(
-    text: str, variables: Variables, constants: Mapping[str, float] = CONSTANTS
+    text: str, variables: Variables, constants: Mapping[str, Node] = CONSTANTS
 ) -> list[Expression]:
     """The comma-separated expressions of a text.
 
@@ -138,34 +139,35 @@ def expressions(
         raise ValueError(TOO_LARGE) from None
 
 
-def parse_quantity(text: str, unit: str = "") -> float:
+def parse_quantity(text: str, unit: str = "", named: Mapping[str, Node] = NOTHING) -> float:
     """The finite number that `text` writes, in the unit of its place; ValueError with the reason.
 
     `unit` is such as `kg m²` or `N m s/rad`; of plain numbers, which may have none, it is empty.
+    `named` are constants of the scene.
     """
     if PLAIN_NUMBER.fullmatch(text):
         return _finite(float(text))
-    found = read_value(text)
+    found = read_value(text, named)
     if limit := misfit(found.measure, unit):
         raise ValueError(limit)
     return found.value
 
 
-def read_value(text: str) -> Expression:
+def read_value(text: str, named: Mapping[str, Node] = NOTHING) -> Expression:
     """The expression whose value is finite; ValueError with the reason where it is none."""
-    found = _one(text, Variables())
+    found = _one(text, Variables(), named)
     _finite(found.value)
     return found
 
 
-def _one(text: str, variables: Variables) -> Expression:
+def _one(text: str, variables: Variables, named: Mapping[str, Node] = NOTHING) -> Expression:
     """The one expression of a value's text."""
     if text.strip().lstrip("+-.").lower() in ("nan", "inf", "infinity"):
         raise ValueError("must be a finite number")
     if not text.strip():
         raise ValueError("is not a number")
     try:
-        found = expressions(text, variables, VALUE_CONSTANTS)
+        found = expressions(text, variables, {**VALUE_CONSTANTS, **named})
     except ValueError as error:
         reason = str(error)
         told = "something is missing at its end" if reason == MISSING else reason
@@ -206,10 +208,13 @@ class Equation(NamedTuple):
     law: Node = 0.0
 
 
-def parse_coupling(text: str, units: Sequence[str]) -> Equation:
+def parse_coupling(
+    text: str, units: Sequence[str], named: Mapping[str, Node] = NOTHING
+) -> Equation:
     """`q3 = -2 q1 + 0.1` as joint 2, {0: -2.0} and 0.1; or with a law, as of `q3 = 0.1 cos(q1)`.
 
-    `units` are those of the joints, rad or m.  Raises ValueError with the reason if it is none.
+    `units` are those of the joints, rad or m, `named` constants of the scene.  Raises ValueError
+    with the reason if it is none.
     """
     left, equals, right = text.partition("=")
     match = _JOINT.fullmatch(left.strip())
@@ -227,7 +232,7 @@ def parse_coupling(text: str, units: Sequence[str]) -> Equation:
     ratios: dict[int, float] = {}
     constant, law, own = 0.0, False, right.strip()
     try:
-        found = _one(right, known)
+        found = _one(right, known, named)
         names = {int(name[1:]) - 1 for name in found.names - {"t"}}
         law = "t" in found.names
         if unknown := [k + 1 for k in (joint, *sorted(names)) if not 0 <= k < n]:

@@ -14,7 +14,7 @@ from robodyn.errors import InputError
 from robodyn.scene import yaml_tree
 from robodyn.scene.description import from_text
 from robodyn.scene.scene import Table, signals_of
-from robodyn.scene.scene_values import SceneValues
+from robodyn.scene.scene_values import SceneValues, with_unit
 from robodyn.tables.output_file import write_text
 
 Change = tuple[int, int, str]  # from, to, and what takes its place
@@ -52,7 +52,7 @@ def rewritten(text: str, source: str, values: Mapping[str, float | Sequence[floa
     nodes = _Nodes(text, source, old.root)
     changes = []
     for name, value in values.items():
-        change = nodes.change(*old.place(name), _written(value))
+        change = nodes.change(*old.place(name), _written(value, old.untold_unit(name)))
         if change is None:
             limit = "is written by an alias, or in a way that cannot be changed: write it out"
             raise InputError(name, where=source, limit=limit)
@@ -63,10 +63,10 @@ def rewritten(text: str, source: str, values: Mapping[str, float | Sequence[floa
     return text
 
 
-def _written(value: float | Sequence[float]) -> str:
+def _written(value: float | Sequence[float], unit: str) -> str:
     if isinstance(value, Sequence):
         return f"[{', '.join(repr(float(x)) for x in value)}]"
-    return repr(float(value))
+    return with_unit(value, unit)
 
 
 class _Nodes:
@@ -133,14 +133,16 @@ def _check(
     old: SceneValues, new: SceneValues, values: Mapping[str, float | Sequence[float]]
 ) -> None:
     """Raise InputError where a number of the new text is not what it should be."""
-    wanted = {name: old.number(name) for name in old.names}
+    kept = {name: old.text(name) for name in old.names}  # numbers may be made of constants
+    wanted: dict[str, float] = {}
     for name, value in values.items():
         if isinstance(value, Sequence):
-            wanted.pop(name, None)
+            kept = {x: y for x, y in kept.items() if x not in (name, f"{name}[0]", f"{name}[1]")}
             wanted |= {f"{name}[{k}]": x for k, x in enumerate(value)}
         else:
-            wanted = {x: y for x, y in wanted.items() if not x.startswith(f"{name}[")}
+            kept = {x: y for x, y in kept.items() if x != name and not x.startswith(f"{name}[")}
             wanted[name] = value
-    for name, value in wanted.items():
-        if name not in new or new.number(name) != value:
-            raise InputError(name, where=old.source, limit="cannot be rewritten in this file")
+    wrong = [x for x, text in kept.items() if x not in new or new.text(x) != text]
+    wrong += [x for x, value in wanted.items() if x not in new or new.number(x) != value]
+    if wrong:
+        raise InputError(wrong[0], where=old.source, limit="cannot be rewritten in this file")

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 from robodyn.elements.base import Element
+from robodyn.elements.gravity import GravityField
 from robodyn.elements.joints import DryFriction, SmoothFriction, Stops
 from robodyn.elements.keys import TOGETHER, Declared, Way, at_joints, key
 from robodyn.elements.pin_friction import PinFriction
@@ -20,6 +21,7 @@ from robodyn.elements.values import Signal as Signal
 from robodyn.elements.values import Table as Table
 from robodyn.elements.values import Tables as Tables
 from robodyn.elements.values import told as told
+from robodyn.scene.constants import Constants
 
 BRANCHES = ("open", "crossed")
 MASS = ("m", "r", "I")  # what a link has of its own, or has not, all three
@@ -431,7 +433,7 @@ class Description(Declared):
     name: str = key("name", "text for titles", told="the file's name less .yaml")
     gravity: complex = key(
         "gravity",
-        "a number g acts along -Y; or a vector [gx, gy]",
+        "a number g acts along -Y, or [gx, gy]; each may be an expression in t",
         unit="m/s²",
         absent=0j,
     )
@@ -475,6 +477,12 @@ class Description(Declared):
         "names of points of links, {P: {link: coupler, at: [0.5, 0.2]}, Q: rocker}",
         default=(),
     )
+    constants: Constants = key(
+        "constants",
+        "names for numbers, which any expression may use, {A: 20 mm, w: 300 rad/s}",
+        default=(),
+    )
+    field: GravityField | None = None  # what varies of gravity; the rest is in `gravity`
     pins: tuple[tuple[str, Point], ...] = ()  # of several links of a drawing, by their names
     welds: tuple[Weld, ...] = ()
     apart: Any = None  # the scene whose welds are parts of its links here
@@ -486,16 +494,26 @@ class Description(Declared):
 
     @classmethod
     def from_keys(cls, values: dict[str, Any]) -> Description:
-        gravity = values["gravity"]
-        if not isinstance(gravity, complex):
+        gravity, field = values["gravity"], None
+        if isinstance(gravity, tuple):
+            x, y = (part if isinstance(part, float) else 0.0 for part in gravity)
+            varying = [None if isinstance(part, float) else part for part in gravity]
+            gravity, field = complex(x, y), GravityField((varying[0], varying[1]))
+        elif not isinstance(gravity, complex):
             gravity = -1j * gravity
         each = values["links"]
         welds = [x._replace(place=i) for i, x in enumerate(each) if isinstance(x, Weld)]
         links = tuple(x for x in each if isinstance(x, Link))
-        return cls(**values | {"gravity": gravity, "links": links, "welds": tuple(welds)})
+        own = {"gravity": gravity, "field": field, "links": links, "welds": tuple(welds)}
+        return cls(**values | own)
 
     def to_keys(self) -> dict[str, Any]:
-        return super().to_keys() | {"links": self.listed}
+        found = super().to_keys() | {"links": self.listed}
+        if self.field is not None:
+            numbers = self.gravity.real, self.gravity.imag
+            parts = zip(self.field.varying, numbers, strict=True)
+            found["gravity"] = tuple(x if signal is None else signal for signal, x in parts)
+        return found
 
     @property
     def listed(self) -> tuple[Body, ...]:
@@ -530,6 +548,8 @@ class Description(Declared):
 
 def signals_of(description: Description) -> Iterator[tuple[str, Signal]]:
     """Everything that varies, each with its place in the file."""
+    for at, signal in description.field.varies() if description.field else ():
+        yield f"gravity{at}", signal
     for place, element in description.elements:
         yield from ((f"{place}.{at}", signal) for at, signal in element.varies())
 

@@ -23,6 +23,7 @@ from robodyn.scene.syntax import CONSTANTS, FUNCTIONS, VALUE_CONSTANTS
 from robodyn.scene.units import UNITS
 
 Schema = dict[str, Any]
+_ANY_NAME = "[A-Za-z][A-Za-z0-9_]*"
 
 # of units and signs, as values may have them
 LETTERS = "\u03c0\u00b0\u00b2\u00b3\u00b7\u03a9\u2126\u00b5\u03bc\u2212\u00d7"
@@ -47,16 +48,43 @@ def scene_schema() -> Schema:
     }
     kinds |= {_place(name): _mapping(form) for name, form in FORMS.items()}
     del kinds["scene"]  # it is the whole
+    kinds |= _other_kinds()
+    named = kinds | {
+        "quantity": {"type": "string", "pattern": _quantity(True)},
+        "law": {"type": ["string", "number"], "pattern": _expression(_ANY_NAME)},
+        "expression": {"type": "string", "pattern": _expression(_ANY_NAME)},
+        "timed": {"type": "string", "pattern": "^(?=.*t)" + _expression(_ANY_NAME)[1:]},
+    }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "robodyn scene",
         "type": "object",
         "required": FORMS["scene"].needed,
-        "if": {"required": ["pins"]},
-        "then": _ref("drawn_scene"),
-        "else": _ref("plain_scene"),
-        "$defs": kinds | _other_kinds(),
+        "if": {"required": ["constants"]},
+        "then": _whole("named_"),
+        "else": _whole(""),
+        "$defs": kinds | {f"named_{kind}": _of_named(own) for kind, own in named.items()},
     }
+
+
+def _whole(prefix: str) -> Schema:
+    return {
+        "if": {"required": ["pins"]},
+        "then": _ref(f"{prefix}drawn_scene"),
+        "else": _ref(f"{prefix}plain_scene"),
+    }
+
+
+def _of_named(schema: Any) -> Any:
+    """The schema of a kind in scenes with constants, whose names any value may have."""
+    if isinstance(schema, list):
+        return [_of_named(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    each = {key: _of_named(part) for key, part in schema.items()}
+    if "$ref" in each:
+        each["$ref"] = each["$ref"].replace("/$defs/", "/$defs/named_")
+    return each
 
 
 def _place(form: str) -> str:
@@ -82,6 +110,11 @@ def _other_kinds() -> dict[str, Schema]:
         "pin_names": {**_list("name"), "minItems": 1, "uniqueItems": True},
         "ground_pin": _any("name", "ground_line"),
         "start": {"type": "object", "additionalProperties": _ref("angle")},
+        "constants": {
+            "type": "object",
+            "propertyNames": {"pattern": f"^{_ANY_NAME}$"},
+            "additionalProperties": _ref("number"),
+        },
         "assembly": {"anyOf": [_ref("branch"), _list("branch")]},
         "equation": {"type": "string", "pattern": r"^\s*q\s*[0-9][0-9\s]*=\s*\S"},
         "coupling": _any("equation", "law_coupling", "table_coupling"),
@@ -116,8 +149,11 @@ def _other_kinds() -> dict[str, Schema]:
         "closure": _any("pair", "joined", "slider"),
         "law": {"type": ["string", "number"], "pattern": _expression("x|v")},
         "spring_table": _ref("name"),
+        "gravity": _any("number", "timed", "load_table", "varying_vector"),
+        "timed": {"type": "string", "pattern": "^(?=.*t)" + _expression("t")[1:]},
         "varying": _any("number", "expression", "load_table"),
         "expression": {"type": "string", "pattern": _expression("t|qd?[0-9]+")},
+        "varying_place": _ref("varying_vector"),
         "varying_vector": {**pair, "items": _ref("varying")},
     }
 
@@ -128,9 +164,13 @@ def _expression(variables: str) -> str:
     return rf"^(?:[\s0-9.+*/(),^{LETTERS}-]|[0-9.][eE][0-9]|(?:{words})(?![A-Za-z0-9_]))+$"
 
 
-def _quantity() -> str:
-    """The pattern of arithmetic with units: which letters and words it has."""
+def _quantity(named: bool = False) -> str:
+    """The pattern of arithmetic with units: which letters and words it has.
+
+    With `named` it may have constants of the scene, which are words of any kind.
+    """
     words = "|".join(_longest_first({*FUNCTIONS, *VALUE_CONSTANTS, *UNITS, "if", "else"}))
+    words = _ANY_NAME if named else words
     plain = r"\s*[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?\s*$"  # quoted, it is none
     signs = rf"[\s0-9.+*/%<>=(),^{LETTERS}-]"
     return rf"^(?!{plain})(?:{signs}|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"

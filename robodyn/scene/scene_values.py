@@ -17,6 +17,7 @@ from typing import Any
 from robodyn.elements.keys import Key
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
+from robodyn.scene.constants import nodes_of
 from robodyn.scene.grammar import BY_JOINT, NUMBERS, OR_PAIR, OR_VECTOR, form_of
 from robodyn.scene.quantities import parse_quantity, read_value
 from robodyn.scene.scene import JOINTS, Description, Tables, Written
@@ -24,17 +25,21 @@ from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 from robodyn.scene.yaml_values import nearest
 
 _OF_LINK = re.compile(r"links\[(\d+)\]\.")
+CONSTANT = "constants."  # before the names of constants
 # Of what a list of this kind consists, where not of numbers.
 _INNER: dict[str, str | None] = {
     "closure": "point",
     "pair": "point",
     "varying_vector": "varying",
     "couplings": "coupling",
+    "varying_place": "varying",
+    "gravity": "varying",
 } | dict.fromkeys(("joints", "assembly", "pin_names"))
 # mappings by names, and what they hold
 _BY_NAME = {
     "start": Key("angle", "", BY_JOINT),
     "points": Key("moving_point", ""),
+    "constants": Key("number", ""),
     "pins": Key("pin", "", "m"),
 }
 
@@ -68,9 +73,11 @@ class _Place:
         found: Any = self.held[self.index]
         return found if isinstance(self.at, int) else found[1]  # type: ignore[no-any-return]
 
-    def put(self, value: float | Node) -> None:
+    def put(self, value: float | Node, unit: str = "") -> None:
+        """Put a node there, or a number, in a unit that its place does not tell."""
         line, k = self.around.line, self.index
-        new = value if isinstance(value, Node) else Scalar(repr(float(value)), False, line)
+        text = "" if isinstance(value, Node) else with_unit(value, unit)
+        new = value if isinstance(value, Node) else Scalar(text, False, line)
         if isinstance(self.at, int):
             self.held[self.at] = new
         elif k is None:
@@ -106,11 +113,12 @@ class SceneValues:
     def _found(self) -> dict[str, _Place]:
         """Where the numbers stand, by all of their names."""
         assert isinstance(self.root, yaml_tree.Mapping)
-        places = dict(_numbers(_Place(self.root, ""), self.root, "", "scene"))
+        named = nodes_of(self.base.constants)
+        places = dict(_numbers(_Place(self.root, ""), self.root, "", "scene", named))
         for name, place in list(places.items()):
             if match := _OF_LINK.match(name):
-                named = f"links.{self.base.listed[int(match[1])].name}.{name[match.end() :]}"
-                places.setdefault(named, place)
+                own = f"links.{self.base.listed[int(match[1])].name}.{name[match.end() :]}"
+                places.setdefault(own, place)
         return places
 
     @property
@@ -134,7 +142,7 @@ class SceneValues:
 
     def number(self, name: str) -> float:
         """The number of this name, as the file has it, or 0 where it is left out."""
-        return parse_quantity(self.text(name), self.unit(name))
+        return parse_quantity(self.text(name), self.unit(name), nodes_of(self.base.constants))
 
     def text(self, name: str) -> str:
         """The number of this name as it is written."""
@@ -144,10 +152,16 @@ class SceneValues:
     def unit(self, name: str) -> str:
         """The unit of the number of this name; empty for plain ones."""
         unit = self._places[name].unit
+        if name.startswith(CONSTANT):
+            return dict(self.base.constants)[name.removeprefix(CONSTANT)].unit
         if unit != BY_JOINT:
             return unit
         slides = {link.name for link in self.base.links if link.slides}
         return "m" if name.removeprefix("start.") in slides else "rad"
+
+    def untold_unit(self, name: str) -> str:
+        """The unit that must stand behind a number of this name: that of a constant."""
+        return self.unit(name) if name.startswith(CONSTANT) else ""
 
     def clash(self, names: Iterable[str]) -> tuple[str, str] | None:
         """Two of the names that stand for one number, or for a point and one of its entries."""
@@ -188,7 +202,8 @@ class SceneValues:
     def _put(self, values: Mapping[str, float | Node]) -> None:
         self.check(values)
         for name, value in values.items():
-            self._places[name].put(_unshared(value) if isinstance(value, Node) else value)
+            new = _unshared(value) if isinstance(value, Node) else value
+            self._places[name].put(new, self.untold_unit(name))
 
 
 def read_numbers(
@@ -220,22 +235,31 @@ def _unshared(node: Node) -> Node:
     return yaml_tree.Mapping(pairs, node.line, node.size)
 
 
-def _varies(kind: str | None, node: Node) -> bool:
+def with_unit(value: float, unit: str) -> str:
+    """The text of a number, and a unit behind it if it has one."""
+    return f"{float(value)!r} {unit}" if unit else repr(float(value))
+
+
+def _varies(kind: str | None, node: Node, named: Mapping[str, Any]) -> bool:
     """Whether it may vary, and is a number all the same."""
     if kind != "varying" or not isinstance(node, Scalar):
         return False
     with suppress(ValueError):
-        read_value(node.text)
+        read_value(node.text, named)
         return True
     return False
 
 
 def _numbers(
-    place: _Place, node: Node, name: str, kind: str | None
+    place: _Place, node: Node, name: str, kind: str | None, named: Mapping[str, Any]
 ) -> Iterator[tuple[str, _Place]]:
-    """The places of all numbers that a value of this kind holds, or may hold in place of 0."""
+    """The places of all numbers that a value of this kind holds, or may hold in place of 0.
+
+    `named` are the constants of the scene.
+    """
     wide = kind in OR_VECTOR or kind in OR_PAIR
-    if wide or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node):
+    wide |= kind == "gravity" and (isinstance(node, Sequence) or _varies("varying", node, named))
+    if wide or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node, named):
         yield name, place
     if kind == "pin":
         yield name, replace(place, pair=True)
@@ -244,13 +268,13 @@ def _numbers(
             return
         for own, value in node.pairs:
             if own.text == "cam":  # a law is no number
-                yield from _numbers(_Place(node, "cam"), value, f"{name}.cam", "cam")
+                yield from _numbers(_Place(node, "cam"), value, f"{name}.cam", "cam", named)
         return
     if isinstance(node, Sequence):
         inner = _INNER.get(kind or "", "number")
         for k, item in enumerate(node.items):
             unit = "m" if kind in ("point", "moving_point") else place.unit
-            yield from _numbers(_Place(node, k, unit), item, f"{name}[{k}]", inner)
+            yield from _numbers(_Place(node, k, unit), item, f"{name}[{k}]", inner, named)
     elif isinstance(node, yaml_tree.Mapping) and kind is not None:
         given = {key.text: value for key, value in node.pairs}
         if kind == "link" and getattr(given.get("joint"), "text", "") == JOINTS[2]:
@@ -263,10 +287,12 @@ def _numbers(
             if key.listed and isinstance(value, Sequence):
                 for k, item in enumerate(value.items):
                     yield from _numbers(
-                        _Place(value, k, key.unit), item, f"{prefix}{text}[{k}]", key.kind
+                        _Place(value, k, key.unit), item, f"{prefix}{text}[{k}]", key.kind, named
                     )
             else:
-                yield from _numbers(_Place(node, text, key.unit), value, prefix + text, key.kind)
+                yield from _numbers(
+                    _Place(node, text, key.unit), value, prefix + text, key.kind, named
+                )
         for text, key in keys.items():
             if key.optional and text not in given:
                 yield prefix + text, _Place(node, text, key.unit)

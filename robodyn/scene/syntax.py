@@ -19,11 +19,11 @@ import ast
 import math
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from robodyn.scene.units import ALIASES, PLAIN, UNITS, Quantity, joined, raised
+from robodyn.scene.units import ALIASES, PLAIN, UNITS, Named, Quantity, joined, raised
 
 Node = float | str | Quantity | tuple[Any, ...]
 Variable = Callable[[str], str | None]  # a variable as the tree has it; None: it is none
@@ -135,17 +135,18 @@ def parsed(
     text: str,
     variable: Variable = lambda name: None,
     known: str = "",
-    constants: Mapping[str, float] = VALUE_CONSTANTS,
+    constants: Mapping[str, Node] = VALUE_CONSTANTS,
 ) -> Parsed:
     """The comma-separated expressions of a text, their variables renamed by `variable`.
 
-    `known` tells people which variables there are.  Raises NotAllowedError for what is no
-    arithmetic or beyond its limits, SyntaxError, with the place, for what is no expression.
+    `known` tells people which variables there are.  A constant that is named as a unit is never
+    that unit.  Raises NotAllowedError for what is no arithmetic or beyond its limits, SyntaxError,
+    with the place, for what is no expression.
     """
     if len(text) > LONGEST:
         raise NotAllowedError(f"more than {LONGEST} characters")
     tokens = tokens_of(text)
-    line, places = _python(tokens, variable)
+    line, places = _python(tokens, variable, constants)
     places.append(len(text))
     if not line or line.endswith(","):
         raise SyntaxError(MISSING)
@@ -160,10 +161,10 @@ def parsed(
         raise SyntaxError(f"{what} at character {places[at] + 1}") from None
     except (RecursionError, MemoryError, ValueError):
         raise SyntaxError("expressions are too deep within one another") from None
-    making = _Making(text, line, places, variable, known, constants)
+    making = _Making(text, line, places, variable, known, constants, MARK in line)
     each = tree.elts if isinstance(tree, ast.Tuple) else [tree]
     nodes = tuple(making.of(x, DEEPEST) for x in each)
-    return Parsed(nodes, tuple(map(making.segment, each)), MARK in line, making.found)
+    return Parsed(nodes, tuple(map(making.segment, each)), making.measured, making.found)
 
 
 @dataclass
@@ -175,7 +176,8 @@ class _Making:
     places: list[int]
     variable: Variable
     known: str
-    constants: Mapping[str, float]
+    constants: Mapping[str, Node]
+    measured: bool  # whether it has a unit
     found: dict[int, int] = field(default_factory=dict)
 
     def of(self, node: ast.expr, depth: int) -> Node:
@@ -214,7 +216,9 @@ class _Making:
         if name.startswith(MARK):
             return UNITS[name[len(MARK) :]]
         if name in self.constants:
-            return self.constants[name]
+            found = self.constants[name]
+            self.measured |= isinstance(found, Quantity)
+            return found
         if name in FUNCTIONS:
             raise self.no(node, f"{name} without parentheses")
         own = self.variable(name)
@@ -245,6 +249,8 @@ class _Making:
 
     def joined(self, node: Node, unit: Quantity, sign: int, number: bool) -> Node | None:
         """A node with a unit at its last factor, if this has one already, or is a `number`."""
+        if isinstance(node, Named) or (isinstance(node, Quantity) and node.name):
+            return None  # a factor of its own, by which the constant keeps its name
         if isinstance(node, Quantity):
             return joined(node, unit, sign)
         if isinstance(node, float):
@@ -305,10 +311,13 @@ def _constant(exponent: Node) -> float:
     return exponent if isinstance(exponent, float) else 0.5
 
 
-def _python(tokens: list[Token], variable: Variable) -> tuple[str, list[int]]:
+def _python(
+    tokens: list[Token], variable: Variable, constants: Iterable[str] = ()
+) -> tuple[str, list[int]]:
     """The tokens as Python with all products written, and the place of each letter."""
     pieces: list[str] = []
     places: list[int] = []
+    own = {name for name in constants if name not in CONSTANTS}  # of the scene: no functions
     ended = False  # whether a value ends before the token
     before = Token("", "", 0, False)
     in_unit = joined = False  # whether a unit is before the token, with * or / behind it
@@ -322,17 +331,18 @@ def _python(tokens: list[Token], variable: Variable) -> tuple[str, list[int]]:
                 raise NotAllowedError(f"`{word}`, at character {at + 1}")
             if word.startswith(MARK):
                 raise SyntaxError(f"no name begins with {MARK}, at character {at + 1}")
-            unit = word in UNITS and not (opens and word in FUNCTIONS)
+            unit = word in UNITS and word not in own and not (opens and word in FUNCTIONS)
             unit = unit and (ended or joined or variable(word) is None)
             if word == "in" and ended and before.kind == "name" and not in_unit:
-                unit = before.text in CONSTANTS  # else it is the word of Python
+                # else it is the word of Python
+                unit = before.text in CONSTANTS or before.text in own
             if word in _WORDS:
                 ended = False
             elif ended:
                 # what is in parentheses, and a power, are no number that a unit belongs to
                 glue = "@" if unit and before.text != ")" else "*"
             if word not in _WORDS:
-                ended = unit or not opens
+                ended = unit or not opens or word in own
             if unit:
                 word = MARK + ("deg" if word == "°" else word)
         elif kind == "number":
@@ -346,7 +356,7 @@ def _python(tokens: list[Token], variable: Variable) -> tuple[str, list[int]]:
             ended = True
         elif word == "(":
             if ended:
-                if not in_unit:
+                if not (in_unit or before.text in own):
                     raise _missing(token)
                 glue = "*"
             ended = False

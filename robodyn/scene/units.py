@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 # exponents of metre, kilogram, second, ampere, radian and cycle; none where a number is plain
 Dimension = Mapping[str, float]
@@ -39,6 +39,21 @@ _SIZES: tuple[tuple[Dimension, str, Mapping[str, float]], ...] = (
 _PREFIXES = {"k": 3, "c": -2, "m": -3, "u": -6}
 
 
+class Named(float):
+    """The value of a constant of a scene, in SI units; arithmetic makes plain floats of it."""
+
+    __slots__ = ("name",)
+    name: str
+
+    def __new__(cls, value: float, name: str) -> Self:
+        made = super().__new__(cls, value)
+        made.name = name
+        return made
+
+    def __getnewargs__(self) -> tuple[float, str]:  # type: ignore[override]
+        return float(self), self.name
+
+
 class Quantity(NamedTuple):
     """number 10^ten in SI units; ten apart, so that `350 mm` is the float 0.35."""
 
@@ -46,11 +61,13 @@ class Quantity(NamedTuple):
     ten: int
     of: Dimension
     unit: bool = False  # whether it is a unit without a number
+    name: str = ""  # of a constant of the scene
 
     @property
     def total(self) -> float:
-        """The number in SI units."""
-        return scaled(self.number, self.ten)
+        """The number in SI units; of a constant with its name."""
+        number = scaled(self.number, self.ten)
+        return Named(number, self.name) if self.name else number
 
 
 def scaled(number: float, ten: int) -> float:

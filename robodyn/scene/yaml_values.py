@@ -48,6 +48,7 @@ class ValueReader:
 
     def __init__(self) -> None:
         self.faults: list[Fault] = []
+        self.named: dict[str, Any] = {}  # constants of the scene, as trees of expressions have them
         self.compared = 0
         self.count = 0  # of links that move: welds come behind them
         self.slides: set[int] = set()  # joints
@@ -199,7 +200,7 @@ class ValueReader:
         try:
             if (node.quoted and is_plain(node.text)) or NAN.fullmatch(node.text):
                 raise ValueError("is not a number")
-            value = parse_quantity(node.text, key.unit)
+            value = parse_quantity(node.text, key.unit, self.named)
         except ValueError as error:
             reason = str(error)
             if name := _VARIABLE.search(reason):
