@@ -361,8 +361,13 @@ def chosen_columns(
             if likely and likely[0].values and not names_of(likely[0], mechanism, points):
                 limit = likely[0].lacking
                 raise InputError("--columns", where=mechanism.source, value=name, limit=limit)
-            known = [*header, *computed, *column_names(mechanism, STATE, points), *STATE]
+            from robodyn.dynamics.named_points import named_points  # only an error pays for it
+
+            near = points or named_points(mechanism, [])
+            known = [*header, *computed, *column_names(mechanism, STATE, near), *STATE]
+            there = [x for x in STATE if names_of(FAMILIES[x], mechanism, near)]
             limit = f"is no column{nearest(name, list(dict.fromkeys(known)))}"
+            limit += f" (this scene has the families {', '.join(there)})"
             raise InputError("--columns", value=shown(name), limit=limit)
         only += names
         own += names
@@ -415,6 +420,11 @@ def evaluate(
         used = work.taken(mechanism, reader.names)
         sources = [table_source(mechanism, x, reader.names, name) for x in used]
         timed = mechanism.timed and "t" in reader.names
+        if summary is None:
+            own = ["t", *(x for source in sources for x in source.columns)]  # they stay as they are
+            there = [x for x in reader.header if x not in own]
+            written = work.columns if work.only is None else work.only
+            note_replaced([x for x in work.columns if x in there and x in written])
         if options.differentiate:
             sources, chunks = found_rates(mechanism, reader, sources, timed, options.unwrap)
         else:
@@ -431,6 +441,13 @@ def evaluate(
                 raise computed.lost[0]
         if computed.lost:
             raise computed.lost[0]
+
+
+def note_replaced(names: Sequence[str]) -> None:
+    """Note which columns of the input are replaced by computed ones, if any are."""
+    if names:
+        told = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
+        note(f"Note: replaced in the rows: {told}; --read NAME={names[0]} keeps the old")
 
 
 class _Computed:

@@ -129,10 +129,10 @@ def ratio_named(mechanism: Mechanism, text: str) -> Ratio:
             return Ratio(text, links[text[:k]], links[text[k + 1 :]])
     words = text.split("/")
     if len(words) != 2:
-        raise InputError("--ratio", value=shown(text), limit="must be two links, rocker/crank")
+        raise InputError("ratio", value=shown(text), limit="must be two links, rocker/crank")
     wrong = next(word for word in words if word not in links)
     limit = f"{shown(wrong)} names no link{nearest(wrong, list(links))}"
-    raise InputError("--ratio", value=shown(text), limit=limit)
+    raise InputError("ratio", value=shown(text), limit=limit)
 
 
 def rate_ratios(
