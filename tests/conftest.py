@@ -230,6 +230,14 @@ class Outcome:
         assert self.err == ""
         return self
 
+    def replaces(self) -> Outcome:
+        """Assert exit code 0, and on stderr that columns of the input are replaced."""
+        assert self.code == 0, (self.code, self.err)
+        lines = self.err.splitlines()
+        assert lines
+        assert all(line.startswith("Note: replaced in the rows: ") for line in lines), self.err
+        return self
+
 
 def children_seconds() -> float:
     """The processor time that child processes took so far."""

@@ -300,7 +300,7 @@ def test_an_option_stands_for_its_columns_in_every_row(robodyn: Run) -> None:
 
 
 def test_torques_that_the_table_has_already_are_replaced_in_place(robodyn: Run) -> None:
-    given = robodyn("torque", "robots/2r.yaml", "-", stdin="tau2,q1,q2\n99,0.1,0.2\n").succeeds()
+    given = robodyn("torque", "robots/2r.yaml", "-", stdin="tau2,q1,q2\n99,0.1,0.2\n").replaces()
     assert given.out.splitlines()[0] == "tau2,q1,q2,tau1"
     expected = oracles.two_link_torque(TWO_LINK, [0.1, 0.2], [0, 0], [0, 0])
     assert relative_error(given.has("tau1", "tau2"), expected) < 1e-13
@@ -311,7 +311,7 @@ def test_what_goes_out_comes_in_again(robodyn: Run, tmp_path: Path) -> None:
     rows = np.random.default_rng(5).uniform(-3, 3, (50, 6))
     middle = tmp_path / "torques.csv"
     robodyn("torque", "robots/2r.yaml", "-", "-o", middle, stdin=table(rows)).succeeds()
-    back = robodyn("accel", "robots/2r.yaml", middle).succeeds()
+    back = robodyn("accel", "robots/2r.yaml", middle).replaces()
     found = np.transpose([back.column("qdd1"), back.column("qdd2")])
     assert relative_error(found, rows[:, 4:]) < 1e-11
 
@@ -532,7 +532,7 @@ def test_a_motion_that_simulate_wrote_of_fewer_actuators_than_freedoms(robodyn: 
     """A cart-pole pushed by 1 N: its residual is what rounding of the rows leaves."""
     options = ("--q", "0,80deg", "--tau", "1", "--time", "1", "--quiet")
     motion = robodyn("simulate", "robots/cart-pole.yaml", *options).succeeds().out
-    found = robodyn("torque", "robots/cart-pole.yaml", "-", stdin=motion).succeeds()
+    found = robodyn("torque", "robots/cart-pole.yaml", "-", stdin=motion).replaces()
     assert "residual2" not in found.out
     assert found.column("tau1") == pytest.approx([1.0] * len(found.rows), rel=1e-14)
     chosen = ("--columns", "t,residual2")
@@ -558,7 +558,7 @@ def test_motors_of_fewer_actuators_than_freedoms(
     path = scene(text)
     options = ("--q", "0,80deg", "--volt", "6*sin(3*t)", "--time", "1", "--every", "0.1")
     motion = robodyn("simulate", path, *options, "--quiet").succeeds().out
-    found = robodyn("torque", path, "-", stdin=motion).succeeds()
+    found = robodyn("torque", path, "-", stdin=motion).replaces()
     volts = [6 * math.sin(3 * t) for t in found.column("t")]
     assert found.column("volt1") == pytest.approx(volts, abs=1e-12)
 

@@ -296,7 +296,7 @@ def test_torque_and_accel_give_the_accelerations_back(quick_shell: Run, line: st
     sent = quick_shell(f"robodyn trajectory {line}").succeeds()
     given = quick_shell(
         f"robodyn trajectory {line} | robodyn torque {model} - | robodyn accel {model} -"
-    ).succeeds()
+    ).replaces()
     n = sum(name.startswith("qdd") for name in sent.rows[0])
     assert relative_error(array(given, "qdd", n), array(sent, "qdd", n)) < 1e-11
     assert array(given, "q", n).tolist() == array(sent, "q", n).tolist()

@@ -421,10 +421,9 @@ def evaluate(
         sources = [table_source(mechanism, x, reader.names, name) for x in used]
         timed = mechanism.timed and "t" in reader.names
         if summary is None:
-            own = ["t", *(x for source in sources for x in source.columns)]  # they stay as they are
-            there = [x for x in reader.header if x not in own]
-            written = work.columns if work.only is None else work.only
-            note_replaced([x for x in work.columns if x in there and x in written])
+            stays = ["t", *(x for source in sources for x in source.columns)]
+            lost = [x for x in work.columns if x in reader.header and x not in stays]
+            note_replaced(lost if work.only is None else [x for x in lost if x in work.only])
         if options.differentiate:
             sources, chunks = found_rates(mechanism, reader, sources, timed, options.unwrap)
         else:
