@@ -174,6 +174,11 @@ def within(seconds: float) -> Iterator[None]:
     assert time.process_time() - start < seconds
 
 
+def text(vector: object) -> str:
+    """As options take it, every number to its last digit."""
+    return ",".join(repr(float(x)) for x in np.ravel(vector))
+
+
 def relative_error(actual: object, expected: object) -> float:
     """The largest difference, against the largest entry expected (at least 1)."""
     found, known = np.asarray(actual, float), np.asarray(expected, float)

@@ -11,6 +11,7 @@ from conftest import FOUR_BAR, FRESH, ROOT, TWO_LINK
 
 import oracles
 from robodyn import load, simulate
+from robodyn.dynamics.identities import sample_states
 from robodyn.simulation.report import Outcome
 
 REFERENCES = Path(__file__).parent / "references"
@@ -131,3 +132,17 @@ DAMPED = {
     "four-bar": (DAMPED_FOUR_BAR, None, [3.0], four_bar_energy, [0.05, 0.02, 0.07]),
 }
 START = ([0.1, 0.2], [0.0, 0.0])
+
+
+def moved_by_each(mechanism, methods, end, drift):
+    """The start (2n,), the torques (n,), and where each method ends (methods, 2n)."""
+    sample, tau, n = sample_states(mechanism, 1), np.zeros(mechanism.n), mechanism.n
+    tau[list(mechanism.actuated)] = 0.3
+    start, ends = np.concatenate([sample.q[0], 0.5 * sample.qd[0]]), []
+    how = {"tau": tau.tolist(), "rtol": 1e-10, "atol": 1e-10}
+    for method in methods:
+        motion = simulate(mechanism, start[:n], start[n:], end, method=method, **how)
+        assert motion.outcome is Outcome.FINISHED
+        assert motion.report.energy_drift <= drift
+        ends.append([*motion.q[-1], *motion.qd[-1]])
+    return start, tau.tolist(), ends

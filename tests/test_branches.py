@@ -378,6 +378,26 @@ def test_a_rough_start_is_on_the_branch_of_the_pose_beside_it(seed: int) -> None
         assert abs(pose.q[pose.joint] - rough[pose.joint]) < 0.5
 
 
+def four_bar(
+    a: float, b: float, c: float, theta: float, side: int, least: float = 0.02
+) -> tuple[str, dict[str, float]] | None:
+    """A crank a, a coupler b and a rocker c on a ground of 1, and the pose at a crank angle."""
+    A = cmath.rect(a, theta)
+    P = meet(A, b, 1 + 0j, c, side, least)
+    if P is None:
+        return None
+    mass = "m: 1, r: 0.1, I: 0.01"
+    text = f"""\
+links:
+  - {{name: crank, l: {a}, {mass}}}
+  - {{name: coupler, l: {b}, {mass}}}
+  - {{name: rocker, l: {c}, {mass}, from: [1, 0]}}
+closures: [[coupler, rocker]]
+"""
+    coupler, rocker = cmath.phase(P - A) - theta, cmath.phase(P - 1)
+    return text, {"crank": theta, "coupler": coupler, "rocker": rocker}
+
+
 def test_a_start_beyond_the_end_of_a_range_is_on_the_branch_of_its_other_joints() -> None:
     """The crank stands 0.01 rad beyond where the loop closes, its pose is 0.01 rad before that."""
     rng, count = np.random.default_rng(8), 0
@@ -388,22 +408,9 @@ def test_a_start_beyond_the_end_of_a_range_is_on_the_branch_of_its_other_joints(
             continue
         end, sign, side = math.acos(cosine), *rng.choice([-1, 1], 2)
         theta = sign * (end - 0.01)
-        A = cmath.rect(a, theta)
-        P = meet(A, b, 1 + 0j, c, int(side), least=0.0)
-        assert P is not None
-        q = {
-            "crank": theta,
-            "coupler": cmath.phase(P - A) - theta,
-            "rocker": cmath.phase(P - 1),
-        }
-        mass = "m: 1, r: 0.1, I: 0.01"
-        text = f"""\
-links:
-  - {{name: crank, l: {a}, {mass}}}
-  - {{name: coupler, l: {b}, {mass}}}
-  - {{name: rocker, l: {c}, {mass}, from: [1, 0]}}
-closures: [[coupler, rocker]]
-"""
+        made = four_bar(a, b, c, theta, int(side), least=0.0)
+        assert made is not None
+        text, q = made
         mech = mechanism(started(text, q | {"crank": sign * (end + 0.01)}, 6))
         with pytest.raises(api.AssemblyError):
             api.assemble(mech, [sign * (end + 0.01)])
@@ -491,23 +498,10 @@ def test_circuits_of_four_bars_are_those_of_their_ranges() -> None:
         if same != nearly:  # a range whose ends nearly meet
             continue
         word = str(rng.choice(["open", "crossed"]))
-        A = cmath.rect(a, first)
-        P = meet(A, b, 1 + 0j, c, 1 if word == "open" else -1)
-        if P is None:
+        made = four_bar(a, b, c, first, 1 if word == "open" else -1)
+        if made is None:
             continue
-        start = {
-            "crank": first,
-            "coupler": cmath.phase(P - A) - first,
-            "rocker": cmath.phase(P - 1),
-        }
-        mass = "m: 1, r: 0.1, I: 0.01"
-        text = f"""\
-links:
-  - {{name: crank, l: {a}, {mass}}}
-  - {{name: coupler, l: {b}, {mass}}}
-  - {{name: rocker, l: {c}, {mass}, from: [1, 0]}}
-closures: [[coupler, rocker]]
-"""
+        text, start = made
         mech = mechanism(started(text, start))
         assert leads_there(mech, api.assemble(mech, [last])) is same, (text, first, last)
         told[same] += 1

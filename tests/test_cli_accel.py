@@ -8,15 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, RP_ARM, TWO_LINK, Outcome, relative_error
+from conftest import FOUR_BAR, RP_ARM, TWO_LINK, Outcome, relative_error, text
 
 import oracles
 
 Run = Callable[..., Outcome]
-
-
-def text(vector: object) -> str:
-    return ",".join(repr(float(x)) for x in np.ravel(vector))
 
 
 def four_bar_state(seed: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -197,10 +193,11 @@ def test_rates_that_no_motion_has_are_refused(robodyn: Run, scene: Callable[[str
 
 @pytest.mark.parametrize("arguments", [["--qd", "1e200,1"], ["--tau", "1e308,-1e308"]])
 @pytest.mark.parametrize("batch", [False, True])
+@pytest.mark.parametrize("command", ["accel", "reactions"])
 def test_a_result_beyond_the_floats_is_an_error(
-    robodyn: Run, arguments: list[str], batch: bool
+    robodyn: Run, command: str, arguments: list[str], batch: bool
 ) -> None:
     states = ["-"] if batch else ["--q", "1,2"]
-    given = robodyn("accel", "robots/2r.yaml", *states, *arguments, stdin="q1,q2\n1,2\n")
+    given = robodyn(command, "robots/2r.yaml", *states, *arguments, stdin="q1,q2\n1,2\n")
     given.fails(1)
     assert "nan" not in given.out

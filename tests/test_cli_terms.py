@@ -9,16 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, ROOT, RP_ARM, SCOTCH_YOKE, TWO_LINK, Outcome, relative_error
+from conftest import FOUR_BAR, ROOT, RP_ARM, SCOTCH_YOKE, TWO_LINK, Outcome, relative_error, text
 
 import oracles
 import robodyn as rd
 
 Run = Callable[..., Outcome]
-
-
-def text(vector: object) -> str:
-    return ",".join(repr(float(x)) for x in np.ravel(vector))
 
 
 def heights_energy(masses: list[float], heights: list[float]) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, RP_ARM, TWO_LINK, Outcome, relative_error
+from conftest import FOUR_BAR, RP_ARM, TWO_LINK, Outcome, relative_error, text
 from named_case import case
 
 import oracles
@@ -17,10 +17,6 @@ Run = Callable[..., Outcome]
 DEG = math.pi / 180
 
 ARM = "robots/2r.yaml"
-
-
-def text(vector: object) -> str:
-    return ",".join(repr(float(x)) for x in np.ravel(vector))
 
 
 def motion(seed: int, n: int) -> list[np.ndarray]:

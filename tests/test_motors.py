@@ -17,6 +17,7 @@ import pytest
 from conftest import FIRST_SEED, FRESH, ROOT, Outcome
 from lagrangian_terms import Terms, check_accelerations, exact_acceleration
 from named_case import case
+from reference_motions import moved_by_each
 from sliding_trees import random_tree, text_of
 
 import oracles
@@ -134,22 +135,10 @@ def test_identities(seed: int) -> None:
 @pytest.mark.parametrize("text", [ARM, HUB, random_motors(1).text, random_motors(2).text])
 def test_every_method_moves_alike(text: str) -> None:
     mech = mechanism(text)
-    sample = identities.sample_states(mech, 1)
-    tau = np.zeros(mech.n)
-    tau[list(mech.actuated)] = 0.3
-    ends = []
-    for method in METHODS:
-        motion = robodyn.simulate(
-            mech, sample.q[0], 0.5 * sample.qd[0], 0.6, tau=tau.tolist(), method=method,
-            rtol=1e-10, atol=1e-10,
-        )  # fmt: skip
-        assert motion.outcome.label == "finished"
-        assert motion.report.energy_drift <= 1e-7
-        ends.append([*motion.q[-1], *motion.qd[-1]])
+    start, tau, ends = moved_by_each(mech, METHODS, 0.6, 1e-7)
     assert np.abs(np.diff(ends, axis=0)).max() <= 1e-6
     assert np.abs(np.subtract(ends[0], ends[2:])).max() <= 1e-8
-    start = np.concatenate([sample.q[0], 0.5 * sample.qd[0]])
-    exact = reference(mech, start, np.array([0.6]), as_actuation(mech, tau.tolist()))
+    exact = reference(mech, start, np.array([0.6]), as_actuation(mech, tau))
     assert exact.uncertainty <= 1e-12
     assert np.abs(exact.y[-1] - ends[2]).max() <= 1e-8
 

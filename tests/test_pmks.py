@@ -163,17 +163,22 @@ def test_forces_become_loads() -> None:
     assert pounds.force == pytest.approx(44.482216152605j, abs=1e-12)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.4, -1.2])
-def test_a_piston(angle: float) -> None:
+def slider_crank(crank: str, slide: str, mass: float, angle: float = 0.0) -> Linkage:
+    """A piston of this mass, and the kinds of the joints of the crank and of the slide."""
     mechanism = Linkage()
-    mechanism.joint("A", 0j, "ig")
+    mechanism.joint("A", 0j, crank)
     mechanism.joint("B", 0.5 + 1j)
     mechanism.joint("C", 3 + 0.2j)
-    mechanism.joint("D", 3 + 0.2j, "sg", angle)
+    mechanism.joint("D", 3 + 0.2j, slide, angle)
     mechanism.link("AB", 0.2 + 0.5j)
     mechanism.link("BC", 1.7 + 0.6j)
-    mechanism.link("CD", 0j, 0.75, 0.0, "YP")
-    found = made(mechanism)
+    mechanism.link("CD", 0j, mass, 0.0, "YP")
+    return mechanism
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, -1.2])
+def test_a_piston(angle: float) -> None:
+    found = made(slider_crank("ig", "sg", 0.75, angle))
     piston = found.description.links[2]
     assert (piston.slides, piston.m, piston.I) == (True, 0.75, 0.0)
     assert piston.axis == pytest.approx(cmath.exp(1j * angle), abs=1e-3)  # three decimals
@@ -185,30 +190,14 @@ def test_a_piston(angle: float) -> None:
 
 
 def test_a_block_without_mass_is_a_line_of_the_ground() -> None:
-    mechanism = Linkage()
-    mechanism.joint("A", 0j, "ig")
-    mechanism.joint("B", 0.5 + 1j)
-    mechanism.joint("C", 3 + 0.2j)
-    mechanism.joint("D", 3 + 0.2j, "sg")
-    mechanism.link("AB", 0.2 + 0.5j)
-    mechanism.link("BC", 1.7 + 0.6j)
-    mechanism.link("CD", 0j, 0.0, 0.0, "YP")
-    found = made(mechanism)
+    found = made(slider_crank("ig", "sg", 0.0))
     assert found.link_names == ("AB", "BC")
     (closure,) = found.description.closures
     assert (closure.along, closure.second.at) == (1.0, 3 + 0.2j)
 
 
 def test_a_driven_piston() -> None:
-    mechanism = Linkage()
-    mechanism.joint("A", 0j, "g")
-    mechanism.joint("B", 0.5 + 1j)
-    mechanism.joint("C", 3 + 0.2j)
-    mechanism.joint("D", 3 + 0.2j, "sgi")
-    mechanism.link("AB", 0.2 + 0.5j)
-    mechanism.link("BC", 1.7 + 0.6j)
-    mechanism.link("CD", 0j, 0.75, 0.0, "YP")
-    found = made(mechanism)
+    found = made(slider_crank("g", "sgi", 0.75))
     assert [found.link_names[k] for k in found.actuated] == ["CD"]
 
 

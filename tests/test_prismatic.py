@@ -16,6 +16,7 @@ import pytest
 from conftest import FIRST_SEED, FRESH, ROOT
 from known_terms import Known
 from lagrangian_terms import Terms, check_accelerations, exact_acceleration
+from reference_motions import moved_by_each
 from sliding_scenes import BLOCK, COUPLED, MIXED, SLIDING
 from sliding_trees import link, random_tree, text_of
 
@@ -185,18 +186,7 @@ def test_identities(text):
 @pytest.mark.parametrize("text", [MIXED, COUPLED, BLOCK])
 def test_every_method_moves_alike(text):
     mech = mechanism(text)
-    sample = identities.sample_states(mech, 1)
-    tau = np.zeros(mech.n)
-    tau[list(mech.actuated)] = 0.3
-    ends = []
-    for method in METHODS:
-        motion = robodyn.simulate(
-            mech, sample.q[0], 0.5 * sample.qd[0], 0.7, tau=tau.tolist(), method=method,
-            rtol=1e-10, atol=1e-10,
-        )  # fmt: skip
-        assert motion.outcome.label == "finished"
-        assert motion.report.energy_drift <= 1e-9
-        ends.append([*motion.q[-1], *motion.qd[-1]])
+    _, _, ends = moved_by_each(mech, METHODS, 0.7, 1e-9)
     assert np.abs(np.diff(ends, axis=0)).max() <= 1e-8
 
 

@@ -14,6 +14,7 @@ import pytest
 from conftest import ROOT, Outcome, relative_error
 from mpmath import mp, mpf
 from scipy.integrate import DOP853
+from sliding_scenes import BLOCK
 
 import robodyn as rd
 from robodyn.control.state_feedback import StateFeedback
@@ -156,17 +157,6 @@ def test_loops() -> None:
     check(ROOT / "robots/geared-five-bar.yaml", ["q1", "links[1].l"], [0.8], [0.5])
 
 
-BLOCK = """
-gravity: 9.81
-links:
-  - {name: crank, m: 0.8, l: 0.1, r: 0.03, I: 0.002}
-  - {name: block, m: 0.3, l: 0, r: 0.01, I: 0.0005}
-  - {name: lever, m: 1.5, l: 0.5, r: 0.25, I: 0.03, from: [0, -0.25]}
-closures:
-  - {point: {link: block, at: [0, 0]}, on: {link: lever, through: [0, 0.01], along: [1, 0]},
-     aligned: 20deg}
-actuated: [crank]
-"""
 BOOM = """
 gravity: 9.81
 links:

@@ -181,14 +181,14 @@ class ColumnFormulas:
 
     # -- columns -----------------------------------------------------------------------------------
 
-    def column(self, name: str, where: str = "column") -> Value:
-        """The formula of a column; InputError, naming `where`, for one that is none."""
+    def column(self, name: str) -> Value:
+        """The formula of a column; InputError for one that is none."""
         found = self._named[name]() if name in self._named else self._point(name)
         if found is None and "/" in name:
             found = self._ratio(name)
         if found is None:
             limit = f"is no column that can be fitted{nearest(name, self.known)}"
-            raise InputError(where, value=shown(name), limit=limit)
+            raise InputError("column", value=shown(name), limit=limit)
         return found
 
     @cached_property

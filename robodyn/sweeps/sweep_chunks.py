@@ -36,7 +36,6 @@ from robodyn.events.watch import Event
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.change_points import MISSES, suspect_quality
-from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.rest.balance import rests
@@ -68,7 +67,8 @@ def single(
     """
     mechanism, y, n = given.mechanism, given.y[k], given.mechanism.n
     methods = ["DOP853", *(["Radau"] if plan.control else [])]
-    events, reference = dict(plan.events), dict(plan.control).get("reference")
+    events, control = dict(plan.events), dict(plan.control)
+    reference = control.get("reference")
     even = np.linspace(0.0, plan.t_end, plan.rows) if plan.told else None
 
     def run(times: Array | None, events: dict[str, str] | None = None) -> Motion:
@@ -78,7 +78,7 @@ def single(
                 y[:n],
                 y[n:],
                 plan.t_end,
-                tau=_driving(plan, given, k),
+                tau=controller(mechanism, **control) if control else given.tau[k].tolist(),
                 method=method,
                 rtol=max(aims.rtol, SCIPY_RTOL),
                 atol=aims.atol,
@@ -177,14 +177,6 @@ def _leave(
         x = crossings(angles, np.einsum("kjb,j->kb", rates, path), h, math.pi)
         flips = start + x
         ends.flip[lane] = min(flips[~np.isnan(x)], key=abs, default=math.nan)
-
-
-def _driving(plan: Plan, given: Motions, k: int) -> Actuation | list[float]:
-    """What drives motion k: constant torques, or a controller of its own."""
-    if not plan.control:
-        constants: list[float] = given.tau[k].tolist()
-        return constants
-    return controller(given.mechanism, **dict(plan.control))
 
 
 Indices = NDArray[np.intp]

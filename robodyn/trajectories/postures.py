@@ -98,7 +98,8 @@ def postures_at(task: Task, place: Array, near: Array, whole: bool) -> list[Post
     turning = [k for k in range(mechanism.n) if k not in mechanism.slides]
     if not mechanism.description.couplings:  # couplings count turns
         q[:, turning] -= 2 * np.pi * np.round((q - near)[:, turning] / (2 * np.pi))
-    q = q[np.argsort(_away(mechanism, q, near), kind="stable")]
+    away = np.linalg.norm(wrapped(mechanism, q - near), axis=-1)
+    q = q[np.argsort(away, kind="stable")]
     if not mechanism.rows and mechanism.n == 2 and dyads:
         return _of_arm(mechanism, task, q)
     if not mechanism.rows or not _has_words(mechanism):
@@ -171,11 +172,6 @@ def _lengths(mechanism: Mechanism, task: Task, q: Array) -> tuple[complex, compl
     points = [mechanism.pivots[first], mechanism.pivots[second], task.of.point]
     a, b, c = point_motion(mechanism, points, q)[0]
     return complex(*(b - a)), complex(*(c - b))
-
-
-def _away(mechanism: Mechanism, q: Array, near: Array) -> Array:
-    way: Array = np.linalg.norm(wrapped(mechanism, q - near), axis=-1)
-    return way
 
 
 def _by_dyads(task: Task, place: Array, near: Array) -> Array:
