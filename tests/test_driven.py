@@ -302,8 +302,8 @@ class TestStates:
     def test_equations(self, robodyn, scene):
         path, mech = scene(RELATIVE), mechanism(RELATIVE)
         text = robodyn("equations", path).out
-        assert "gap = 0    Psi qd + gap t = 0    Psi qdd + Psidot qd = 0" in text
-        assert "(gap t)1 = -R1 h1_t" in text
+        assert "gap = 0    Psi qd + dgap/dt = 0    Psi qdd + Psidot qd = 0" in text
+        assert "(dgap/dt)1 = -R1 h1_t" in text
         assert "(Psidot qd)1 = -R1 (2 h1_1_t qd1 + 0.2 qd3² + h1_t_t)" in text
         steps = robodyn("equations", path, "--steps").out
         assert "d/dt gap1 = -R1 (h1_1 qd1 - qd2" in steps

@@ -68,7 +68,7 @@ class Block(Generic[Entry]):
     @property
     def plain_name(self) -> str:
         """The name as it is read."""
-        return self.name.replace("_", " ")
+        return "dgap/dt" if self.name == "gap_t" else self.name.replace("_", " ")
 
     @property
     def vector(self) -> bool:
@@ -211,7 +211,7 @@ class Equations(Generic[Entry]):
         right = "".join(f" + {block.name}" for block in self.others)
         if not self.side("closures"):
             return [f"{left} = tau{right}"]
-        rate = "Psi qd + gap t" if self.mechanism.driven else "Psi qd"
+        rate = "Psi qd + dgap/dt" if self.mechanism.driven else "Psi qd"
         closed = f"gap = 0    {rate} = 0    Psi qdd + Psidot qd = 0"
         if self.mechanism.massless:
             return [closed]

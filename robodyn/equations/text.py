@@ -72,9 +72,9 @@ def _equation(label: str, line: str, width: int) -> list[str]:
 
 
 def _label(block: Block[Sum], i: int, j: int) -> str:
-    """M12, G1, (Psidot qd)1."""
+    """M12, G1, (Psidot qd)1, (dgap/dt)1."""
     name = block.plain_name
-    return (f"({name})" if " " in name else name) + block.numbers(i, j, ",")
+    return (f"({name})" if {*" /"} & {*name} else name) + block.numbers(i, j, ",")
 
 
 def table(rows: Iterable[Sequence[str]]) -> Iterator[str]:
