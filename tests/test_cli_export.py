@@ -71,6 +71,8 @@ def test_urdf_of_every_open_scene(robodyn: Run, name: str) -> None:
         assert given.out == ""
     elif place := rubbing(mechanism):
         given.fails(2, f"robots/{name}.yaml: {place}", "URDF")
+    elif mechanism.laws:
+        given.fails(2, f"robots/{name}.yaml: couplings[0]", "no laws")
     else:
         assert (given.code, given.err) == (0, GRAVITY)
         assert given.out == urdf(mechanism)

@@ -13,7 +13,7 @@ from conftest import FRESH
 from hypothesis import HealthCheck, given, settings
 from read_equations import lines, module
 from sliding_scenes import BLOCK, SLIDING_SCENES
-from unwritten import UNWRITTEN
+from unwritten import TIMED, UNWRITTEN
 
 import oracles
 from random_mechanisms import (
@@ -39,7 +39,7 @@ from robodyn.equations.written import equations
 from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
-NAMES = sorted({path.stem for path in ROBOTS.glob("*.yaml")} - UNWRITTEN)
+NAMES = sorted({path.stem for path in ROBOTS.glob("*.yaml")} - UNWRITTEN - TIMED)
 FEW = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 
 

@@ -60,6 +60,7 @@ REFUSED = {
     "engine 2": ("equations",),
     "gearbox 4": ("equilibrium",),
     "scene 7": ("equilibrium", "linearize"),
+    "shaken-pendulum": ("equilibrium", "linearize", "identify", "fit", "trajectory"),
 }
 RUBS = ("bench", "linearize", "regressor", "identify", "fit", "equations")
 REFUSED |= {name: RUBS for name, text in SCENES.items() if "coefficient: " in text}

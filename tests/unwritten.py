@@ -5,4 +5,5 @@ oracles, and MJCF refuses them; `test_laws.py` and `test_equations_laws.py` have
 """
 
 UNWRITTEN = frozenset(("shaper",))
-WITH_LAWS = frozenset(("disc-cam",))
+WITH_LAWS = frozenset(("disc-cam", "shaken-pendulum"))
+TIMED = frozenset(("shaken-pendulum",))  # those of the time
