@@ -440,7 +440,7 @@ def test_simulate_by_voltages(robodyn: Run, arm: Path) -> None:
     """`torque` finds them again; they may switch and depend on the state."""
     run = "simulate", arm, "--q", "0,0", "--time", 0.5, "--points", 6, "--quiet"
     motion = robodyn(*run, "--volt", "12 if t < 0.2 else 3, sin(3*t) - 0.1*qd1").succeeds()
-    rows = robodyn("torque", arm, "-", stdin=motion.out).succeeds().rows
+    rows = robodyn("torque", arm, "-", stdin=motion.out).replaces().rows
     for row in rows:
         t, rate = float(row["t"]), float(row["qd1"])
         assert float(row["volt1"]) == pytest.approx(12.0 if t < 0.2 - 1e-12 else 3.0, abs=1e-9)
