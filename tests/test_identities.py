@@ -284,8 +284,10 @@ class TestSelfTestHolds:
     def test_residuals_are_those_of_rounding(self):
         """Far below the bound, so that the bound cannot hide a fault."""
         for path in ROBOTS:
-            for identity in residuals(load(path)):
-                assert identity.residual < 1e-2 * selftest.BOUND, (path.stem, identity)
+            mechanism = load(path)
+            part = 0.1 if mechanism.driven else 0.01  # differences over the time of a fast law
+            for identity in residuals(mechanism):
+                assert identity.residual < part * selftest.BOUND, (path.stem, identity)
 
     @pytest.mark.parametrize("name", ["four-bar", "slider-crank", "five-bar"])
     def test_sampled_states_are_closed_and_move(self, name):
