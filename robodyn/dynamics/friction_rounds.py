@@ -37,7 +37,7 @@ class NotSettledError(RobodynError):
 
 
 class Friction(NamedTuple):
-    """Solutions with friction (T, n), (T, r), and the load (T, n) of friction at the joints."""
+    """Accelerations or torques (T, n) and multipliers (T, r) with friction, and its load (T, n)."""
 
     joints: Array
     multipliers: Array

@@ -116,11 +116,6 @@ def _named(places: Places, text: str, k: int, where: str) -> tuple[str, Point]:
     return name or (f"point{k}" if "@" in written else written), point
 
 
-def point_columns(named: Sequence[NamedPoint]) -> list[str]:
-    """Where each point is, its velocity and its acceleration."""
-    return [f"{point.name}_{x}" for point in named for x in ("x", "y", "vx", "vy", "ax", "ay")]
-
-
 @short_repr
 class PointMotion(NamedTuple):
     """How points (p of them) move: position m, velocity m/s, acceleration m/s^2, (..., p, 2)."""

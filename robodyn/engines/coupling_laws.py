@@ -78,11 +78,11 @@ class CouplingLaws:
         return q
 
     def add_gap(self, x: NDArray[Any], t: ArrayLike, gap: NDArray[Any]) -> None:
-        """Take the laws off the gap (..., r) at coordinates x (..., n)."""
+        """Subtract the laws from the gap (..., r) at coordinates x (..., n)."""
         gap[..., self.places] -= self.arms * self.values(self.relative(x), t)
 
     def add_jacobian(self, x: NDArray[Any], t: ArrayLike, Psi: NDArray[Any]) -> None:
-        """Take their slopes off d gap/dx (..., r, n)."""
+        """Subtract the slopes of the laws from d gap/dx (..., r, n) at coordinates x (..., n)."""
         slopes = self.slopes(self.relative(x), t) * self.arms[:, None]
         Psi[..., self.places, :] -= slopes
         for k, above in enumerate(self.above):
@@ -90,11 +90,11 @@ class CouplingLaws:
                 Psi[..., self.places, above] += slopes[..., k]
 
     def add_drift(self, x: NDArray[Any], t: ArrayLike, drift: NDArray[Any]) -> None:
-        """Take their slopes by the time off d gap/dt (..., r)."""
+        """Subtract the slopes of the laws by the time from d gap/dt (..., r)."""
         drift[..., self.places] -= self.arms * self.drifts(self.relative(x), t)
 
     def add_bias(self, x: NDArray[Any], xd: NDArray[Any], t: ArrayLike, bias: NDArray[Any]) -> None:
-        """Take what their curvature does off the gap's acceleration (..., r)."""
+        """Subtract the second derivatives of the laws from the gap's acceleration (..., r)."""
         bias[..., self.places] -= self.arms * self.bends(self.relative(x), self.relative(xd), t)
 
 

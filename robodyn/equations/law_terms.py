@@ -54,7 +54,7 @@ class LawTerms:
     second: Mapping[tuple[int, int], Value]
 
     def each(self, change: Callable[[Value], Value]) -> LawTerms:
-        """The same with changed values."""
+        """These terms, with `change` applied to each value."""
         slopes = {k: change(x) for k, x in self.slopes.items()}
         second = {pair: change(x) for pair, x in self.second.items()}
         return LawTerms(change(self.arm), change(self.value), slopes, second)

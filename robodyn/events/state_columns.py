@@ -47,12 +47,12 @@ class StateColumns:
         self._last: tuple[Array, Array, State] | None = None
 
     def enter(self, moving: Mechanism, torques: Torques | None = None) -> None:
-        """The motion goes on in another mode, or under the torques of another run."""
+        """Set what moves from now on, a mode of the mechanism, and the torques if there are any."""
         self.moving, self._last = moving, None
         self._torques = torques or self._torques
 
     def values(self, name: str, t: Array, y: Array) -> Array:
-        """A column at times and states (..., 2n or more), (...)."""
+        """The values (...) of a column of states y (..., 2n or more) at times t (...)."""
         if self._last is None or self._last[0] is not t or self._last[1] is not y:
             self._last = t, y, self._state(t, y)
         return self._last[2].columns([name])[..., 0]

@@ -204,7 +204,7 @@ class ValueReader:
         except ValueError as error:
             reason = str(error)
             if name := _VARIABLE.search(reason):
-                reason = f"must be a number: this key cannot vary, and has no {name[1]}"
+                reason = f"must be a number: this key cannot vary with {name[1]}"
             self.fault(place, node, reason.replace("is not", "must be"), self.shown(node))
             return 0.0
         limit = NUMBERS[key.kind]
