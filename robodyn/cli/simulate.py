@@ -51,13 +51,13 @@ from robodyn.dynamics.joint_vectors import joint_values
 from robodyn.dynamics.named_points import named_points
 from robodyn.dynamics.state import State
 from robodyn.errors import AssemblyError, InputError, RobodynError, at_place, named_options
-from robodyn.events.functions import named_events
-from robodyn.events.watch import Event, EventWatch
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.voltages import voltages
+from robodyn.runs.event_functions import named_events
+from robodyn.runs.watch import Event, EventWatch
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.simulation.motion_columns import (
     applied_torques,

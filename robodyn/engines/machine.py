@@ -121,7 +121,6 @@ LIBRARY = (*FUNCTIONS, "pow", "fma")  # of C, that kernels may call
 ROOMS = (
     "elements",
     "engines",
-    "events",
     "loops",
     "mechanics",
     "runs",

@@ -36,7 +36,7 @@ from robodyn.simulation.settings import Settings
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
-    from robodyn.events.watch import EventWatch
+    from robodyn.runs.watch import EventWatch
 
 Build = Callable[[Description], Mechanism]
 TIGHT = {"DOP853": 1e-13, "taylor": 1e-15}  # tolerances of the runs; of other methods 1 % of theirs

@@ -21,11 +21,11 @@ import numpy as np
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.placed import matvec
-from robodyn.events.pieces import KeptStep, Step
 from robodyn.loops.change_points import miss_remark
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs.segments import KeptStep, solver_segment
 from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.settings import EvenTimes
 from robodyn.tables.arrays import Array
@@ -34,8 +34,8 @@ from robodyn.taylor.compiled import Chunk
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolver
 
-    from robodyn.events.functions import EventFunction
-    from robodyn.events.watch import Event, EventWatch, Stop
+    from robodyn.runs.event_functions import EventFunction
+    from robodyn.runs.watch import Cut, Event, EventWatch
 
 Torques = Callable[[float, Sequence[float]], Sequence[float]]
 
@@ -223,10 +223,10 @@ class Recorder:
     last: tuple[float, Array] | None = None  # t and y of the last step
     ended: int = 0  # evaluations of solvers that have ended, and expansions of series
     events: EventWatch | None = None
-    stopped: Stop | None = None  # by what event
+    stopped: Cut | None = None  # by what event
     last_row: float | None = None  # its time
     contacts: list[Event] = field(default_factory=list)  # what joints met, and left
-    kept: list[Any] = field(default_factory=list)  # not yet looked at for events
+    kept: list[KeptStep] = field(default_factory=list)  # not yet looked at for events
 
     def begin(self, y: Array) -> None:
         zero = np.zeros(1)
@@ -236,53 +236,45 @@ class Recorder:
         self.steps.append((zero, y[None, :]))
 
     def step(self, solver: OdeSolver) -> None:
+        """Take a step of a solver, or keep it, to be looked at for events with others."""
         if self.events is None:
-            self._step(solver)
-        elif not hasattr(solver, "K"):  # only explicit methods have stages
-            self._step(solver, range(len(self.events.watched)))
-        elif self.actuation.told is not None or len(self.events.watched) > len(
-            self.events.functions
-        ):  # what goes on with the run, or a phase of it that may end
-            self._together([solver])
-        else:
-            self.kept.append(KeptStep(solver))
-            most = max(1, min(MOST_KEPT, KEPT // self.mechanism.n))
-            if self.events.stops:
-                most = min(most, max(KEPT_AT_FIRST, self.report.steps))
-            if len(self.kept) >= most or solver.status != "running":
-                self.catch_up()
+            between = cache(solver.dense_output)  # made where a row asks for it
+            self._step(solver, solver.y.copy(), lambda times: between()(times).T)
+            return
+        self.kept.append(KeptStep(solver))
+        most = max(1, min(MOST_KEPT, KEPT // self.mechanism.n))
+        if self.events.stops:
+            most = min(most, max(KEPT_AT_FIRST, self.report.steps))
+        if self.actuation.told is not None or len(self.events.watched) > len(self.events.functions):
+            most = 1  # what goes on with the run, or a phase of it that may end
+        if len(self.kept) >= most or solver.status != "running":
+            self.catch_up()
 
     def catch_up(self) -> None:
         """Take the steps that were kept to be looked at together for events."""
-        kept, self.kept = self.kept, []
-        if kept:
-            self._together(kept)
-
-    def _together(self, steps: Sequence[Any]) -> None:
+        steps, self.kept = self.kept, []
+        if not steps:
+            return
         assert self.events is not None
-        near = self.events.near(steps)
-        for j, step in enumerate(steps):
-            self._step(step, self.events.begin(j, near[j]) if j in near else ())
-        self.events.seen()
+        segment = solver_segment(steps)
+        cut, forward = self.events.look(segment), segment.forward
+        for step in steps:
+            if cut is not None and cut.t * forward <= step.t * forward:
+                self._step(step, cut.y, segment.at, cut)
+                self.stop(cut)
+            self._step(step, step.y, segment.at)
 
-    def _step(self, solver: Any, places: Sequence[int] = ()) -> None:
-        """Take a step, and look for events of the functions at `places`."""
-        t, y = float(solver.t), solver.y.copy()
+    def _step(
+        self, solver: Any, y: Array, states: Callable[[Array], Array], stop: Cut | None = None
+    ) -> None:
+        """Take a step to the state y, of `states` within, or up to what stops the run."""
+        t = float(solver.t) if stop is None else stop.t
         self.report.steps += 1
-        between = cache(solver.dense_output)  # made where a row or an event asks for it
-        stop = None
-        if self.events is not None and len(places):
-            step = Step(float(solver.t_old), t, y, lambda times: between()(times).T)
-            stop = self.events.step(step, places)
-            if stop is not None:
-                t, y = stop.t, stop.y
         self.report.evaluations = self.ended + solver.nfev
         running = solver.status == "running"
-        self._take(np.array([t]), y[None], lambda times: between()(times).T, running, stop)
-        if stop is not None:
-            self.stop(stop)
+        self._take(np.array([t]), y[None], states, running, stop)
 
-    def stop(self, stop: Stop) -> NoReturn:
+    def stop(self, stop: Cut) -> NoReturn:
         """End the run, or the phase, at an event."""
         self.stopped = stop
         if self.guard is None:
@@ -369,7 +361,7 @@ class Recorder:
         y: Array,
         states: Callable[[Array], Array],
         running: bool,
-        stop: Stop | None = None,
+        stop: Cut | None = None,
     ) -> None:
         """Steps to `times` (k,); `states` gives those within the last one."""
         t = float(times[-1])

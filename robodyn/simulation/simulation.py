@@ -23,9 +23,6 @@ from robodyn.dynamics.placed import as_states
 from robodyn.engines.coupling_laws import check_laws
 from robodyn.engines.row_values import near_table_end, rows_of
 from robodyn.errors import InputError, LawError, RobodynError, SingularError, printable
-from robodyn.events.functions import event_function, event_functions, must_be_text
-from robodyn.events.state_columns import StateColumns
-from robodyn.events.watch import Event, EventWatch
 from robodyn.loops import loop_rates
 from robodyn.loops.misses import Misses
 from robodyn.loops.projection import Projection, best_closing
@@ -33,6 +30,9 @@ from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation, CallerError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
+from robodyn.runs.event_functions import event_function, event_functions, must_be_text
+from robodyn.runs.state_columns import StateColumns
+from robodyn.runs.watch import Event, EventWatch
 from robodyn.simulation.differences import Numbers, columns, sensitivities, tell
 from robodyn.simulation.motion_columns import (
     TOO_FAST,
@@ -444,7 +444,7 @@ def run(
     y = _begun(mechanism, actuation, y, t_end, report.stabilize == "projection")
     phases, moving = None, mechanism
     if mechanism.switches:
-        events = events or EventWatch([], t_end)
+        events = events or EventWatch([], t_end, width=2 * mechanism.n)
         phases = Phases(mechanism, actuation, y, t_end, settings.atol)
         y, moving = phases.y, phases.moving
     smooth = SmoothMotions(actuation, settings, t_end, work)

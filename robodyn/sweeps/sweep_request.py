@@ -13,9 +13,9 @@ from robodyn.dynamics.columns import scene_units, unit_of
 from robodyn.dynamics.joint_vectors import vector_of_joints
 from robodyn.engines import machine
 from robodyn.errors import InputError, named_options, nearest_first
-from robodyn.events.functions import named_events
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.runs.event_functions import named_events
 from robodyn.scene.quantities import read_value, value_from
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest

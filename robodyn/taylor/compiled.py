@@ -2,17 +2,6 @@
 
 The series of a motion costs a few convolutions an order and a link for any planar linkage, as
 `engines/series.py` says.
-
-A step's series tells a box that the state stays in.  z = rho + i theta turns a direction at the
-rate w = Im(z'/z).  With the rate w0 at the start and D = z' - i w0 z, which is zero there, z =
-exp(i w0 x) (1 + integral of exp(-i w0 x) D), so that
-
-    |D| <= far = sum_{k>0} |(k + 1) z_{k+1} - i w0 z_k| h^k,      |z| >= 1 - h far,
-    |w - w0| = |Im(D/z)| <= far / (1 - h far),
-
-and the angle goes away from alpha_0 + w0 x by h times that at most.  Of a displacement z' - z'(0)
-is D, and far is all.  Sizes |z| are |rho| + |theta|, and a joint's box is that of its own
-coordinate and the one below.
 """
 
 from __future__ import annotations
@@ -34,7 +23,6 @@ from robodyn.engines import machine
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.expansion import MotionProgram
 from robodyn.errors import InputError, RobodynError
-from robodyn.events.single_zeros import MISSED
 from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -45,20 +33,7 @@ from robodyn.runs.machine_motion import RUNNING, Loaded, Observer, Status
 from robodyn.runs.machine_steps import Scene
 from robodyn.tables.arrays import Array, Complex
 
-SLACK = 1e-12  # of the sizes of what is added: more than rounding adds
-BLOCK = 256  # steps of one link whose strays are summed at a time: memory near at hand is fast
 END: Array = np.ones(1)  # of a step, the part that is all
-
-
-class Kept(NamedTuple):
-    """What an engine keeps of m steps h.
-
-    `boxes` (m, 2, 2n) are the middles of q and qd, and how far they go from there; `terms`
-    (n, p, m) are z_k h^k, k > 0.
-    """
-
-    boxes: Array
-    terms: Complex
 
 
 def terms_of(parts: Array, h: Array) -> Complex:
@@ -74,55 +49,6 @@ def terms_of(parts: Array, h: Array) -> Complex:
     np.multiply(parts[0, :, 1:], powers, out=terms.real)
     np.multiply(parts[1, :, 1:], powers, out=terms.imag)
     return terms
-
-
-@np.errstate(all="ignore")
-def boxes_along(mechanism: Mechanism, y: Array, terms: Complex, h: Array) -> Array:
-    """The boxes (m, 2, 2n) of steps h (m) between y (m + 1, 2n or more), by their `terms`."""
-    n, slides = mechanism.n, list(mechanism.slides)
-    turned = terms[:, 0].imag  # w0 h
-    if slides:
-        turned = turned.copy()
-        turned[slides] = 0.0
-    far, some = np.empty(turned.shape), max(1, BLOCK // n)
-    for first in range(0, len(h), some):
-        block = slice(first, first + some)
-        far[:, block] = _strays(terms[..., block], turned[:, block])
-    far *= 1.0 + SLACK
-    left = np.maximum(1.0 - far, 0.0)
-    if slides:
-        left[slides] = 1.0
-    own = far / left
-    own += SLACK * np.abs(turned)
-    if n > 1:
-        apart = own.copy()
-        for k, above in enumerate(mechanism.above):
-            if above is not None:
-                own[k] += apart[above]
-    start = y[:-1, : 2 * n].T
-    box = np.empty((2, 2 * n, len(h)))
-    middle, reach = box
-    way = start[n:] * (0.5 * h)
-    middle[:] = start
-    middle[:n] += way
-    np.abs(start, out=reach)
-    reach *= SLACK
-    reach[:n] += np.abs(way)
-    reach[:n] += own
-    reach[n:] += own / np.abs(h)
-    if mechanism.rows:
-        there = states_along(mechanism, y[:-1], terms, h, END)[:, 0]
-        reach += MISSED * np.abs(there - y[1:, : 2 * n]).T
-    return box.transpose(2, 0, 1)
-
-
-def _strays(terms: Complex, turned: Array) -> Array:
-    """The sums (n, m) of |D_k| h^k of steps that turn by w0 h (n, m), k > 0."""
-    stray = terms * (turned * -1j)[:, None]
-    stray[:, :-1] += terms[:, 1:] * _orders(terms.shape[1])[1:]
-    sizes = stray.view(float)
-    sums = np.add.reduce(np.abs(sizes, out=sizes), axis=1)
-    return np.asarray(sums[:, ::2] + sums[:, 1::2])
 
 
 def states_along(mechanism: Mechanism, y: Array, terms: Complex, h: Array, parts: Array) -> Array:
@@ -175,7 +101,7 @@ class Chunk(NamedTuple):
     """Some steps: their ends t (m,) and states y (m, N), and rows at output times (k,), (k, N).
 
     y = (q, qd) in joint coordinates, with the work done by torques less dampers appended where it
-    was asked for.  `kept` is what engines keep of the steps where that was asked for.
+    was asked for.  `terms` (n, p, m) are z_k h^k, k > 0, of the steps h where that was asked for.
     """
 
     t: Array
@@ -183,7 +109,7 @@ class Chunk(NamedTuple):
     row_t: Array
     row_y: Array
     status: Status
-    kept: Kept | None = None
+    terms: Complex | None = None
 
     def first(self, steps: int, direction: float) -> Chunk:
         """The first steps, and the rows within them."""
@@ -467,12 +393,10 @@ class CompiledEngine:
         taken, given = int(block[place["steps"]]), int(table[GIVEN])
         found = _STATUS[block[place["status"]]]
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
-        kept = None
+        terms = None
         if keeps and taken:
-            h = np.diff(made[0], prepend=t)
-            terms = terms_of(series[:taken].T, h)
-            kept = Kept(boxes_along(self.mechanism, np.vstack([y, made[1]]), terms, h), terms)
-        return Chunk(*made, found, kept)
+            terms = terms_of(series[:taken].T, np.diff(made[0], prepend=t))
+        return Chunk(*made, found, terms)
 
     def _laid(self, wanted: int, N: int, steps: int, keeps: bool) -> tuple[Any, ...]:
         """Where the observer's table is, it, and the times, rows, ends, states, and series."""

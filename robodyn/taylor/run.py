@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robodyn.events.pieces import Step
-from robodyn.events.single_zeros import NODES, Places
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.misses import FAR, Misses
 from robodyn.loops.projection import float_closing
@@ -24,6 +22,8 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs.machine_motion import Status
+from robodyn.runs.roots import NODES
+from robodyn.runs.segments import Places, Segment
 from robodyn.simulation.motion_columns import check_start
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
@@ -32,7 +32,7 @@ from robodyn.tables.arrays import Array
 from robodyn.taylor.compiled import Chunk, CompiledEngine, NoCodeError, states_along, states_at
 
 if TYPE_CHECKING:
-    from robodyn.events.watch import EventWatch, Stop
+    from robodyn.runs.watch import Cut
     from robodyn.simulation.right_hand_side import RightHandSide
 
 KEPT = 32768  # steps whose series are kept at a time, of one link
@@ -172,10 +172,12 @@ class TaylorRun:
         steps = min(steps, self.ahead) if events is not None else steps
         chunk = engine.advance(self.t, self.y, bound, recorder.times_until(bound), steps)
         within: Callable[[Array], Array] = engine.within
-        stop: Stop | None = None
+        stop: Cut | None = None
         if events is not None and len(chunk.t):
-            given = events, self.mechanism, chunk, self.t, self.y, engine
-            chunk, within, stop = _with_events(*given)
+            segment = series_segment(self.mechanism, engine, self.t, self.y, chunk)
+            stop = events.look(segment)
+            if stop is not None:
+                chunk, within = up_to(chunk, segment, engine, stop)
         if len(chunk.t):
             self.t, self.y = float(chunk.t[-1]), chunk.y[-1]
             reach(self.actuation, self.t, self.y)
@@ -211,43 +213,36 @@ def reach(actuation: Actuation, t: float, y: Array) -> None:
         actuation.told.reach(kink, y.tolist())
 
 
-def _with_events(
-    events: EventWatch,
-    mechanism: Mechanism,
-    chunk: Chunk,
-    t: float,
-    y: Array,
-    engine: CompiledEngine,
-) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
-    """Return a chunk from (t, y) up to the event that ends it, and the states in its last step."""
-    assert chunk.kept is not None
-    terms = chunk.kept.terms
-    times, before = np.concatenate([[t], chunk.t]), np.concatenate([y[None], chunk.y[:-1]])
-    forward = 1.0 if times[1] > times[0] else -1.0
-    h = times[1:] - times[:-1]
+def series_segment(
+    mechanism: Mechanism, engine: CompiledEngine, t: float, y: Array, chunk: Chunk
+) -> Segment:
+    """The steps of a chunk from the state y at t, with the states that their series have."""
+    assert chunk.terms is not None
+    terms, times = chunk.terms, np.concatenate([[t], chunk.t])
+    states = np.concatenate([y[None], chunk.y])
+    before, h = states[:-1], np.diff(times)
 
-    def step(j: int) -> Step:
-        begin, end = float(times[j]), float(times[j + 1])
-        return Step(begin, end, chunk.y[j], engine.dense(begin, before[j], end))
+    def inside(places: Places, at: Array) -> Array:
+        x = at - times[places]
+        some = before[places], terms[..., places], x, x / h[places]
+        return engine.closed(states_at(mechanism, *some), at)
 
-    def sampled(places: Places) -> Array:
-        some = h[places]
-        return states_along(mechanism, before[places], terms[..., places], some, NODES)
+    def sampled() -> Array:
+        return states_along(mechanism, before, terms, h, NODES)
 
-    def within(places: Places, t: Array) -> Array:
-        some, x = h[places], t - times[places]
-        found = states_at(mechanism, before[places], terms[..., places], x, x / some)
-        return engine.closed(found, t) if mechanism.rows else found
+    def whole(j: int, at: float) -> Array:
+        again = engine.dense(float(times[j]), states[j], float(times[j + 1]))
+        return np.asarray(again(np.array([at]))[0])
 
-    ends, exact = chunk.y[:, : 2 * mechanism.n], not mechanism.rows
-    found = events.series(times, chunk.kept.boxes, sampled, ends, step, exact, within)
-    if found is None:
-        return chunk, engine.within, None
-    j, stop = found
-    whole, last = chunk.first(j, forward), step(j)
-    if stop.t == last.begin:
-        return whole, last.states, stop
+    return Segment(times, states, inside, sampled, 2 * mechanism.n, whole)
+
+
+def up_to(
+    chunk: Chunk, segment: Segment, engine: CompiledEngine, stop: Cut
+) -> tuple[Chunk, Callable[[Array], Array]]:
+    """A chunk up to the event that ends it, and the states in its last step."""
+    j, forward = int(segment.places(np.array([stop.t]))[0]), segment.forward
+    states = engine.dense(float(segment.t[j]), segment.y[j], float(segment.t[j + 1]))
     before = chunk.row_t * forward <= stop.t * forward
-    ends, states = np.append(whole.t, stop.t), np.concatenate([whole.y, stop.y[None]])
-    cut = Chunk(ends, states, chunk.row_t[before], chunk.row_y[before], Status.FULL)
-    return cut, last.states, stop
+    ends, y = np.append(chunk.t[:j], stop.t), np.concatenate([chunk.y[:j], stop.y[None]])
+    return Chunk(ends, y, chunk.row_t[before], chunk.row_y[before], Status.FULL), states
