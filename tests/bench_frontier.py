@@ -26,8 +26,8 @@ from scipy.integrate import ode, odeint
 import robodyn
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
+from robodyn.runs.taylor_engine import CompiledEngine
 from robodyn.scene.description import from_text
-from robodyn.taylor.compiled import CompiledEngine
 from yardsticks import four_bar_rates, two_link_rates
 
 Array = NDArray[np.float64]

@@ -24,10 +24,10 @@ from random_mechanisms import mechanism as read
 from robodyn.engines import machine
 from robodyn.mechanics.actuation import Actuation
 from robodyn.runs import machine_motion
+from robodyn.runs.benchmark import benchmark
 from robodyn.runs.machine_steps import Scene
-from robodyn.simulation.benchmark import benchmark
-from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.taylor.compiled import CompiledEngine
+from robodyn.runs.right_hand_side import right_hand_side
+from robodyn.runs.taylor_engine import CompiledEngine
 
 TIME = 0.5  # s, of the N-four-bar falling from the vertical: before the horizontal
 LOOPS = (1, 2, 5, 10, 20, 40)

@@ -22,7 +22,7 @@ from robodyn.mechanics.actuation import Actuation, expressions
 from robodyn.runs import machine_motion
 from robodyn.runs.machine_motion import Observer
 from robodyn.runs.machine_steps import Scene
-from robodyn.taylor.compiled import CompiledEngine
+from robodyn.runs.taylor_engine import CompiledEngine
 
 ORDER = 12 if FRESH else 8
 TOLERANCE = 1e-12  # of a step

@@ -22,10 +22,10 @@ from robodyn.elements.joints import CompliantStop
 from robodyn.mechanics import actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs import roots
-from robodyn.simulation.motion_columns import as_actuation
-from robodyn.simulation.phases import DOUBTS, Phases
-from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import Motion, simulate
+from robodyn.runs.motion_columns import as_actuation
+from robodyn.runs.phases import DOUBTS, Phases
+from robodyn.runs.recording import Outcome
+from robodyn.runs.simulation import Motion, simulate
 
 # -- which joints of a loop stick ------------------------------------------------------------------
 

@@ -18,11 +18,11 @@ from robodyn.loops.assembly import assemble
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.runs.machine_motion import Status
+from robodyn.runs.report import Outcome
+from robodyn.runs.simulation import Motion, simulate
+from robodyn.runs.taylor_engine import CompiledEngine
 from robodyn.runs.watch import Events
 from robodyn.scene.quantities import parse_vector
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.simulation import Motion, simulate
-from robodyn.taylor.compiled import CompiledEngine
 
 METHODS: list[dict[str, Any]] = [
     *({"method": name} for name in ("DOP853", "RK45", "Radau", "taylor")),

@@ -21,8 +21,8 @@ from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.runs.event_functions import event_functions
 from robodyn.runs.roots import NODES
 from robodyn.runs.segments import Segment
+from robodyn.runs.simulation import simulate
 from robodyn.runs.watch import EventWatch
-from robodyn.simulation.simulation import simulate
 
 Array = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ import robodyn
 from robodyn.dynamics import closed_form
 from robodyn.elements.joints import HardStop
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.simulation import recording
-from robodyn.simulation.simulation import Motion, simulate
+from robodyn.runs import recording
+from robodyn.runs.simulation import Motion, simulate
 
 Run = Callable[..., Outcome]
 Array = np.ndarray

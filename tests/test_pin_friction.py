@@ -18,9 +18,9 @@ from robodyn.errors import DescriptionError, InputError
 from robodyn.export.scene_text import scene_text
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
+from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
 from robodyn.scene.plain_scene import plain_scene
-from robodyn.simulation.simulation import simulate
 
 G = 9.81
 CRANK, ROD = 0.1, 0.35

@@ -7,7 +7,7 @@ import pytest
 from each_case import each
 from scipy.integrate import solve_ivp
 
-from robodyn.simulation.solvers import EXPLICIT, METHODS, STIFF_STEPS, StiffError, projected
+from robodyn.runs.solvers import EXPLICIT, METHODS, STIFF_STEPS, StiffError, projected
 
 EACH_METHOD = each("method", METHODS)
 TOLERANCE = 1e-8

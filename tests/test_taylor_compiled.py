@@ -33,12 +33,11 @@ from robodyn.engines.arithmetic import FLOATS
 from robodyn.engines.expression import Expression
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import build
-from robodyn.runs import machine_motion
+from robodyn.runs import machine_motion, taylor_engine
 from robodyn.runs.machine_motion import Observer
 from robodyn.runs.machine_steps import Scene
+from robodyn.runs.taylor_engine import CompiledEngine, NoCodeError, serves
 from robodyn.scene.description import from_text
-from robodyn.taylor import compiled
-from robodyn.taylor.compiled import CompiledEngine, NoCodeError, serves
 
 REFERENCES = Path(__file__).parent / "references"
 ALL = 10**5  # steps, more than any motion here takes
@@ -281,7 +280,7 @@ class TestServes:
             CompiledEngine(scene("2r"), given)
 
     def test_very_large_mechanisms_it_does_not(self, monkeypatch):
-        monkeypatch.setattr(compiled, "LARGEST", 50)
+        monkeypatch.setattr(taylor_engine, "LARGEST", 50)
         with pytest.raises(NoCodeError, match="160 loops"):
             engine(n_four_bar(6))
 

@@ -27,16 +27,15 @@ from robodyn.errors import InputError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.loops.projection import float_closing, suspect_quality
 from robodyn.mechanics.actuation import Actuation, expressions
-from robodyn.runs import machine_motion
+from robodyn.runs import machine_motion, taylor_engine
+from robodyn.runs.accuracy import AUTO, best_method, settings_for
+from robodyn.runs.benchmark import reference as longdouble_reference
 from robodyn.runs.machine_motion import Status
-from robodyn.simulation.accuracy import AUTO, best_method, settings_for
-from robodyn.simulation.benchmark import reference as longdouble_reference
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.settings import Settings
-from robodyn.simulation.simulation import run
+from robodyn.runs.report import Outcome
+from robodyn.runs.settings import Settings
+from robodyn.runs.simulation import run
+from robodyn.runs.taylor_engine import CompiledEngine
 from robodyn.sweeps.lanes import order_where_series_cost
-from robodyn.taylor import compiled
-from robodyn.taylor.compiled import CompiledEngine
 
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 
@@ -187,7 +186,7 @@ class TestServed:
         assert settings.method == "DOP853"
 
     def test_too_many_loops(self, monkeypatch):
-        monkeypatch.setattr(compiled, "LARGEST", 20)
+        monkeypatch.setattr(taylor_engine, "LARGEST", 20)
         bars = n_four_bar(3)
         with pytest.raises(InputError, match="160 loops"):
             taylor(bars, np.repeat([1.0, -1.0], [4, 3]), np.zeros(7), 1.0)
@@ -226,7 +225,7 @@ class TestServed:
             kernels.append(arguments)
             return compile(*arguments) if len(kernels) == 1 else None
 
-        compiled._kept.cache_clear()
+        taylor_engine._kept.cache_clear()
         monkeypatch.setattr(machine_motion, "compile", one)
         motion = taylor(scene("2r"), *START, 1.0, tau)
         assert len(kernels) > 1
@@ -367,7 +366,7 @@ class TestProcess:
         line = [sys.executable, "-c", code]
         done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT, check=True)
         modules = json.loads(done.stderr)
-        assert "robodyn.taylor.run" in modules
+        assert "robodyn.runs.taylor_run" in modules
         assert not [name for name in modules if name.split(".")[0] == "scipy"]
         assert len(done.stdout.splitlines()) > 5
 

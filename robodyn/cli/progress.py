@@ -93,7 +93,7 @@ def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
     A run that does not come to the end of its step is stopped within it; and what waits after that
     (for a pipe that nobody reads), works for too long, or gets another signal, ends at once.
     """
-    from robodyn.simulation.report import Outcome, StopRun
+    from robodyn.runs.report import Outcome, StopRun
 
     stopped: list[int] = []
     told = False  # whether the run knows, or has come to its end

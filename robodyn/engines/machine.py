@@ -125,7 +125,6 @@ ROOMS = (
     "mechanics",
     "runs",
     "sweeps",
-    "taylor",
 )  # that decide the text
 PLAIN = "plain"  # the processor's family without what is optional: for tests
 

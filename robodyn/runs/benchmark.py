@@ -34,12 +34,12 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanics.torque_times import over_a_scene_run
-from robodyn.simulation.report import Outcome, Report
-from robodyn.simulation.settings import METHODS, Settings
-from robodyn.simulation.simulation import run
+from robodyn.runs.report import Outcome, Report
+from robodyn.runs.settings import METHODS, Settings
+from robodyn.runs.simulation import run
+from robodyn.runs.taylor_engine import check_served
+from robodyn.runs.taylor_run import reach
 from robodyn.tables.arrays import Array
-from robodyn.taylor.compiled import check_served
-from robodyn.taylor.run import reach
 
 Long = NDArray[Any]  # longdouble
 

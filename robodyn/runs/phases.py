@@ -35,9 +35,9 @@ from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word, in_mode, pressed
 from robodyn.runs.event_functions import EventFunction
+from robodyn.runs.motion_columns import applied_torques
 from robodyn.runs.roots import ROUNDING
 from robodyn.runs.watch import Event
-from robodyn.simulation.motion_columns import applied_torques
 from robodyn.tables.arrays import Array
 
 ONWARD = 10.0  # times what is missed: slower back than so a joint may only seem to turn back

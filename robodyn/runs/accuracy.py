@@ -24,12 +24,12 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_times import over_a_run
-from robodyn.simulation.recording import Recorder
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.settings import Settings
-from robodyn.simulation.simulation import run
+from robodyn.runs.recording import Recorder
+from robodyn.runs.report import Outcome
+from robodyn.runs.settings import Settings
+from robodyn.runs.simulation import run
+from robodyn.runs.taylor_engine import check_served
 from robodyn.tables.arrays import Array
-from robodyn.taylor.compiled import check_served
 
 AUTO = "auto"
 SAMPLES = 200  # times at which runs are compared, besides those of the steps

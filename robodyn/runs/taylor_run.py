@@ -22,18 +22,18 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs.machine_motion import Status
+from robodyn.runs.motion_columns import check_start
+from robodyn.runs.recording import Recorder
+from robodyn.runs.report import Outcome
 from robodyn.runs.roots import NODES
 from robodyn.runs.segments import Places, Segment
-from robodyn.simulation.motion_columns import check_start
-from robodyn.simulation.recording import Recorder
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.settings import SCIPY_RTOL
+from robodyn.runs.settings import SCIPY_RTOL
+from robodyn.runs.taylor_engine import Chunk, CompiledEngine, NoCodeError, states_along, states_at
 from robodyn.tables.arrays import Array
-from robodyn.taylor.compiled import Chunk, CompiledEngine, NoCodeError, states_along, states_at
 
 if TYPE_CHECKING:
+    from robodyn.runs.right_hand_side import RightHandSide
     from robodyn.runs.watch import Cut
-    from robodyn.simulation.right_hand_side import RightHandSide
 
 KEPT = 32768  # steps whose series are kept at a time, of one link
 MOST_LOOKED_AT = (
@@ -137,7 +137,7 @@ class TaylorRun:
     @np.errstate(all="ignore")  # as of a run by it alone
     def _by_dop853(self, bound: float) -> Outcome | None:
         """Go on by DOP853 to where a series leads on, or the bound; the outcome if that fails."""
-        from robodyn.simulation.solvers import StiffError, solver_of
+        from robodyn.runs.solvers import StiffError, solver_of
 
         before, least = self.t, self.lead
         tolerances = max(self.rtol, SCIPY_RTOL), self.atol

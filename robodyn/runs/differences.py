@@ -28,11 +28,11 @@ from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed, loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.runs.report import Outcome, Report
+from robodyn.runs.settings import Settings
 from robodyn.scene.dimensions import dimension_of
 from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues
-from robodyn.simulation.report import Outcome, Report
-from robodyn.simulation.settings import Settings
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ def sensitivities(
     torques = actuation.given or actuation
 
     def moved(name: str, change: float) -> _Run:
-        from robodyn.simulation.simulation import run
+        from robodyn.runs.simulation import run
 
         machine, start = numbers.at({name: numbers.value(name) + change} if change else {})
         acting = torques.remade(machine) if torques.remade is not None else torques

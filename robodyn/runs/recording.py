@@ -25,11 +25,11 @@ from robodyn.loops.change_points import miss_remark
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs.report import Outcome, Report, StopRun
 from robodyn.runs.segments import KeptStep, solver_segment
-from robodyn.simulation.report import Outcome, Report, StopRun
-from robodyn.simulation.settings import EvenTimes
+from robodyn.runs.settings import EvenTimes
+from robodyn.runs.taylor_engine import Chunk
 from robodyn.tables.arrays import Array
-from robodyn.taylor.compiled import Chunk
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolver

@@ -1,7 +1,7 @@
 """Forward simulation: solve_ivp with constraint projection, or the Taylor series.
 
 A run goes through one of scipy's solvers, made to project after every step (`solvers.py`), or
-through the Taylor integrator (`taylor/run.py`), which needs no scipy.  Rows of output and the
+through the Taylor integrator (`taylor_run.py`), which needs no scipy.  Rows of output and the
 statistics leave the run in batches, so its memory does not grow with its length.
 """
 
@@ -30,11 +30,9 @@ from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation, CallerError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
+from robodyn.runs.differences import Numbers, columns, sensitivities, tell
 from robodyn.runs.event_functions import event_function, event_functions, must_be_text
-from robodyn.runs.state_columns import StateColumns
-from robodyn.runs.watch import Event, EventWatch
-from robodyn.simulation.differences import Numbers, columns, sensitivities, tell
-from robodyn.simulation.motion_columns import (
+from robodyn.runs.motion_columns import (
     TOO_FAST,
     applied_torques,
     as_actuation,
@@ -45,11 +43,11 @@ from robodyn.simulation.motion_columns import (
     no_hold,
     over_run,
 )
-from robodyn.simulation.phases import Phases
-from robodyn.simulation.recording import Recorder, RunStatistics, Sink, joined
-from robodyn.simulation.report import Outcome, Report, StopRun
-from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
-from robodyn.simulation.settings import (
+from robodyn.runs.phases import Phases
+from robodyn.runs.recording import Recorder, RunStatistics, Sink, joined
+from robodyn.runs.report import Outcome, Report, StopRun
+from robodyn.runs.right_hand_side import RightHandSide, right_hand_side
+from robodyn.runs.settings import (
     BAUMGARTE,
     MAX_EVALUATIONS,
     NO_ENGINE,
@@ -57,14 +55,16 @@ from robodyn.simulation.settings import (
     Settings,
     check_run,
 )
+from robodyn.runs.state_columns import StateColumns
+from robodyn.runs.taylor_engine import check_served
+from robodyn.runs.taylor_run import TaylorRun
+from robodyn.runs.watch import Event, EventWatch
 from robodyn.tables.arrays import Array
 from robodyn.tables.named_columns import Columns
-from robodyn.taylor.compiled import check_served
-from robodyn.taylor.run import TaylorRun
 
 if TYPE_CHECKING:
-    from robodyn.simulation.phases import Phases
-    from robodyn.taylor.compiled import CompiledEngine
+    from robodyn.runs.phases import Phases
+    from robodyn.runs.taylor_engine import CompiledEngine
 
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
 MOST_AT_ONCE = 100  # phases in a row that take no time, after which none will
@@ -147,7 +147,7 @@ class SmoothMotions:
     def _by_scipy(
         self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder, projects: bool
     ) -> Outcome:
-        from robodyn.simulation.solvers import StiffError, solver_of
+        from robodyn.runs.solvers import StiffError, solver_of
 
         tolerances = self.settings.rtol, self.settings.atol
         with warnings.catch_warnings():

@@ -30,8 +30,8 @@ from robodyn.mechanics.kinks import NEAR, Ahead, kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.run_control import Steps
-from robodyn.simulation.recording import Recorder
-from robodyn.simulation.right_hand_side import NearSingular, RightHandSide
+from robodyn.runs.recording import Recorder
+from robodyn.runs.right_hand_side import NearSingular, RightHandSide
 from robodyn.tables.arrays import Array
 
 Observer = Callable[[Any], None]
