@@ -26,9 +26,9 @@ from robodyn.runs.accuracy import (
     error_estimate,
     settings_for,
 )
+from robodyn.runs.march import run
 from robodyn.runs.report import Outcome
 from robodyn.runs.settings import METHODS, Settings
-from robodyn.runs.simulation import run
 
 REFERENCES = Path(__file__).parent / "references"
 ASKED = (1e-3, 1e-6, 1e-9)

@@ -21,9 +21,9 @@ from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.runs import benchmark
 from robodyn.runs.benchmark import ORDER, TOLERANCE, Measurement, _mark_front, reference
+from robodyn.runs.march import run
 from robodyn.runs.motion_columns import as_actuation
 from robodyn.runs.settings import Settings
-from robodyn.runs.simulation import run
 
 TOLERANCES = (1e-4, 1e-8, 1e-13)
 ARM = np.array([-1.3, -0.2, 0.5, 0.25])

@@ -25,7 +25,7 @@ from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.runs.phases import Phases, rates_after
-from robodyn.runs.recording import Outcome
+from robodyn.runs.report import Outcome
 from robodyn.runs.simulation import Motion, simulate
 from robodyn.scene.description import from_text
 

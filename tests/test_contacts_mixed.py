@@ -24,7 +24,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs import roots
 from robodyn.runs.motion_columns import as_actuation
 from robodyn.runs.phases import DOUBTS, Phases
-from robodyn.runs.recording import Outcome
+from robodyn.runs.report import Outcome
 from robodyn.runs.simulation import Motion, simulate
 
 # -- which joints of a loop stick ------------------------------------------------------------------

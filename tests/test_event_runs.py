@@ -19,8 +19,8 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.runs.machine_motion import Status
 from robodyn.runs.report import Outcome
+from robodyn.runs.series_engine import SeriesEngine
 from robodyn.runs.simulation import Motion, simulate
-from robodyn.runs.taylor_engine import CompiledEngine
 from robodyn.runs.watch import Events
 from robodyn.scene.quantities import parse_vector
 
@@ -398,7 +398,7 @@ def test_a_step_next_to_a_change_point_is_made_again(tol: float) -> None:
     met = 0
     for rate, bound in ((20.0, 3.0), (20.0, -3.0), (-60.0, 3.0), (5.0, -3.0)):
         mechanism, q, qd = start("parallelogram", rate)
-        engine = CompiledEngine(mechanism, Actuation((0.0,) * 3), rtol=tol, atol=tol)
+        engine = SeriesEngine(mechanism, Actuation((0.0,) * 3), rtol=tol, atol=tol)
         y = np.concatenate([q, qd])
         chunk = engine.advance(0.0, y, bound, np.zeros(0), 64)
         met += chunk.status is Status.SINGULAR

@@ -13,10 +13,10 @@ from robodyn.dynamics import closed_form, dynamics
 from robodyn.loops import assembly
 from robodyn.loops.assembly import loop_size
 from robodyn.mechanics.actuation import Actuation
-from robodyn.runs.recording import ROWS_AT_ONCE, RunStatistics
+from robodyn.runs.march import run
+from robodyn.runs.readers import ROWS_AT_ONCE, RunStatistics
 from robodyn.runs.report import Outcome, Report
 from robodyn.runs.settings import METHODS, EvenTimes, Settings
-from robodyn.runs.simulation import run
 
 
 def least_singular(mech, q):

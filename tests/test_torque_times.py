@@ -26,7 +26,7 @@ from robodyn.mechanics.kinks import NEAR, kink_at, next_kink, next_stop
 from robodyn.mechanics.torque_times import over_a_run
 from robodyn.runs.accuracy import AUTO, settings_for
 from robodyn.runs.benchmark import reference
-from robodyn.runs.recording import UnseenWork
+from robodyn.runs.readers import UnseenWork
 from robodyn.runs.report import Outcome
 from robodyn.runs.settings import METHODS, Settings
 
@@ -191,7 +191,7 @@ def test_a_torque_too_fast_for_samples_is_told_before_the_first_step(text, monke
     def stepping(*_, **__):
         raise AssertionError("a step was taken first")
 
-    monkeypatch.setattr("robodyn.runs.simulation.SmoothMotions.run", stepping)
+    monkeypatch.setattr("robodyn.runs.march.Run._leg", stepping)
     warnings.simplefilter("error")  # until the end of this test
     with pytest.raises(RobodynWarning, match="too fast to be sampled"):
         simulate(FREE, [0.0], [0.0], 1.0, text)

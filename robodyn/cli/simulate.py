@@ -57,6 +57,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.voltages import voltages
 from robodyn.runs.event_functions import named_events
+from robodyn.runs.march import run
 from robodyn.runs.motion_columns import (
     applied_torques,
     motion_columns,
@@ -71,7 +72,7 @@ from robodyn.runs.settings import (
     Settings,
     Stabilize,
 )
-from robodyn.runs.simulation import UNTIL, run, watched_events
+from robodyn.runs.simulation import UNTIL, watched_events
 from robodyn.runs.watch import Event, EventWatch
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.tables.csv_fields import quoted, shown
@@ -641,8 +642,8 @@ def _told(
     mechanism, watched = rows.mechanism, given[-1]
     with nullcontext() if results.report is None else open_output(results.report) as report:
         with named(), remarks():
-            outcome, recorder = run(*given)
-            facts = recorder.settle()
+            outcome, record = run(*given)
+            facts = record.settle()
             if rows.slopes is not None and rows.slopes.write(rows, facts, given):
                 outcome = Outcome.INTERRUPTED
                 facts.outcome, facts.advice = outcome.label, outcome.advice
@@ -654,7 +655,7 @@ def _told(
 
             report.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
         if table is not None and watched is not None:
-            found = sorted([*watched.found, *recorder.contacts], key=lambda x: abs(x.t))
+            found = sorted([*watched.found, *record.contacts], key=lambda x: abs(x.t))
             _write_events(table, mechanism, found)
     return outcome, facts
 

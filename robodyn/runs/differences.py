@@ -217,18 +217,18 @@ def sensitivities(
     torques = actuation.given or actuation
 
     def moved(name: str, change: float) -> _Run:
-        from robodyn.runs.simulation import run
+        from robodyn.runs.march import run
 
         machine, start = numbers.at({name: numbers.value(name) + change} if change else {})
         acting = torques.remade(machine) if torques.remade is not None else torques
         y = np.full((len(times), len(state)), np.nan)
         parts: list[Array] = []
-        outcome, recorder = run(
+        outcome, record = run(
             machine, start, t_end, acting, tight, lambda t, x, _: parts.append(x), times, watch
         )
         found = np.concatenate(parts or [y[:0]])[: len(times), : len(state)]
         y[: len(found)] = found
-        return _Run(change, y, [(x.t, x.name) for x in recorder.contacts], outcome)
+        return _Run(change, y, [(x.t, x.name) for x in record.contacts], outcome)
 
     base = moved(names[0], 0.0)
     jumps = np.isin(times, [t for t, _ in base.contacts])  # rows that have no derivative alone

@@ -25,20 +25,23 @@ class Segment:
     `inside` has, of steps by their places (k,), the states at a time (k,) within each, such as
     close.  `sampled` has those (m, nodes, N) at Chebyshev's points of all steps, which need not
     close: at the ends of steps it tells how far they miss.  None: as `inside` has them.  Where
-    these have the first `width` numbers of a state only, `whole` has a state (N,) by its step and
-    time.
+    these have the first `width` numbers of a state only, or there are none, `whole` has states
+    (k, N) at times (k,) of one step by its place.  `rows` are times that were asked for, and the
+    states there.
     """
 
     def __init__(
         self,
         t: Array,
         y: Array,
-        inside: Inside,
+        inside: Inside | None = None,
         sampled: Callable[[], Array] | None = None,
         width: int | None = None,
-        whole: Callable[[int, float], Array] | None = None,
+        whole: Callable[[int, Array], Array] | None = None,
+        rows: tuple[Array, Array] | None = None,
     ) -> None:
         self.t, self.y, self.width, self._whole = t, y, width or y.shape[1], whole
+        self.rows = rows
         self.forward = 1.0 if t[-1] >= t[0] else -1.0
         self._inside, self._sampled = inside, sampled
 
@@ -59,6 +62,7 @@ class Segment:
         at_begin, at_end = times == self.t[places], times == self.t[places + 1]
         between = ~(at_begin | at_end)
         if between.any():
+            assert self._inside is not None
             states[between] = self._inside(places[between], times[between])
         states[at_begin] = self.y[places[at_begin], : self.width]
         states[at_end] = self.y[places[at_end] + 1, : self.width]
@@ -78,13 +82,28 @@ class Segment:
         sizes = np.abs(self.y[:, : self.width])
         return np.maximum(sizes[places], sizes[places + 1])
 
-    def state(self, t: float) -> Array:
-        """The whole state (N,) at a time."""
-        j = int(self.places(np.array([t]))[0])
-        if self._whole is None or t in (self.t[j], self.t[j + 1]):
-            ends = {float(self.t[j]): j, float(self.t[j + 1]): j + 1}
-            return np.asarray(self.y[ends[t]] if t in ends else self.at(np.array([t]))[0])
-        return self._whole(j, t)
+    def states(self, times: Array) -> Array:
+        """Whole states (k, N) at increasing times (k,), or decreasing ones where it runs back."""
+        if self._whole is None:
+            return self.at(times)
+        places, found = self.places(times), np.empty((len(times), self.y.shape[1]))
+        for j in np.unique(places).tolist():
+            here = places == j
+            found[here] = self._whole(j, times[here])
+            found[here & (times == self.t[j + 1])] = self.y[j + 1]
+        found[times == self.t[0]] = self.y[0]
+        return found
+
+    def until(self, t: float) -> Segment:
+        """The part up to a time t, with the same states between."""
+        y = self.states(np.array([t]))
+        count = int(np.searchsorted(self.t * self.forward, t * self.forward))
+        times, states = np.append(self.t[:count], t), np.concatenate([self.y[:count], y])
+        rows = self.rows
+        if rows is not None:
+            kept = rows[0] * self.forward <= t * self.forward
+            rows = rows[0][kept], rows[1][kept]
+        return Segment(times, states, self._inside, None, self.width, self._whole, rows)
 
     @cached_property
     def nodes(self) -> tuple[Array, Array]:
@@ -102,17 +121,15 @@ MOVED = ("t", "t_old", "y", "y_old", "f", "h_previous")  # of an explicit solver
 class KeptStep:
     """A step of one of scipy's solvers, whose states between its ends can be asked for later."""
 
-    __slots__ = ("K", "dense", "f", "h_previous", "nfev", "solver", "status", "t", "t_old", "y",
-                 "y_old")  # fmt: skip
+    __slots__ = ("K", "dense", "f", "h_previous", "solver", "t", "t_old", "y", "y_old")
 
     def __init__(self, solver: Any) -> None:
         # one by one: there are as many of these as steps
-        self.solver, self.t, self.t_old, self.y = solver, solver.t, solver.t_old, solver.y.copy()
-        self.nfev, self.status, self.dense = solver.nfev, solver.status, None
+        self.solver, self.t, self.t_old, self.y = solver, solver.t, solver.t_old, solver.y
+        self.dense: Any = None
         self.K = getattr(solver, "K", None)
         if self.K is None:  # of an implicit method the step's polynomial is there
             self.dense = solver.dense_output()
-            self.y_old = self.dense(solver.t_old)
             return
         self.K, self.f, self.h_previous = self.K.copy(), solver.f, solver.h_previous
         self.y_old = solver.y_old
@@ -135,11 +152,11 @@ class KeptStep:
         return self.dense
 
 
-def solver_segment(steps: Sequence[KeptStep]) -> Segment:
-    """Steps of a solver that follow one another, with its dense outputs."""
+def solver_segment(begun: Array, steps: Sequence[KeptStep]) -> Segment:
+    """Steps of a solver from the state `begun` (N,), with its dense outputs."""
     close = steps[0].solver.projection
     t = np.array([steps[0].t_old, *(step.t for step in steps)])
-    y = np.array([steps[0].y_old, *(step.y for step in steps)])
+    y = np.array([begun, *(step.y for step in steps)])
 
     @cache
     def outputs() -> list[Any]:

@@ -1,204 +1,44 @@
-"""Forward simulation: solve_ivp with constraint projection, or the Taylor series.
-
-A run goes through one of scipy's solvers, made to project after every step (`solvers.py`), or
-through the Taylor integrator (`taylor_run.py`), which needs no scipy.  Rows of output and the
-statistics leave the run in batches, so its memory does not grow with its length.
-"""
+"""`simulate`: forward simulation, and the motion that comes of it."""
 
 from __future__ import annotations
 
-import math
-import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics import dense_dynamics, dynamics
+from robodyn.dynamics import dynamics
 from robodyn.dynamics.placed import as_states
-from robodyn.engines.coupling_laws import check_laws
-from robodyn.engines.row_values import near_table_end, rows_of
-from robodyn.errors import InputError, LawError, RobodynError, SingularError, printable
+from robodyn.errors import InputError, printable
 from robodyn.loops import loop_rates
-from robodyn.loops.misses import Misses
-from robodyn.loops.projection import Projection, best_closing
-from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation, CallerError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import in_mode
 from robodyn.runs.differences import Numbers, columns, sensitivities, tell
 from robodyn.runs.event_functions import event_function, event_functions, must_be_text
+from robodyn.runs.march import Run, run
 from robodyn.runs.motion_columns import (
-    TOO_FAST,
     applied_torques,
     as_actuation,
-    check_span,
-    check_start,
     motion_columns,
     motion_values,
-    no_hold,
     over_run,
 )
-from robodyn.runs.phases import Phases
-from robodyn.runs.recording import Recorder, RunStatistics, Sink, joined
-from robodyn.runs.report import Outcome, Report, StopRun
-from robodyn.runs.right_hand_side import RightHandSide, right_hand_side
+from robodyn.runs.readers import joined
+from robodyn.runs.report import Outcome, Report
+from robodyn.runs.segments import Segment
 from robodyn.runs.settings import (
     BAUMGARTE,
     MAX_EVALUATIONS,
     NO_ENGINE,
-    EvenTimes,
     Settings,
-    check_run,
 )
 from robodyn.runs.state_columns import StateColumns
-from robodyn.runs.taylor_engine import check_served
-from robodyn.runs.taylor_run import TaylorRun
 from robodyn.runs.watch import Event, EventWatch
 from robodyn.tables.arrays import Array
 from robodyn.tables.named_columns import Columns
-
-if TYPE_CHECKING:
-    from robodyn.runs.phases import Phases
-    from robodyn.runs.taylor_engine import CompiledEngine
-
-NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
-MOST_AT_ONCE = 100  # phases in a row that take no time, after which none will
-
-
-class SmoothMotions:
-    """Integrates smooth motions of mechanisms, one after the other; what it makes it keeps."""
-
-    def __init__(self, actuation: Actuation, settings: Settings, t_end: float, work: bool) -> None:
-        self.actuation, self.settings, self.t_end, self.work = actuation, settings, t_end, work
-        self._sides: dict[Mechanism, RightHandSide] = {}
-        self._engines: dict[Mechanism, CompiledEngine | None] = {}  # of the Taylor series
-        self._misses: dict[Mechanism, Misses] = {}  # the change points that the run has met
-
-    def misses(self, mechanism: Mechanism) -> Misses | None:
-        """The change points of the mechanism that the run has met; None: it has no closures."""
-        if mechanism.rows and mechanism not in self._misses:
-            self._misses[mechanism] = Misses(mechanism)
-        return self._misses.get(mechanism)
-
-    def side(self, mechanism: Mechanism) -> RightHandSide:
-        """The rates of the mechanism."""
-        if mechanism not in self._sides:
-            baumgarte = self.settings.stabilize == "baumgarte" and mechanism.rows
-            self._sides[mechanism] = right_hand_side(
-                mechanism,
-                self.actuation,
-                work=self.work,
-                baumgarte=self.settings.baumgarte if baumgarte else 0.0,
-                misses=self.misses(mechanism),
-            )
-        return self._sides[mechanism]
-
-    def check_start(self, mechanism: Mechanism, y: Array, report: Report) -> None:
-        """Raise RobodynError, now, where no motion is defined."""
-        n, by_series = mechanism.n, self.settings.method == "taylor"
-        if by_series:
-            report.evaluator = "compiled"
-        if by_series and not mechanism.parted and dense_dynamics.elimination_is_safe(mechanism):
-            return
-        with np.errstate(all="ignore"):  # rates that leave the floats end the run
-            if by_series:
-                dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
-                return
-            side = self.side(mechanism)
-            report.evaluator = side.kind
-            if not np.isfinite(side.rates(0.0, y)).all():
-                check_start(mechanism, self.actuation, 0.0, y)
-                limit = "the acceleration is not finite there"
-                raise RobodynError("cannot start", where=mechanism.source, limit=limit)
-
-    def run(self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder) -> Outcome:
-        """From (t, y) to the end, or to an event."""
-        settings = self.settings
-        projects = settings.stabilize == "projection" and bool(mechanism.rows)
-        try:
-            if settings.method != "taylor":
-                return self._by_scipy(mechanism, t, y, recorder, projects)
-            return TaylorRun(
-                mechanism,
-                self.actuation,
-                y,
-                self.t_end,
-                recorder,
-                rtol=float(settings.rtol),
-                atol=float(settings.atol),
-                order=settings.order,
-                project=projects,
-                max_step=float(settings.max_step),
-                side=lambda: self.side(mechanism),
-                engines=self._engines,
-                met=self.misses(mechanism),
-                t=t,
-            ).run()
-        except StopRun as stop:
-            if stop.outcome is not Outcome.EVENT:
-                raise
-            return stop.outcome
-
-    def _by_scipy(
-        self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder, projects: bool
-    ) -> Outcome:
-        from robodyn.runs.solvers import StiffError, solver_of
-
-        tolerances = self.settings.rtol, self.settings.atol
-        with warnings.catch_warnings():
-            # what scipy and numpy warn of, the outcome says
-            warnings.simplefilter("ignore", RuntimeWarning)
-            warnings.filterwarnings("ignore", module="scipy")
-            solver = solver_of(
-                self.settings.method,
-                self.side(mechanism),
-                (t, y, self.t_end),
-                tolerances,
-                recorder,
-                self.actuation,
-                projects,
-                self.settings.max_step,
-            )
-            try:
-                while solver.status == "running":
-                    solver.step()
-            except StiffError:
-                return Outcome.STIFF
-            finally:
-                recorder.end_solver(solver)
-        if solver.status == "finished":
-            return Outcome.FINISHED
-        recorder.flush_steps()
-        near = recorder.statistics.last_singular
-        singular = near is not None and near < NEARLY_SINGULAR
-        return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
-
-
-def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorder) -> Outcome:
-    """From the state y at t = 0, phase by phase."""
-    t = 0.0
-    while True:
-        recorder.begin_phase(phases.moving, phases.functions)
-        outcome = smooth.run(in_mode(phases.mechanism, phases.integrated), t, y, recorder)
-        place, stopped = recorder.guard, recorder.stopped
-        if outcome is not Outcome.EVENT or place is None or stopped is None:
-            return outcome
-        if why := phases.ends_run(place):
-            recorder.report.ended_by = why
-            recorder.end_row()
-            return Outcome.LIMIT
-        t = stopped.t
-        y = phases.next(t, stopped.y, place)
-        if phases.idle == MOST_AT_ONCE:
-            return Outcome.CHATTERING
-        if t == smooth.t_end:
-            return Outcome.FINISHED
-
 
 UNTIL = "until"  # the name of the event that ends a run
 NONE: frozenset[int] = frozenset()
@@ -221,6 +61,7 @@ class Motion:
     phases: list[tuple[int, Mechanism]]  # rows, and what moves
     events: Sequence[Event]  # in the order of time
     _settle: Callable[[], Report]
+    _again: Callable[[], Run] | None  # makes the same run once more
     sensitivity: Array | None = None
     errors: Array | None = None
     _further: Columns = field(default_factory=Columns)
@@ -231,8 +72,46 @@ class Motion:
         return self._settle()
 
     def __getstate__(self) -> dict[str, object]:
-        made = {"report": self.report, "events": list(self.events), "_settle": None}
-        return {**vars(self), **made}
+        made = {"report": self.report, "events": list(self.events)}
+        kept = {name: value for name, value in vars(self).items() if name != "_segments"}
+        return {**kept, **made, "_settle": None, "_again": None}
+
+    def at(self, t: ArrayLike) -> tuple[Array, Array]:
+        """q and qd (..., n) at any times t (...) within the run, s; rad and rad/s, m and m/s.
+
+        The first call takes the run's steps once more and keeps them, with all states between.
+        At an impact the rates are those before it.  Raises InputError for a time outside, and of a
+        motion that was pickled.
+        """
+        times = np.asarray(t, float)
+        first, last = self._segments[0].t[0], self._segments[-1].t[-1]
+        low, high = min(first, last), max(first, last)
+        inside = (times >= low) & (times <= high)
+        if not inside.all():
+            outside = float(times[~inside].flat[0])
+            limit = f"must be within the run, {low:.9g} to {high:.9g} s"
+            raise InputError("t", value=outside, limit=limit)
+        forward, n = self._segments[0].forward, self.mechanism.n
+        ends = np.array([segment.end for segment in self._segments]) * forward
+        place = np.minimum(np.searchsorted(ends, times.ravel() * forward), len(ends) - 1)
+        states = np.empty((times.size, 2 * n))
+        for k in np.unique(place).tolist():
+            here = place == k
+            states[here] = self._segments[k].at(times.ravel()[here])[:, : 2 * n]
+        states = states.reshape(*times.shape, 2 * n)
+        return states[..., :n], states[..., n:]
+
+    @cached_property
+    def _segments(self) -> list[Segment]:
+        """Those of the run, each with the states between its steps."""
+        if self._again is None:
+            raise InputError("at", limit="a motion that was pickled has its rows alone")
+        run, found = self._again(), []
+        begun = Segment(np.array([0.0, 0.0]), np.stack([run.y, run.y]))
+        for segment in run.segments(keeps=True):
+            segment.at(segment.t[:1] + 0.5 * (segment.t[1] - segment.t[0]))  # by today's torques
+            found.append(segment)
+        return found or [begun]
 
     @cached_property
     def qdd(self) -> Array:
@@ -331,8 +210,13 @@ def simulate(
         numbers = Numbers(mechanism, sensitivity, state)
     most: Any = max_evals  # which settings make whole
     settings = Settings(method, rtol, atol, stabilize, BAUMGARTE, most, order, max_step)
+
+    def again() -> Run:
+        until_alone = watched_events(mechanism, {}, until, float(t_end))
+        return Run(mechanism, state, float(t_end), actuation, settings, until_alone)
+
     try:
-        motion = _motion(mechanism, state, float(t_end), actuation, settings, times, watch)
+        motion = _motion(mechanism, state, float(t_end), actuation, settings, times, watch, again)
         if numbers is not None:
             _differentiate(motion, numbers, actuation, settings, watch)
         return motion
@@ -349,10 +233,11 @@ def _motion(
     settings: Settings,
     times: Array | None,
     watch: EventWatch | None,
+    again: Callable[[], Run],
 ) -> Motion:
     """Run from `state` (2n,) to t_end and gather the rows."""
     rows: list[tuple[Array, Array, Mechanism]] = []
-    outcome, recorder = run(
+    outcome, record = run(
         mechanism,
         state,
         t_end,
@@ -364,15 +249,15 @@ def _motion(
     )
     n = mechanism.n
     happened: Sequence[Event] = [] if watch is None else watch.found
-    if recorder.contacts:
-        happened = sorted([*happened, *recorder.contacts], key=lambda event: abs(event.t))
+    if record.contacts:
+        happened = sorted([*happened, *record.contacts], key=lambda event: abs(event.t))
     phases = [(len(t), moving) for t, _, moving in rows]
     none = np.zeros(0), np.zeros((0, len(state)))
     t, y = joined([(t, y) for t, y, _ in rows] or [none])
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
     errors = None if actuation.control is None else actuation.control.errors(t, y)
-    facts = outcome, mechanism, phases, happened, recorder.settle, None, errors
+    facts = outcome, mechanism, phases, happened, record.settle, again, None, errors
     return Motion(t, q, qd, torques, *facts)
 
 
@@ -411,113 +296,3 @@ def watched_events(
         functions = *functions, event_function(mechanism, UNTIL, until, UNTIL, own)
     computed = own if any(x.computed for x in functions) else None
     return EventWatch(functions, t_end, stops, 2 * mechanism.n, computed)
-
-
-def run(
-    mechanism: Mechanism,
-    state: Array,
-    t_end: float,
-    actuation: Actuation,
-    settings: Settings,
-    sink: Sink,
-    times: Array | EvenTimes | None = None,
-    watch: Callable[[float], bool] | None = None,
-    events: EventWatch | None = None,
-) -> tuple[Outcome, Recorder]:
-    """Integrate from `state` (2n,); rows (t (k,), y (k, 2n or more)) go to `sink` as they come.
-
-    Rows are at `times`, or at the accepted steps.  `watch`, called with t after every step, ends
-    the run as interrupted when it returns True; `events` finds events, and may end it as well.
-    The recorder has the report, and its statistics once it is settled.
-    """
-    check_run(settings, t_end, times)
-    check_span(actuation, t_end)
-    actuation = over_run(mechanism, actuation, state, t_end, settings.atol)
-    report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
-    if not actuation.told_by_leaves:
-        report.hint = TOO_FAST
-        warnings.warn(TOO_FAST, dynamics.RobodynWarning, stacklevel=2)
-    report.stabilize = settings.stabilize if mechanism.rows else "none"
-    work = actuation.active or mechanism.changes_energy or mechanism.switches
-    work = work or bool(mechanism.driven)
-    y = np.array([*state.tolist(), *[0.0] * (actuation.states + work)])
-    y = _begun(mechanism, actuation, y, t_end, report.stabilize == "projection")
-    phases, moving = None, mechanism
-    if mechanism.switches:
-        events = events or EventWatch([], t_end, width=2 * mechanism.n)
-        phases = Phases(mechanism, actuation, y, t_end, settings.atol)
-        y, moving = phases.y, phases.moving
-    smooth = SmoothMotions(actuation, settings, t_end, work)
-    smooth.check_start(moving, y, report)
-    if settings.method == "taylor":
-        check_served(mechanism, actuation)
-    statistics = RunStatistics(report, actuation, mechanism.n, bool(mechanism.rows))
-    most = settings.max_evaluations
-    recorder = Recorder(moving, report, sink, times, most, watch, actuation, statistics)
-    recorder.events = events
-    if events is not None and events.columns is not None:
-        events.columns.enter(moving, partial(applied_torques, mechanism, actuation))
-    recorder.begin(y)
-    begun = time.perf_counter()
-    outcome, law = Outcome.FINISHED, None
-    try:
-        if t_end != 0.0 and phases is not None:
-            outcome = in_phases(phases, smooth, y, recorder)
-        elif t_end != 0.0:
-            outcome = smooth.run(mechanism, 0.0, y, recorder)
-    except SingularError:
-        outcome = Outcome.SINGULAR
-    except LawError as error:
-        outcome, law = Outcome.LAW, error
-    except StopRun as stop:
-        outcome = stop.outcome
-    recorder.flush_rows()
-    if phases is not None:
-        recorder.contacts = phases.found
-    if actuation.control is not None:  # it may follow another run before it is asked
-        recorder.settle()
-    report.seconds = time.perf_counter() - begun
-    report.outcome, report.advice = outcome.label, outcome.advice
-    if mechanism.laws and outcome in (Outcome.STEP_TOO_SMALL, Outcome.SINGULAR):
-        law = undefined_beyond(mechanism, recorder.last, t_end)
-    if law is not None:
-        report.advice = f"{law.what} = {law.value}: {law.limit}"
-    if mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL and recorder.last is not None:
-        report.advice = near_table_end(mechanism, *recorder.last) or report.advice
-    if actuation.control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
-        report.advice = no_hold(mechanism, actuation.control) or report.advice
-    return outcome, recorder
-
-
-def undefined_beyond(
-    mechanism: Mechanism, last: tuple[float, Array] | None, t_end: float
-) -> LawError | None:
-    """The error of a law that has no value, or no derivative, just beyond the last state."""
-    if last is None:
-        return None
-    (t, y), n = last, mechanism.n
-    for ahead in (0.0, *(10.0**k for k in range(-12, -4))):
-        now = t + math.copysign(ahead * max(1.0, abs(t)), t_end)
-        q, qd = y[:n] + (now - t) * y[n : 2 * n], y[n : 2 * n]
-        try:
-            check_laws(mechanism, q, qd, now)
-        except LawError as error:
-            return error
-    return None
-
-
-def _begun(
-    mechanism: Mechanism, actuation: Actuation, y: Array, t_end: float, projects: bool
-) -> Array:
-    """The state y from which a run starts, closed where it `projects`; torques are told of it."""
-    n = mechanism.n
-    check_laws(mechanism, y[:n], y[n : 2 * n], 0.0)
-    if t_end != 0.0 and mechanism.rows:
-        loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
-    if projects:
-        y = Projection(mechanism, best_closing(mechanism))(0.0, y)
-    if actuation.told is not None:
-        actuation.told.begin(y.tolist(), float(t_end))
-    if mechanism.signals:
-        rows_of(parts.acting, mechanism).check_signals(y[:n], y[n : 2 * n])
-    return y

@@ -81,11 +81,10 @@ class Events(Sequence[Event]):
 
 
 class Cut(NamedTuple):
-    """What ends a segment: the place of the function that does, when, and the state (N,) there."""
+    """What ends a segment: the place of the function that does, and when."""
 
     place: int
     t: float
-    y: Array
 
 
 class Passing(NamedTuple):
@@ -227,7 +226,7 @@ class EventWatch:
             self._tell(one, y)
         if cut is None:
             return None
-        return Cut(cut.place, cut.t, segment.state(cut.t))
+        return Cut(cut.place, cut.t)
 
     def _ends(self, t: float, each: Sequence[Passing], forward: float) -> Passing:
         """What ends the segment of all that happens at the instant t: the run, before its phase."""

@@ -22,7 +22,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs import machine_motion
 from robodyn.runs.machine_motion import RUNNING, Loaded, Status
 from robodyn.runs.machine_steps import Scene
-from robodyn.runs.taylor_engine import serves
+from robodyn.runs.series_engine import serves
 from robodyn.sweeps.lane_observer import LaneObserver, Notes, kept
 from robodyn.tables.arrays import Array
 

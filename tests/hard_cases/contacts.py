@@ -9,7 +9,7 @@ import numpy as np
 
 from robodyn.engines import machine
 from robodyn.mechanics.mechanism import build
-from robodyn.runs.recording import Outcome
+from robodyn.runs.report import Outcome
 from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
 

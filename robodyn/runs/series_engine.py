@@ -236,7 +236,7 @@ def _kept(mechanism: Mechanism, constants: tuple[float, ...] | None, *rest: Any)
     return _ready(mechanism, Actuation(constants, linear=constants is None), *rest)
 
 
-class CompiledEngine:
+class SeriesEngine:
     """Steps of the Taylor series in machine code, of any torques that have a series.
 
     Tolerances are those of angles (rad) and rates (rad/s) over one step.  With `work` states have

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,17 +23,16 @@ from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs.machine_motion import Status
 from robodyn.runs.motion_columns import check_start
-from robodyn.runs.recording import Recorder
 from robodyn.runs.report import Outcome
 from robodyn.runs.roots import NODES
 from robodyn.runs.segments import Places, Segment
-from robodyn.runs.settings import SCIPY_RTOL
-from robodyn.runs.taylor_engine import Chunk, CompiledEngine, NoCodeError, states_along, states_at
+from robodyn.runs.series_engine import Chunk, NoCodeError, SeriesEngine, states_along, states_at
+from robodyn.runs.settings import SCIPY_RTOL, Settings
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
     from robodyn.runs.right_hand_side import RightHandSide
-    from robodyn.runs.watch import Cut
+    from robodyn.runs.solvers import SolverSteps
 
 KEPT = 32768  # steps whose series are kept at a time, of one link
 MOST_LOOKED_AT = (
@@ -45,27 +44,28 @@ LEAD = 8  # steps of DOP853 away from where a torque has no series
 
 
 @dataclass(eq=False)
-class TaylorRun:
-    """A run from (t, y) to t_end; `side` makes what DOP853 needs, where it is needed.
+class SeriesSteps:
+    """Steps of the Taylor series from (t, y) to t_end, as segments.
 
-    `engines` keeps the engines of phases (None: machine code does not serve the phase) for the next
-    one.  `met` are the change points that the run has met so far.
+    `side` makes what DOP853 needs, where it is needed.  `engines` keeps the engines of phases
+    (None: machine code does not serve the phase) for the next one.  `met` are the change points
+    that the run has met so far.  `due` has the output times still to come up to a time.
+    `keeps`: states between steps are asked for; `may_end`: what is beyond a step may be lost.
     """
 
     mechanism: Mechanism
     actuation: Actuation
+    t: float
     y: Array
     t_end: float
-    recorder: Recorder
-    rtol: float
-    atol: float
-    order: int | None
+    settings: Settings
     project: bool
-    max_step: float
     side: Callable[[], RightHandSide]
-    engines: dict[Mechanism, CompiledEngine | None]
+    engines: dict[Mechanism, SeriesEngine | None]
     met: Misses | None
-    t: float = 0.0
+    due: Callable[[float], Array]
+    keeps: bool = False
+    may_end: bool = False
 
     def __post_init__(self) -> None:
         mechanism = self.mechanism
@@ -73,24 +73,28 @@ class TaylorRun:
         if self.project and mechanism.rows:
             self.closing, self.misses = float_closing(mechanism), self.met
             self.regular, self.far = 2.0 * suspect_quality(mechanism), FAR
+        self.outcome: Outcome | None = None
+        self.evaluations = 0
+        self.reached: tuple[float, Array] | None = None  # of which torques are not told yet
         self.idle = 0  # times in a row that nothing led on
-        events = self.recorder.events
         self.most_ahead = max(1, min(MOST_LOOKED_AT, KEPT // mechanism.n))
         # of steps at a time, those beyond the end are lost
-        self.ahead = AHEAD if events is not None and events.may_end else self.most_ahead
+        self.ahead = AHEAD if self.may_end else self.most_ahead
+        self.leading: SolverSteps | None = None  # across what has no series
         self.engine = self._engine()
         self.lead = 0.0 if self.engine else math.inf  # steps of DOP853 that come next, at least
+        check_start(mechanism, self.actuation, self.t, self.y)
 
-    def _engine(self) -> CompiledEngine | None:
+    def _engine(self) -> SeriesEngine | None:
         mechanism = self.mechanism
         if mechanism not in self.engines:
             try:
-                self.engines[mechanism] = CompiledEngine(
+                self.engines[mechanism] = SeriesEngine(
                     mechanism,
                     self.actuation,
-                    rtol=self.rtol,
-                    atol=self.atol,
-                    order=self.order,
+                    rtol=float(self.settings.rtol),
+                    atol=float(self.settings.atol),
+                    order=self.settings.order,
                     project=self.project,
                     work=len(self.y) > 2 * mechanism.n,
                 )
@@ -98,23 +102,31 @@ class TaylorRun:
                 self.engines[mechanism] = None
         return self.engines[mechanism]
 
-    def run(self) -> Outcome:
-        """To the end; an event raises StopRun."""
-        check_start(self.mechanism, self.actuation, self.t, self.y)
-        while True:
-            before, bound = self.t, self._bound()
-            status, outcome = Status.FULL, None
-            if self.lead or self.engine is None:
-                outcome = self._by_dop853(bound)
+    def advance(self, left: float) -> Segment | None:
+        """The next steps; some more than `left` evaluations end them.
+
+        None where there are none, and the outcome tells why.
+        """
+        if self.reached is not None:
+            self.leave(*self.reached)
+        segment: Segment | None = None
+        while segment is None and self.outcome is None:
+            before, bound, status = self.t, self._bound(), Status.FULL
+            if self.leading or self.lead or self.engine is None:
+                segment = self._by_dop853(bound, left)
             else:
                 try:
-                    status = self._advance(self.engine, bound).status
+                    segment, status = self._by_series(self.engine, bound, left)
                 except NoCodeError:  # of other torques than those at the start
                     status = Status.STUCK
-            if outcome is None:
-                outcome = self._way_on(before, status)
-            if outcome is not None:
-                return outcome
+            if self.outcome is None and self.leading is None:
+                self.outcome = self._way_on(before, status)
+        return segment
+
+    def leave(self, t: float, y: Array) -> None:
+        """Go on from the state y at t: torques are told of it if it is a kink."""
+        self.reached = None
+        reach(self.actuation, t, y)
 
     def _bound(self) -> float:
         """Where the next steps end at the latest."""
@@ -122,8 +134,8 @@ class TaylorRun:
         if self.t_end < 0.0 and kink_at(actuation.jumps, self.t) is not None:
             self.t = math.nextafter(self.t, -math.inf)  # what is at a jump is what follows it
         bound = next_stop(actuation.stops, actuation.leaves, self.t, self.t_end)
-        if abs(bound - self.t) > self.max_step:
-            bound = self.t + math.copysign(self.max_step, self.t_end)
+        if abs(bound - self.t) > (longest := float(self.settings.max_step)):
+            bound = self.t + math.copysign(longest, self.t_end)
         return bound
 
     def _leads_on(self, t: float, y: Array) -> bool:
@@ -135,57 +147,52 @@ class TaylorRun:
         return self.misses is None or self.misses.distance(y[: self.mechanism.n]) >= self.far
 
     @np.errstate(all="ignore")  # as of a run by it alone
-    def _by_dop853(self, bound: float) -> Outcome | None:
+    def _by_dop853(self, bound: float, left: float) -> Segment | None:
         """Go on by DOP853 to where a series leads on, or the bound; the outcome if that fails."""
-        from robodyn.runs.solvers import StiffError, solver_of
+        from robodyn.runs.solvers import SolverSteps
 
-        before, least = self.t, self.lead
-        tolerances = max(self.rtol, SCIPY_RTOL), self.atol
-        way = self.t, self.y, bound
-        solver = solver_of("DOP853", self.side(), way, tolerances, self.recorder, self.actuation)
-        try:
-            # where a rate is not finite at its start scipy has no first step, and looks for ever
-            while solver.status == "running" and math.isfinite(getattr(solver, "h_abs", 0.0)):
-                if solver.step() is not None:
-                    break
-                least -= 1
-                if least <= 0 and self._leads_on(float(solver.t), solver.y):
-                    break
-        except StiffError:
-            return Outcome.STIFF
-        finally:
-            self.recorder.end_solver(solver)
+        if self.leading is None:
+            given = self.side(), self.mechanism, (self.t, self.y, bound)
+            tolerances = max(self.settings.rtol, SCIPY_RTOL), self.settings.atol
+            single = self.may_end or self.actuation.told is not None
+            self.leading = SolverSteps("DOP853", *given, tolerances, self.actuation, single=single)
+        leading, done = self.leading, self.leading.evaluations
+
+        def enough(solver: Any) -> bool:
+            self.lead -= 1
+            return self.lead <= 0 and self._leads_on(float(solver.t), solver.y)
+
+        segment = leading.advance(left, enough)
+        self.evaluations += leading.evaluations - done
+        solver = leading.solver
         self.t, self.y = float(solver.t), np.array(solver.y)
-        if self.t != before:
-            return None
-        singular = (
-            self.closing is not None and self.closing(self.t, self.y.tolist())[1] < self.regular
-        )
-        return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
+        led = self.lead <= 0 and self._leads_on(self.t, self.y)
+        if segment is not None and solver.status == "running" and not led:
+            return segment
+        self.leading = None
+        if leading.outcome is Outcome.STIFF:
+            self.outcome = leading.outcome
+        elif segment is None:
+            lost = self.closing and self.closing(self.t, self.y.tolist())[1] < self.regular
+            self.outcome = Outcome.SINGULAR if lost else Outcome.STEP_TOO_SMALL
+        return segment
 
-    def _advance(self, engine: CompiledEngine, bound: float) -> Chunk:
-        """Some steps, less those beyond an event, which the recorder takes."""
-        recorder, events = self.recorder, self.recorder.events
-        left = recorder.max_evaluations - recorder.report.evaluations
-        steps = max(1, min(engine.most, left + 1)) if self.max_step == math.inf else 1
-        engine.keeps = events is not None
-        steps = min(steps, self.ahead) if events is not None else steps
-        chunk = engine.advance(self.t, self.y, bound, recorder.times_until(bound), steps)
-        within: Callable[[Array], Array] = engine.within
-        stop: Cut | None = None
-        if events is not None and len(chunk.t):
-            segment = series_segment(self.mechanism, engine, self.t, self.y, chunk)
-            stop = events.look(segment)
-            if stop is not None:
-                chunk, within = up_to(chunk, segment, engine, stop)
-        if len(chunk.t):
-            self.t, self.y = float(chunk.t[-1]), chunk.y[-1]
-            reach(self.actuation, self.t, self.y)
-        recorder.chunk(chunk, self.t_end, within)
-        if stop is not None:
-            recorder.stop(stop)
+    def _by_series(
+        self, engine: SeriesEngine, bound: float, left: float
+    ) -> tuple[Segment | None, Status]:
+        """Some steps, and how they ended."""
+        free = self.settings.max_step == math.inf
+        steps = int(max(1, min(engine.most, left + 1))) if free else 1
+        engine.keeps = self.keeps
+        steps = min(steps, self.ahead) if self.keeps else steps
+        t, y = self.t, self.y
+        chunk = engine.advance(t, y, bound, self.due(bound), steps)
+        self.evaluations += len(chunk.t)
         self.ahead = min(2 * self.ahead, self.most_ahead)
-        return chunk
+        if not len(chunk.t):
+            return None, chunk.status
+        self.t, self.y = self.reached = float(chunk.t[-1]), chunk.y[-1]
+        return series_segment(self.mechanism, engine, t, y, chunk), chunk.status
 
     def _way_on(self, before: float, status: Status) -> Outcome | None:
         """How it goes on after steps from `before`; the outcome where it does not."""
@@ -214,12 +221,18 @@ def reach(actuation: Actuation, t: float, y: Array) -> None:
 
 
 def series_segment(
-    mechanism: Mechanism, engine: CompiledEngine, t: float, y: Array, chunk: Chunk
+    mechanism: Mechanism, engine: SeriesEngine, t: float, y: Array, chunk: Chunk
 ) -> Segment:
-    """The steps of a chunk from the state y at t, with the states that their series have."""
-    assert chunk.terms is not None
+    """The steps of a chunk from the state y at t; where it has their terms, all states between."""
     terms, times = chunk.terms, np.concatenate([[t], chunk.t])
     states = np.concatenate([y[None], chunk.y])
+
+    def whole(j: int, at: Array) -> Array:
+        return engine.dense(float(times[j]), states[j], float(times[j + 1]))(at)
+
+    rows = chunk.row_t, chunk.row_y
+    if terms is None:
+        return Segment(times, states, whole=whole, rows=rows)
     before, h = states[:-1], np.diff(times)
 
     def inside(places: Places, at: Array) -> Array:
@@ -230,19 +243,4 @@ def series_segment(
     def sampled() -> Array:
         return states_along(mechanism, before, terms, h, NODES)
 
-    def whole(j: int, at: float) -> Array:
-        again = engine.dense(float(times[j]), states[j], float(times[j + 1]))
-        return np.asarray(again(np.array([at]))[0])
-
-    return Segment(times, states, inside, sampled, 2 * mechanism.n, whole)
-
-
-def up_to(
-    chunk: Chunk, segment: Segment, engine: CompiledEngine, stop: Cut
-) -> tuple[Chunk, Callable[[Array], Array]]:
-    """A chunk up to the event that ends it, and the states in its last step."""
-    j, forward = int(segment.places(np.array([stop.t]))[0]), segment.forward
-    states = engine.dense(float(segment.t[j]), segment.y[j], float(segment.t[j + 1]))
-    before = chunk.row_t * forward <= stop.t * forward
-    ends, y = np.append(chunk.t[:j], stop.t), np.concatenate([chunk.y[:j], stop.y[None]])
-    return Chunk(ends, y, chunk.row_t[before], chunk.row_y[before], Status.FULL), states
+    return Segment(times, states, inside, sampled, 2 * mechanism.n, whole, rows)
