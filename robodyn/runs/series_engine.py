@@ -125,6 +125,7 @@ ROWS = 16384  # of one call: no step begins when there are more
 TABLE = ("times", "rows", "ends", "states", "series", "count", "given", "keeps")
 ASKED, GIVEN = TABLE.index("count"), TABLE.index("given")  # what each call tells anew begins there
 MOST_STEPS = 4096  # of a call
+ROOMS = 4  # of one scene that are left for further runs
 WORK = 200_000  # links times orders times steps of a call, which takes some 20 ms
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 _BEGUN, _ASKED = Struct("5d").pack_into, Struct("3q").pack_into  # faster than a slice of an array
@@ -203,13 +204,55 @@ class Rows(Observer):
         k.each(len(self.scene.state), lambda i: k.store(k.load(k.at(there, i)), k.at(to, i)))
 
 
+class _Room:
+    """What a run of machine code works on: a block, and where times and results are.
+
+    It is state: no two runs share it, but one may leave it to the next.
+    """
+
+    __slots__ = ("address", "block", "layout", "room", "views")
+
+    def __init__(self, block: Array) -> None:
+        self.block, self.address = block, block.ctypes.data
+        self.room, self.layout = np.empty(0), ()
+        self.views: tuple[Any, ...] = ()
+
+    def laid(self, wanted: int, N: int, most: int, turns: int) -> tuple[Any, ...]:
+        """Where the observer's table is, it, and the times, rows, ends, states, and series.
+
+        Those are `wanted` times, and `most` steps of N numbers and `turns` coefficients.
+        """
+        layout: Any = wanted, N, most, turns
+        if layout == self.layout:
+            return self.views
+        sizes = len(TABLE), wanted, wanted * N, most, most * N, most * turns
+        a, b, c, d, e, end = accumulate(sizes)
+        if len(self.room) < end:
+            self.room = np.empty(end)
+        room, at = self.room, self.room.ctypes.data
+        table = room[:a].view(np.int64)
+        table[:5] = [at + 8 * x for x in (a, b, c, d, e)]
+        parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(most, N)
+        self.layout, self.views = layout, (at, table, *parts, room[e:end].reshape(-1, turns or 1))
+        return self.views
+
+
 class _Ready(NamedTuple):
-    """A scene, its code, and a block with its numbers, at an address."""
+    """A scene, its code, a block with its numbers, and rooms that runs have left."""
 
     scene: Scene
     code: Loaded
     block: Array
-    address: int = 0
+    rooms: list[_Room]
+
+    def room(self) -> _Room:
+        """One with its numbers."""
+        try:
+            room = self.rooms.pop()
+        except IndexError:
+            room = _Room(self.code.block())
+        room.block[:] = self.block
+        return room
 
 
 def _ready(
@@ -227,7 +270,7 @@ def _ready(
         raise NoCodeError("no machine code can be made")
     block = code.block()
     scene.fill(block, *tolerances)
-    return _Ready(scene, code, block)
+    return _Ready(scene, code, block, [])
 
 
 @lru_cache(maxsize=64)
@@ -256,13 +299,11 @@ class SeriesEngine:
         work: bool = False,
         family: str = "",
     ) -> None:
+        # by how the switches of an expression stand: what is ready, and the room of this run
+        self._ready: dict[tuple[float, ...] | None, tuple[_Ready, _Room]] = {}
         self.mechanism, self.actuation = mechanism, actuation
         self.order = order_where_steps_cost(max(rtol, atol)) if order is None else order
         self._options, self._tolerances = (work, project, family), (float(rtol), float(atol))
-        self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
-        self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
-        self._views: tuple[Any, ...] = ((),)
-        self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps = False
         self.most = max(STEPS, min(MOST_STEPS, WORK // (mechanism.n * self.order)))
         if why := refused(mechanism):
@@ -271,48 +312,33 @@ class SeriesEngine:
             raise NoCodeError("needs the extra `fast`")
         self._made(None if actuation.pieces is None else actuation.pieces.at(0.0))
 
-    def _made(self, held: tuple[float, ...] | None) -> _Ready:
-        """What is ready for the torques as the switches of an expression stand; its block is own.
+    def __del__(self) -> None:
+        for ready, room in self._ready.values():
+            if len(ready.rooms) < ROOMS:
+                ready.rooms.append(room)
+
+    def _made(self, held: tuple[float, ...] | None) -> tuple[_Ready, _Room]:
+        """What is ready for the torques as the switches of an expression stand, and its room.
 
         Raises NoCodeError where there can be no code.
         """
-        found = self._blocks.get(held)
+        found = self._ready.get(held)
         if found is None:
             given = self.actuation
             rest = self.order, held, self._options, self._tolerances
             try:
                 if given.constants is not None or given.linear:  # numbers tell all of it
-                    found = _kept(self.mechanism, given.constants, *rest)
+                    ready = _kept(self.mechanism, given.constants, *rest)
                 else:
-                    found = _ready(self.mechanism, given, *rest)
+                    ready = _ready(self.mechanism, given, *rest)
             except ZeroDivisionError as error:
                 raise NoCodeError("no state has a series") from error
-            block = found.code.block()
-            block[:] = found.block
-            found = self._blocks[held] = _Ready(found.scene, found.code, block, block.ctypes.data)
+            found = self._ready[held] = ready, ready.room()
         return found
 
     @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
         return self.actuation.function(self.mechanism.n)
-
-    def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
-        """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
-
-        y is (q, qd) in joint coordinates, with the work done (J) appended where it is wanted.
-        `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
-        The step in which they run out is the last.
-        """
-        chunk = self._advance(t, y, bound, times, steps, self.keeps)
-        if count := len(chunk.t):
-            begun = (float(chunk.t[-2]), chunk.y[-2]) if count > 1 else (t, y)
-            self._last = *begun, float(chunk.t[-1])
-        return chunk
-
-    def within(self, times: Array) -> Array:
-        """The states (k, N) at times (k,) in the last step, made once more for them."""
-        t, y, end = self._last
-        return self._again(t, y, end, times)
 
     def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
         """Return the states (k, N) at times (k,) in a step from (t, y) to `end`, as a function.
@@ -334,7 +360,7 @@ class SeriesEngine:
 
         Where rounding makes it shorter another one leads to its end.
         """
-        rows = self._advance(t, y, end, times, STEPS, lands=False).row_y
+        rows = self.advance(t, y, end, times, STEPS, lands=False).row_y
         assert len(rows) == len(times)
         return rows
 
@@ -343,7 +369,8 @@ class SeriesEngine:
 
         Return them.
         """
-        scene, code, block, address = next(iter(self._blocks.values()))  # they close alike
+        (scene, code, *_), room = next(iter(self._ready.values()))  # they close alike
+        block, address = room.block, room.address
         if code.close is not None:
             first = scene.place["to_q0"]
             there = block[first : first + rows.shape[1]]
@@ -354,18 +381,20 @@ class SeriesEngine:
                 row[:] = there
         return rows
 
-    def _advance(
-        self,
-        t: float,
-        y: Array,
-        bound: float,
-        times: Array,
-        steps: int,
-        keeps: bool = False,
-        lands: bool = True,
+    def advance(
+        self, t: float, y: Array, bound: float, times: Array, steps: int, lands: bool = True
     ) -> Chunk:
+        """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
+
+        y is (q, qd) in joint coordinates, with the work done (J) appended where it is wanted.
+        `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
+        The step in which they run out is the last.  Unless it `lands` one may end on a state from
+        which no series leads on.
+        """
+        keeps = self.keeps and lands
         pieces = self.actuation.pieces
-        scene, code, block, address = self._made(None if pieces is None else pieces.at(t))
+        (scene, code, *_), room = self._made(None if pieces is None else pieces.at(t))
+        block, address = room.block, room.address
         N, place = len(y), scene.place
         block[:N] = y
         block[N : 2 * N] = y
@@ -384,8 +413,10 @@ class SeriesEngine:
             code.close(address)
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
-        laid = self._laid(len(times), N, steps, keeps)
-        _, at, table, asked, rows, ends, states, series = laid
+        # how many steps are asked for changes from call to call
+        turns = 2 * self.mechanism.n * (self.order + 2) if keeps else 0
+        laid = room.laid(len(times), N, 1 << steps.bit_length(), turns)
+        at, table, asked, rows, ends, states, series = laid
         _ASKED(table.data, 8 * ASKED, len(times), 0, keeps)
         asked[:] = times
         code.advance(address, steps, at)
@@ -395,28 +426,9 @@ class SeriesEngine:
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
         terms = None
         if keeps and taken:
-            terms = terms_of(series[:taken].T, np.diff(made[0], prepend=t))
+            kept = series[:taken].reshape(taken, self.order + 2, self.mechanism.n, 2)
+            terms = terms_of(kept.T, np.diff(made[0], prepend=t))
         return Chunk(*made, found, terms)
-
-    def _laid(self, wanted: int, N: int, steps: int, keeps: bool) -> tuple[Any, ...]:
-        """Where the observer's table is, it, and the times, rows, ends, states, and series."""
-        most = 1 << steps.bit_length()  # how many are asked for changes from call to call
-        layout = wanted, N, most, keeps
-        if layout == self._views[0]:
-            return self._views
-        wide, orders = 2 * self.mechanism.n, self.order + 2
-        turns = most * wide * keeps
-        sizes = len(TABLE), wanted, wanted * N, most, most * N, turns * orders
-        a, b, c, d, e, end = accumulate(sizes)
-        if len(self._room) < end:
-            self._room = np.empty(end)
-        room, at = self._room, self._room.ctypes.data
-        table = room[:a].view(np.int64)
-        table[:5] = [at + 8 * x for x in (a, b, c, d, e)]
-        series = room[e:end].reshape(-1, orders, wide // 2, 2)
-        parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(most, N)
-        self._views = layout, at, table, *parts, series
-        return self._views
 
 
 @lru_cache(maxsize=64)

@@ -224,8 +224,9 @@ def series_segment(
     mechanism: Mechanism, engine: SeriesEngine, t: float, y: Array, chunk: Chunk
 ) -> Segment:
     """The steps of a chunk from the state y at t; where it has their terms, all states between."""
-    terms, times = chunk.terms, np.concatenate([[t], chunk.t])
-    states = np.concatenate([y[None], chunk.y])
+    terms, count = chunk.terms, len(chunk.t)
+    times, states = np.empty(count + 1), np.empty((count + 1, len(y)))
+    times[0], times[1:], states[0], states[1:] = t, chunk.t, y, chunk.y
 
     def whole(j: int, at: Array) -> Array:
         return engine.dense(float(times[j]), states[j], float(times[j + 1]))(at)
