@@ -20,6 +20,8 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
 from robodyn.scene.description import from_text
 from robodyn.scene.plain_scene import plain_scene
+from robodyn.simulation.motion_columns import as_actuation
+from robodyn.simulation.right_hand_side import right_hand_side
 from robodyn.simulation.simulation import simulate
 
 G = 9.81
@@ -277,27 +279,41 @@ def test_a_pin_in_a_slot_of_a_lever_loses_the_power_that_the_equations_lack() ->
     assert R[1] @ [1.0, 1j] == pytest.approx(2.0 * (a + 1j * G) + on_pin, rel=1e-12)
 
 
+PIN = "friction: {coefficient: 0.15, radius: 0.03, speed: 0.3}"
+ARM = f"""gravity: {G}
+links:
+  - {{name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082, {PIN}, motor: {{ratio: 5, inertia: 1e-3}}}}
+  - {{name: b, m: 0.9, l: 0.6, r: 0.25, I: 0.031, {PIN}, payload: 0.4}}
+  - {{name: c, joint: prismatic, axis: [0, 1], m: 0.5, l: 0.1, r: 0.05, I: 0.01,
+     friction: {{coefficient: 0.2, speed: 0.2}}}}
+springs:
+  - {{between: [[0.3, 0.5], {{link: b, at: [0.2, 0.1]}}], stiffness: 40, length: 0.2, damping: 2}}
+loads:
+  - {{link: c, at: [0.1, 0], force: ["3 N sin(2 rad/s t)", -2]}}
+  - {{link: b, at: [0.6, 0], force: [1, 2], frame: link}}
+"""
+FOUR = f"""gravity: {G}
+links:
+  - {{name: crank, m: 0.6, l: 0.35, r: 0.15, I: 0.008, {PIN}}}
+  - {{name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102, {PIN}}}
+  - {{name: rocker, m: 1.0, l: 0.80, r: 0.36, I: 0.061, from: [1.1, 0.0]}}
+closures: [{{pins: [coupler, rocker], {PIN}}}]
+assembly: open
+"""
+CAM = f"""gravity: {G}
+links:
+  - {{name: disc, m: 1, l: 0, r: 0.01, I: 0.02, {PIN}}}
+  - {{name: lift, joint: prismatic, axis: [0, 1], from: [0.01, 0.06], m: 0.5, l: 0.1, r: 0, I: 0.1,
+     friction: {{coefficient: 0.1, speed: 0.01}}}}
+couplings: [{{law: "q2 = 8 mm (1 - cos(q1))", cam: {{roller: 8 mm, at: [0, 0]}}}}]
+"""
+
+
 @pytest.mark.parametrize("count", [1, 500])
 def test_forward_is_the_inverse_of_inverse_dynamics(count: int) -> None:
     """Of an arm, a four-bar and a lever with a slot, one state and many."""
-    pin = "friction: {{coefficient: {}, radius: 0.05, speed: 0.3}}"
-    arm = scene(f"""gravity: {G}
-links:
-  - {{name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082, {pin.format(0.2)}}}
-  - {{name: b, m: 0.9, l: 0.6, r: 0.25, I: 0.031, {pin.format(0.3)}}}
-  - {{name: c, joint: prismatic, axis: [0, 1], m: 0.5, l: 0.1, r: 0.05, I: 0.01,
-     friction: {{coefficient: 0.2, speed: 0.2}}}}
-""")
-    four = scene(f"""gravity: {G}
-links:
-  - {{name: crank, m: 0.6, l: 0.35, r: 0.15, I: 0.008, {pin.format(0.2)}}}
-  - {{name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102, {pin.format(0.2)}}}
-  - {{name: rocker, m: 1.0, l: 0.80, r: 0.36, I: 0.061, from: [1.1, 0.0]}}
-closures: [{{pins: [coupler, rocker], {pin.format(0.25)}}}]
-assembly: open
-""")
     random = np.random.default_rng(7)
-    for mechanism in (arm, four, scene(SLOT)):
+    for mechanism in (scene(ARM), scene(FOUR), scene(SLOT)):
         n = mechanism.n
         if mechanism.rows:
             q, _ = states(mechanism, random.uniform(0.2, 2.5, count), 0.0)
@@ -325,6 +341,30 @@ def test_what_locks_is_refused_with_its_coefficient() -> None:
     assert "links[2] (piston).friction.coefficient = 6: friction has no solution" in str(
         error.value
     )
+
+
+@pytest.mark.parametrize("text", [ARM, FOUR, SLOT, CAM])
+@pytest.mark.parametrize("tau", [[1.5], "2*sin(3*t)"])
+def test_written_out_rates_are_those_of_dense_algebra(text: str, tau: list[float] | str) -> None:
+    mechanism = scene(text)
+    actuated, random = len(mechanism.actuated), np.random.default_rng(3)
+    torques = tau * actuated if isinstance(tau, list) else ",".join([tau] * actuated)
+    actuation = as_actuation(mechanism, torques)
+    both = [right_hand_side(mechanism, actuation, work=True, kind=kind) for kind in (None, "dense")]
+    assert both[0].kind == "straight-line"
+    for _ in range(20):
+        q = robodyn.assemble(mechanism, random.uniform(0.3, 2.8, actuated))
+        qd = robodyn.loop_velocities(mechanism, q, random.uniform(-5.0, 5.0, actuated))
+        y = np.concatenate([q, qd, [0.0]])
+        one, other = (np.array(side.rates(0.7, y)) for side in both)
+        assert np.abs(one - other).max() < 1e-12 * np.abs(other).max()
+
+
+def test_runs_take_written_out_rates() -> None:
+    mechanism = scene(SLOT)
+    q = robodyn.assemble(mechanism, [0.7])
+    run = simulate(mechanism, q, robodyn.loop_velocities(mechanism, q, [20.0]), 0.05)
+    assert run.report.evaluator == "straight-line"
 
 
 # -- what does not serve ---------------------------------------------------------------------------

@@ -23,13 +23,11 @@ from robodyn.dynamics.pin_friction import Rubbing, rubbing_at
 from robodyn.dynamics.placed import absolute_rates, finite, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of, reactions, sides_of
 from robodyn.dynamics.sticking import Smooth
+from robodyn.engines.formulas import MOST_ROUNDS, SETTLED
 from robodyn.errors import RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
 from robodyn.tables.arrays import Array, Complex
-
-SETTLED = 1e-13  # part of the largest friction that a round changes in the end
-ROUNDS = 400  # beyond which they do not settle: each leaves more than 0.93 of the change before
 
 
 class NotSettledError(RobodynError):
@@ -156,7 +154,7 @@ def _rounds(mechanism: Mechanism, part: Array, N: Complex, B: Complex, q: Array)
     """f (T, c) with f = part |N + f B|."""
     f: Array = part * np.abs(N)
     change = np.zeros_like(f)
-    for _ in range(ROUNDS):
+    for _ in range(MOST_ROUNDS):
         before = f
         f = part * np.abs(N + (f[..., None] * B).sum(axis=-2))
         change = np.abs(f - before)

@@ -124,6 +124,32 @@ class Formula(NamedTuple):
     outputs: tuple[Value, ...]
     pivots: tuple[Value, ...]
     Psi: tuple[dict[int, Value], ...] = ()  # its rows in alpha, where they are wanted
+    rounds: Rounds | None = None
+
+
+class Rounds(NamedTuple):
+    """Variables f0, f1, ... (c) of a formula, which are solved for by rounds of
+
+        f = part |N + f B|
+
+    with planar N (c) and B (c, c): B[j][i] is what f_j adds to the N of f_i.
+    """
+
+    part: Sequence[Value]
+    N: Sequence[Planar]
+    B: Sequence[Sequence[Planar]]
+
+    @property
+    def values(self) -> list[Value]:
+        """All of its formulas: those of `part`, then x and y of N, then those of B, row by row."""
+        planar = [*self.N, *(z for row in self.B for z in row)]
+        return [*self.part, *(x for z in planar for x in z)]
+
+
+SETTLED = 1e-13  # part of the largest f that a round changes in the end
+MOST_ROUNDS = (
+    400  # beyond which they do not settle: each leaves more than 0.93 of the change before
+)
 
 
 class Recorded:
@@ -364,6 +390,21 @@ def _forward(
     state: Recorded, torques: Sequence[float] | None, baumgarte: float, power: bool
 ) -> Formula:
     mechanism, n = state.mechanism, state.mechanism.n
+    series, factors, right = forward_system(state, torques, baumgarte, power)
+    solution = factors.solve(right)
+    series.complete(solution)
+    qdd = relative(mechanism, solution[:n])
+    pivots = closure_pivots(state, factors)
+    own_power = series_power(series, power)
+    inputs = state.inputs + state.timed
+    return Formula(inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
+
+
+def forward_system(
+    state: Recorded, torques: Sequence[float] | None, baumgarte: float, power: bool
+) -> tuple[Series, Factors, list[Value]]:
+    """The series of a state, and the equations of its unknowns: their factors and right side."""
+    n = state.mechanism.n
     series = state.series(torques, power)
     right = [-x for x in series.residuals(0)]
     if baumgarte:
@@ -372,15 +413,13 @@ def _forward(
             right[n + r] = right[n + r] - 2.0 * baumgarte * x[1] - baumgarte**2 * x[0]
     factors = series.factorise()
     assert isinstance(factors, Factors)
-    solution = factors.solve(right)
-    series.complete(solution)
-    qdd = relative(mechanism, solution[:n])
-    pivots = closure_pivots(state, factors)
-    own_power = [series.real[slot][0] for slot in series.program.named.get("power", [])]
-    if power and not own_power:
-        own_power = [0.0]
-    inputs = state.inputs + state.timed
-    return Formula(inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
+    return series, factors, right
+
+
+def series_power(series: Series, power: bool) -> list[Value]:
+    """The power of a completed series that was asked for it; else nothing."""
+    found = [series.real[slot][0] for slot in series.program.named.get("power", [])]
+    return found or ([0.0] if power else [])
 
 
 def closure_pivots(state: Recorded, factors: Factors) -> tuple[Value, ...]:

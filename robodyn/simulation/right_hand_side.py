@@ -30,6 +30,7 @@ import numpy as np
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import closure_drift, other_forces
+from robodyn.dynamics.friction_formula import rubbed_formula
 from robodyn.dynamics.friction_rounds import NotSettledError, settled
 from robodyn.engines import straightline
 from robodyn.errors import SignalError
@@ -82,6 +83,8 @@ def right_hand_side(
     """
     kind = kind or _best_kind(mechanism)
     straight = partial(straightline.compile_rates, mechanism, work=work, baumgarte=baumgarte)
+    if mechanism.rubbing:
+        straight = partial(straight, write=rubbed_formula)
 
     def solving(torques: Actuation) -> Rates:
         """The rates of a state as it is."""
@@ -169,7 +172,7 @@ def _projecting(
 
 
 def _best_kind(mechanism: Mechanism) -> str:
-    if mechanism.rubbing or not dense_dynamics.elimination_is_safe(mechanism):
+    if not dense_dynamics.elimination_is_safe(mechanism):
         return "dense"
     if mechanism.rows and regular_rank(mechanism) < len(mechanism.rows):
         return "dense"  # closures that depend on one another leave no pivot
