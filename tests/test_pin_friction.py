@@ -14,6 +14,7 @@ import robodyn
 from robodyn.dynamics.closed_form import energies
 from robodyn.dynamics.friction_rounds import NotSettledError
 from robodyn.dynamics.reaction_forces import reactions
+from robodyn.engines.rounds import by_rounds
 from robodyn.errors import DescriptionError, InputError
 from robodyn.export.scene_text import scene_text
 from robodyn.mechanics.mechanism import Mechanism
@@ -21,6 +22,7 @@ from robodyn.mechanics.parts import without_rubbing
 from robodyn.scene.description import from_text
 from robodyn.scene.plain_scene import plain_scene
 from robodyn.simulation.motion_columns import as_actuation
+from robodyn.simulation.report import Outcome
 from robodyn.simulation.right_hand_side import right_hand_side
 from robodyn.simulation.simulation import simulate
 
@@ -365,6 +367,73 @@ def test_runs_take_written_out_rates() -> None:
     q = robodyn.assemble(mechanism, [0.7])
     run = simulate(mechanism, q, robodyn.loop_velocities(mechanism, q, [20.0]), 0.05)
     assert run.report.evaluator == "straight-line"
+
+
+def rod_on_a_line(mu: float, speed: float) -> Mechanism:
+    """A uniform rod of 1 m whose end is kept on a rough line."""
+    return scene(f"""gravity: {G}
+links:
+  - {{name: x, joint: prismatic, axis: [1, 0], m: 0, l: 0, r: 0, I: 0}}
+  - {{name: y, joint: prismatic, axis: [0, 1], from: x, m: 0, l: 0, r: 0, I: 0}}
+  - {{name: rod, from: y, m: 1.2, l: 0.5, r: 0, I: 0.1}}
+closures: [{{point: {{link: rod, at: [-0.5, 0]}}, on: {{through: [0, 0], along: [1, 0]}},
+            friction: {{coefficient: {mu}, speed: {speed}}}}}]
+""")
+
+
+def thrown(angle: float, slip: float, turning: float) -> tuple[np.ndarray, np.ndarray]:
+    """A state of the rod, whose angle is told from that of link y, which points upwards."""
+    q = np.array([0.5 * math.cos(angle), 0.5 * math.sin(angle), angle - 0.5 * math.pi])
+    qd = np.array(
+        [slip - 0.5 * math.sin(angle) * turning, 0.5 * math.cos(angle) * turning, turning]
+    )
+    return q, qd
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
+@OF_WAY
+def test_a_run_ends_where_friction_has_no_solution(method: str, way: float) -> None:
+    """Painleve: of a uniform rod mu sin cos reaches 1/3 + cos^2 (k^2 = a^2/3)."""
+    mu = 1.8
+    q, qd = thrown(0.3, 6.0 * way, 6.0)
+    run = simulate(rod_on_a_line(mu, 0.05), q, qd, 1.0, None, method, 1e-9, 1e-9)
+    assert run.outcome is Outcome.FRICTION
+    angle = math.atan(brentq(lambda tan: tan**2 - 3.0 * mu * tan + 4.0, 0.0, 1.5, xtol=1e-15))
+    assert run.q[-1, 2] + 0.5 * math.pi == pytest.approx(angle, abs=1e-6)
+    assert run.report.outcome == "friction"
+    assert "closures[0].friction.coefficient = 1.8: friction has no solution" in run.report.advice
+    assert run.report.t_reached == run.t[-1] > 0.06
+
+
+def test_a_run_by_dense_algebra_ends_there_too() -> None:
+    text = plain_scene(rod_on_a_line(1.8, 0.05).description)
+    text["links"][2]["I"] = 1e-9  # and a payload at each end: M is not eliminated first
+    dense = robodyn.load(text)
+    q, qd = thrown(0.3, 6.0, 6.0)
+    for method in ("DOP853", "Radau"):
+        run = simulate(dense, q, qd, 1.0, None, method, 1e-8, 1e-8)
+        assert run.outcome is Outcome.FRICTION, (run.outcome, run.report.evaluator)
+
+
+def test_a_run_that_cannot_start_names_the_coefficient() -> None:
+    q, qd = thrown(1.0, 6.0, 6.0)
+    for call in (
+        lambda: simulate(rod_on_a_line(1.8, 0.05), q, qd, 1.0),
+        lambda: robodyn.forward_dynamics(rod_on_a_line(1.8, 0.05), q, qd, np.zeros(3)),
+        lambda: robodyn.forward_dynamics(rod_on_a_line(80.0, 0.05), q, qd, np.zeros(3)),
+    ):
+        with pytest.raises(NotSettledError, match=r"closures\[0\]\.friction\.coefficient = \d"):
+            call()
+
+
+def test_rounds_that_are_slow_are_finished_by_newton() -> None:
+    """f = part |N + f B| of real numbers, on either side of part B = 1."""
+    slow = np.array([[0.999], [-0.999], [1.001], [0.3], [np.nan]])
+    f, left = by_rounds(slow, np.full((5, 1), 2.0 + 0j), np.ones((5, 1, 1), complex))
+    assert left.tolist() == [False, False, True, False, False]
+    known = [2.0 * x / (1.0 - x) for x in (0.999, 0.3)] + [-0.999 * 2.0 / 1.999]
+    assert f[[0, 3, 1], 0] == pytest.approx(known, rel=1e-12)
+    assert np.isnan(f[[2, 4]]).all()
 
 
 # -- what does not serve ---------------------------------------------------------------------------

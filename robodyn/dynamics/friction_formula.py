@@ -19,13 +19,13 @@ from robodyn.engines.expression import Value, substituted, tangents
 from robodyn.engines.formulas import (
     Formula,
     Recorded,
-    Rounds,
     closure_pivots,
     forward_system,
     joint_jacobian,
     series_power,
     written,
 )
+from robodyn.engines.rounds import Rounds
 from robodyn.engines.series import relative
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing

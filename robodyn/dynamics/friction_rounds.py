@@ -23,7 +23,7 @@ from robodyn.dynamics.pin_friction import Rubbing, rubbing_at
 from robodyn.dynamics.placed import absolute_rates, finite, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of, reactions, sides_of
 from robodyn.dynamics.sticking import Smooth
-from robodyn.engines.formulas import MOST_ROUNDS, SETTLED
+from robodyn.engines import rounds
 from robodyn.errors import RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
@@ -152,17 +152,12 @@ def _felt(mechanism: Mechanism, along: Complex, R: Complex, pins: Complex) -> Co
 
 def _rounds(mechanism: Mechanism, part: Array, N: Complex, B: Complex, q: Array) -> Array:
     """f (T, c) with f = part |N + f B|."""
-    f: Array = part * np.abs(N)
-    change = np.zeros_like(f)
-    for _ in range(MOST_ROUNDS):
-        before = f
-        f = part * np.abs(N + (f[..., None] * B).sum(axis=-2))
-        change = np.abs(f - before)
-        left = change > SETTLED * np.abs(f).max(axis=-1, keepdims=True)
-        if not left.any():
-            return f
-    state, contact = map(int, np.argwhere(left)[0])
-    contact = int(np.argmax(change[state]))
+    f, left = rounds.by_rounds(part, N, B)
+    if not left.any():
+        return f
+    state = int(np.argmax(left))
+    # what pushes itself most
+    contact = int(np.argmax(np.abs(part[state] * np.abs(np.diagonal(B[state])))))
     friction = mechanism.rubbing[contact]
     at = ", ".join(f"{x:.6g}" for x in q[state])
     limit = f"friction has no solution that rounds come to, at q = {at}: it locks the mechanism"

@@ -33,6 +33,7 @@ from robodyn.engines.arithmetic import (
 )
 from robodyn.engines.expression import FUNCTIONS, Expression, Graph, Value, slopes_by, substituted
 from robodyn.engines.factors import Factors, small_system
+from robodyn.engines.rounds import Rounds
 from robodyn.engines.series import Series, relative, start
 from robodyn.engines.series import absolute as absolute
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
@@ -125,31 +126,6 @@ class Formula(NamedTuple):
     pivots: tuple[Value, ...]
     Psi: tuple[dict[int, Value], ...] = ()  # its rows in alpha, where they are wanted
     rounds: Rounds | None = None
-
-
-class Rounds(NamedTuple):
-    """Variables f0, f1, ... (c) of a formula, which are solved for by rounds of
-
-        f = part |N + f B|
-
-    with planar N (c) and B (c, c): B[j][i] is what f_j adds to the N of f_i.
-    """
-
-    part: Sequence[Value]
-    N: Sequence[Planar]
-    B: Sequence[Sequence[Planar]]
-
-    @property
-    def values(self) -> list[Value]:
-        """All of its formulas: those of `part`, then x and y of N, then those of B, row by row."""
-        planar = [*self.N, *(z for row in self.B for z in row)]
-        return [*self.part, *(x for z in planar for x in z)]
-
-
-SETTLED = 1e-13  # part of the largest f that a round changes in the end
-MOST_ROUNDS = (
-    400  # beyond which they do not settle: each leaves more than 0.93 of the change before
-)
 
 
 class Recorded:

@@ -15,10 +15,13 @@ from itertools import count
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from robodyn.engines import expression, formulas
 from robodyn.engines.arithmetic import Planar, some
 from robodyn.engines.expression import INPUTS, Expression, Value, needed
-from robodyn.engines.formulas import MOST_ROUNDS, SETTLED, Formula, Rounds
+from robodyn.engines.formulas import Formula
+from robodyn.engines.rounds import FEW_ROUNDS, SETTLED, Rounds, by_newton
 from robodyn.mechanics.mechanism import Mechanism
 
 if TYPE_CHECKING:
@@ -209,7 +212,7 @@ def compile_rates(
     source += "\n    except ZeroDivisionError: return otherwise(t, y)"
     source += f"\n    except (ArithmeticError, ValueError): return [nan] * {len(names)}\n"
     function: RateFunction = define(
-        source, "rates", scope={**actuation.scope, "otherwise": otherwise}
+        source, "rates", scope={**actuation.scope, "otherwise": otherwise, "settled": _settled}
     )
     return function
 
@@ -245,16 +248,27 @@ def _rounds(rounds: Rounds, values: list[str]) -> list[str]:
     all_f, before = (", ".join(f"{x}{i}" for i in range(c)) for x in ("f", "f_old"))
     largest = f"max({', '.join(f'abs(f{i})' for i in range(c))}, 0.0)"
     moved = " or ".join(f"abs(f{i} - f_old{i}) > f_least" for i in range(c))
+    rows = ", ".join(f"[{', '.join(x or '0.0' for x in row)}]" for row in B)
     return [
         *given,
         f"{all_f}, = {', '.join(f'{part[i]}*abs({N[i] or 0.0})' for i in range(c))},",
-        f"for _ in range({MOST_ROUNDS}):",
+        f"for _ in range({FEW_ROUNDS}):",
         f"    {before}, = {all_f},",
         f"    {all_f}, = {', '.join(again)},",
         f"    f_least = {SETTLED!r}*{largest}",
         f"    if not ({moved}): break",
-        "else: return otherwise(t, y)",
+        "else:",
+        f"    f_found = settled([{', '.join(part)}], [{', '.join(x or '0.0' for x in N)}], "
+        f"[{rows}], [{before}])",
+        "    if f_found is None: return otherwise(t, y)",
+        f"    {all_f}, = f_found",
     ]
+
+
+def _settled(*given: list[Any]) -> list[float] | None:
+    """`by_newton` of lists."""
+    found = by_newton(*map(np.array, given))
+    return None if found is None else found.tolist()
 
 
 def compile_closing(

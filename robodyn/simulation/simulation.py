@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dense_dynamics, dynamics
+from robodyn.dynamics.friction_rounds import NotSettledError
 from robodyn.dynamics.placed import as_states
 from robodyn.engines.coupling_laws import check_laws
 from robodyn.engines.row_values import near_table_end, rows_of
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
     from robodyn.taylor.compiled import CompiledEngine
 
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
+AT_ONCE = 1e-9  # s, or of the time: a state so near the end of a run is why it ended
 MOST_AT_ONCE = 100  # phases in a row that take no time, after which none will
 
 
@@ -113,6 +115,8 @@ class SmoothMotions:
             report.evaluator = side.kind
             if not np.isfinite(side.rates(0.0, y)).all():
                 check_start(mechanism, self.actuation, 0.0, y)
+                if side.refused is not None and side.refused.error is not None:
+                    raise side.refused.error
                 limit = "the acceleration is not finite there"
                 raise RobodynError("cannot start", where=mechanism.source, limit=limit)
 
@@ -174,6 +178,10 @@ class SmoothMotions:
         if solver.status == "finished":
             return Outcome.FINISHED
         recorder.flush_steps()
+        refused = self.side(mechanism).refused
+        if refused is not None and abs(refused.t - solver.t) <= AT_ONCE * max(1.0, abs(solver.t)):
+            assert refused.error is not None
+            raise refused.error
         near = recorder.statistics.last_singular
         singular = near is not None and near < NEARLY_SINGULAR
         return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
@@ -459,7 +467,7 @@ def run(
         events.columns.enter(moving, partial(applied_torques, mechanism, actuation))
     recorder.begin(y)
     begun = time.perf_counter()
-    outcome, law = Outcome.FINISHED, None
+    outcome, law, locked = Outcome.FINISHED, None, None
     try:
         if t_end != 0.0 and phases is not None:
             outcome = in_phases(phases, smooth, y, recorder)
@@ -469,6 +477,8 @@ def run(
         outcome = Outcome.SINGULAR
     except LawError as error:
         outcome, law = Outcome.LAW, error
+    except NotSettledError as error:
+        outcome, locked = Outcome.FRICTION, error
     except StopRun as stop:
         outcome = stop.outcome
     recorder.flush_rows()
@@ -480,8 +490,8 @@ def run(
     report.outcome, report.advice = outcome.label, outcome.advice
     if mechanism.laws and outcome in (Outcome.STEP_TOO_SMALL, Outcome.SINGULAR):
         law = undefined_beyond(mechanism, recorder.last, t_end)
-    if law is not None:
-        report.advice = f"{law.what} = {law.value}: {law.limit}"
+    if (told := law or locked) is not None:
+        report.advice = f"{told.what} = {told.value}: {told.limit}"
     if mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL and recorder.last is not None:
         report.advice = near_table_end(mechanism, *recorder.last) or report.advice
     if actuation.control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
