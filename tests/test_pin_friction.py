@@ -12,8 +12,11 @@ from scipy.optimize import brentq
 
 import robodyn
 from robodyn.dynamics.closed_form import energies
+from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.friction_rounds import NotSettledError
+from robodyn.dynamics.identities import BALANCE, POWER, identities, sample_states
 from robodyn.dynamics.reaction_forces import reactions
+from robodyn.engines import rounds
 from robodyn.engines.rounds import by_rounds
 from robodyn.errors import DescriptionError, InputError
 from robodyn.export.scene_text import scene_text
@@ -428,12 +431,37 @@ def test_a_run_that_cannot_start_names_the_coefficient() -> None:
 
 def test_rounds_that_are_slow_are_finished_by_newton() -> None:
     """f = part |N + f B| of real numbers, on either side of part B = 1."""
-    slow = np.array([[0.999], [-0.999], [1.001], [0.3], [np.nan]])
-    f, left = by_rounds(slow, np.full((5, 1), 2.0 + 0j), np.ones((5, 1, 1), complex))
-    assert left.tolist() == [False, False, True, False, False]
+    slow = np.array([[0.999], [-0.999], [1.001], [0.3], [np.nan], [1e300]])
+    f, left = by_rounds(slow, np.full((6, 1), 2.0 + 0j), np.ones((6, 1, 1), complex))
+    assert left.tolist() == [False, False, True, False, False, True]
     known = [2.0 * x / (1.0 - x) for x in (0.999, 0.3)] + [-0.999 * 2.0 / 1.999]
     assert f[[0, 3, 1], 0] == pytest.approx(known, rel=1e-12)
-    assert np.isnan(f[[2, 4]]).all()
+    assert np.isnan(f[[2, 4, 5]]).all()
+
+
+@pytest.mark.parametrize("text", [ARM, FOUR, SLOT, CAM])
+def test_identities_include_it(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    mechanism = scene(text)
+    sample = sample_states(mechanism, 30)
+    found = {x.name: x for x in identities(mechanism, sample)}
+    assert all(x.holds for x in found.values())
+    monkeypatch.setattr(
+        rounds, "by_rounds", lambda *given: (0.999 * by_rounds(*given)[0], by_rounds(*given)[1])
+    )
+    wrong = {x.name for x in identities(mechanism, sample) if not x.holds}
+    assert wrong == {BALANCE, POWER}
+
+
+def test_identities_leave_out_states_without_a_solution() -> None:
+    mechanism = rod_on_a_line(1.8, 0.05)
+    sample = sample_states(mechanism, 50)
+    with pytest.warns(RobodynWarning, match="no solution at .* of 50 random states"):
+        found = identities(mechanism, sample)
+    assert all(x.holds for x in found)
+    assert {BALANCE, POWER} <= {x.name for x in found}
+    with pytest.warns(RobodynWarning, match="no solution at 50 of 50"):
+        found = identities(rod_on_a_line(1e9, 1e-9), sample)
+    assert not {BALANCE, POWER} & {x.name for x in found}
 
 
 # -- what does not serve ---------------------------------------------------------------------------

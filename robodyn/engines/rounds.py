@@ -44,7 +44,8 @@ def by_rounds(part: Array, N: Complex, B: Complex) -> tuple[Array, NDArray[np.bo
         for _ in range(FEW_ROUNDS):
             before, f = f, part * np.abs(N + (f[..., None] * B).sum(axis=-2))
             least = SETTLED * np.abs(f).max(axis=-1, keepdims=True)
-            left = np.asarray(finite & ~(np.abs(f - before) <= least).all(axis=-1))
+            steady = (np.abs(f - before) <= least) & np.isfinite(f)
+            left = np.asarray(finite & ~steady.all(axis=-1))
             if not left.any():
                 break
     f[~finite] = np.nan

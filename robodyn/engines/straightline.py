@@ -256,7 +256,7 @@ def _rounds(rounds: Rounds, values: list[str]) -> list[str]:
         f"    {before}, = {all_f},",
         f"    {all_f}, = {', '.join(again)},",
         f"    f_least = {SETTLED!r}*{largest}",
-        f"    if not ({moved}): break",
+        f"    if f_least < inf and not ({moved}): break",
         "else:",
         f"    f_found = settled([{', '.join(part)}], [{', '.join(x or '0.0' for x in N)}], "
         f"[{rows}], [{before}])",
