@@ -18,6 +18,7 @@ import numpy as np
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.dynamics import RobodynWarning
+from robodyn.dynamics.friction_rounds import NotSettledError
 from robodyn.engines.coupling_laws import check_laws
 from robodyn.engines.row_values import near_table_end, rows_of
 from robodyn.errors import LawError, RobodynError, SingularError
@@ -48,6 +49,7 @@ from robodyn.runs.watch import Cut, Event, EventWatch
 from robodyn.tables.arrays import Array
 
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
+BEYOND = 1e-9  # s, or of the time: a state so near the end of a run is why it ended
 MOST_AT_ONCE = 100  # legs in a row that take no time, after which none will
 MOST_STEPS = 1e13  # that take months
 FAR_END = 1e9  # s; where the end is nearer it is a force that makes the steps too short
@@ -153,6 +155,8 @@ class Run:
             self.report.evaluator = side.kind
             if not np.isfinite(side.rates(0.0, y)).all():
                 check_start(mechanism, self.actuation, 0.0, y)
+                if side.refused is not None and side.refused.error is not None:
+                    raise side.refused.error
                 limit = "the acceleration is not finite there"
                 raise RobodynError("cannot start", where=mechanism.source, limit=limit)
 
@@ -229,8 +233,8 @@ class Run:
                     return
         except SingularError:
             self.outcome = Outcome.SINGULAR
-        except LawError as error:
-            self.outcome = Outcome.LAW
+        except (LawError, NotSettledError) as error:
+            self.outcome = Outcome.LAW if isinstance(error, LawError) else Outcome.FRICTION
             self.report.advice = f"{error.what} = {error.value}: {error.limit}"
 
     def _leg(self, due: Due, keeps: bool) -> Generator[Segment, None, Cut | None]:
@@ -250,6 +254,8 @@ class Run:
             if segment is None:
                 assert steps.outcome is not None
                 self.outcome = steps.outcome
+                if self.outcome is Outcome.STEP_TOO_SMALL and mechanism.rubbing:
+                    self._check_friction(mechanism)
                 return None
             cut = None if events is None else events.look(segment)
             if cut is not None:
@@ -263,6 +269,12 @@ class Run:
                 return cut
             if self.t != self.t_end and self._hopeless(segment):
                 return None
+
+    def _check_friction(self, mechanism: Mechanism) -> None:
+        """Raise NotSettledError where friction by forces has no solution just beyond."""
+        refused, near = self._side(mechanism).refused, BEYOND * max(1.0, abs(self.t))
+        if refused is not None and refused.error is not None and abs(refused.t - self.t) <= near:
+            raise refused.error
 
     def _goes_on(self, cut: Cut) -> bool:
         """Enter the leg that follows a cut; whether there is one."""

@@ -42,6 +42,7 @@ class Outcome(Enum):
         "the joint has no stop there; with a stiffness or a restitution in its limits it has one",
     )
     LAW = ("law", "a law of a coupling cannot be kept from there on")
+    FRICTION = ("friction", "friction by the force in a pin or slide has no solution there")
     CHATTERING = (
         "chattering",
         "a hundred changes of contact followed one another without time passing: try another "
