@@ -178,10 +178,9 @@ class SmoothMotions:
         if solver.status == "finished":
             return Outcome.FINISHED
         recorder.flush_steps()
-        refused = self.side(mechanism).refused
-        if refused is not None and abs(refused.t - solver.t) <= AT_ONCE * max(1.0, abs(solver.t)):
-            assert refused.error is not None
-            raise refused.error
+        locked = refused_beyond(self.side(mechanism), mechanism.n, solver.t, solver.y, self.t_end)
+        if locked is not None:
+            raise locked
         near = recorder.statistics.last_singular
         singular = near is not None and near < NEARLY_SINGULAR
         return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
@@ -513,6 +512,25 @@ def undefined_beyond(
             check_laws(mechanism, q, qd, now)
         except LawError as error:
             return error
+    return None
+
+
+def refused_beyond(
+    side: RightHandSide, n: int, t: float, y: Array, t_end: float
+) -> NotSettledError | None:
+    """The error of friction without a solution at the end (t, y) of a run, or just beyond."""
+    refused = side.refused
+    if refused is None:
+        return None
+    if abs(refused.t - t) <= AT_ONCE * max(1.0, abs(t)):
+        return refused.error
+    for k in range(-12, -4):
+        now = t + math.copysign(10.0**k * max(1.0, abs(t)), t_end)
+        ahead = y.copy()
+        ahead[:n] += (now - t) * y[n : 2 * n]
+        side.rates(now, ahead)
+        if refused.t == now:
+            return refused.error
     return None
 
 
