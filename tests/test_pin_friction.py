@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 from contact_scenes import scene
-from scipy.integrate import solve_ivp
+from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.optimize import brentq
 
 import robodyn
-from robodyn.dynamics.closed_form import energies
+from robodyn.dynamics.closed_form import energies, other_forces
 from robodyn.dynamics.dynamics import RobodynWarning
-from robodyn.dynamics.friction_rounds import NotSettledError
+from robodyn.dynamics.friction_rounds import NotSettledError, load_of
 from robodyn.dynamics.identities import BALANCE, POWER, identities, sample_states
 from robodyn.dynamics.reaction_forces import reactions
 from robodyn.engines import rounds
@@ -372,6 +372,47 @@ def test_runs_take_written_out_rates() -> None:
     assert run.report.evaluator == "straight-line"
 
 
+METHODS = pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
+
+
+@METHODS
+@pytest.mark.parametrize("text", [ARM, FOUR, SLOT, CAM])
+def test_the_energy_balance_counts_what_friction_takes(text: str, method: str) -> None:
+    """To the tolerance; and the energy is less by the integral of forces times slips."""
+    mechanism, tol = scene(text), 1e-9
+    actuated = len(mechanism.actuated)
+    q = robodyn.assemble(mechanism, [0.7] * actuated)
+    qd = robodyn.loop_velocities(mechanism, q, [6.0, -3.0, 0.5][:actuated])
+    tau = [0.3] * actuated
+    run = simulate(mechanism, q, qd, 0.2, tau, method, tol, tol, t_eval=np.linspace(0, 0.2, 2001))
+    assert run.outcome is Outcome.FINISHED
+    assert run.report.energy_drift < 30.0 * tol
+    motion = robodyn.forward_dynamics_and_forces(mechanism, run.q, run.qd, run.tau, run.t)
+    load = load_of(mechanism, run.q, run.qd, motion.qdd, motion.multipliers, run.t)
+    lost = (load * run.qd).sum(axis=-1)
+    assert (lost <= 0.0).all()
+    assert lost.min() < -0.1
+    forces = other_forces(mechanism, run.q, run.qd, run.t)  # spring dampers, forces that turn
+    power = ((run.tau + forces) * run.qd).sum(axis=-1) + lost
+    work = cumulative_simpson(power, x=run.t, initial=0.0)
+    energy = run.to_dict()["energy"]
+    size = run.report.energy_in_motion
+    assert np.abs(energy - energy[0] - work).max() < 1e-6 * size
+    assert abs(run.report.work - work[-1]) < 1e-6 * size
+
+
+@METHODS
+def test_the_energy_balance_of_the_example_holds_until_it_locks(method: str) -> None:
+    mechanism = robodyn.load("robots/shaper.yaml")
+    q = robodyn.assemble(mechanism, [0.4])
+    qd = robodyn.loop_velocities(mechanism, q, [20.0])
+    tol = 1e-6 if method == "Radau" else 1e-8
+    run = simulate(mechanism, q, qd, 0.5, None, method, tol, tol)
+    assert run.outcome is Outcome.FRICTION
+    assert run.report.energy_drift < 30.0 * tol
+    assert run.report.t_reached == pytest.approx(0.127237, abs=1e-5)
+
+
 def rod_on_a_line(mu: float, speed: float) -> Mechanism:
     """A uniform rod of 1 m whose end is kept on a rough line."""
     return scene(f"""gravity: {G}
@@ -393,7 +434,7 @@ def thrown(angle: float, slip: float, turning: float) -> tuple[np.ndarray, np.nd
     return q, qd
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
+@METHODS
 @OF_WAY
 def test_a_run_ends_where_friction_has_no_solution(method: str, way: float) -> None:
     """Painleve: of a uniform rod mu sin cos reaches 1/3 + cos^2 (k^2 = a^2/3)."""

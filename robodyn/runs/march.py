@@ -271,10 +271,20 @@ class Run:
                 return None
 
     def _check_friction(self, mechanism: Mechanism) -> None:
-        """Raise NotSettledError where friction by forces has no solution just beyond."""
-        refused, near = self._side(mechanism).refused, BEYOND * max(1.0, abs(self.t))
-        if refused is not None and refused.error is not None and abs(refused.t - self.t) <= near:
-            raise refused.error
+        """Raise NotSettledError where friction by forces has no solution, there or just beyond."""
+        side, t, y, n = self._side(mechanism), self.t, self.y, mechanism.n
+        refused, size = side.refused, max(1.0, abs(t))
+        if refused is None:
+            return
+        for ahead in (0.0, *(10.0**k for k in range(-12, -4))):
+            now = t + math.copysign(ahead * size, self.t_end)
+            beyond = y.copy()
+            beyond[:n] += (now - t) * y[n : 2 * n]
+            if ahead:
+                side.rates(now, beyond)
+            near = refused.t == now if ahead else abs(refused.t - t) <= BEYOND * size
+            if near and refused.error is not None:
+                raise refused.error
 
     def _goes_on(self, cut: Cut) -> bool:
         """Enter the leg that follows a cut; whether there is one."""
