@@ -200,6 +200,7 @@ def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorde
             return Outcome.FINISHED
 
 
+LED = "a law of the time leads the joint there, and no stop throws it back"
 UNTIL = "until"  # the name of the event that ends a run
 NONE: frozenset[int] = frozenset()
 
@@ -478,6 +479,8 @@ def run(
         recorder.settle()
     report.seconds = time.perf_counter() - begun
     report.outcome, report.advice = outcome.label, outcome.advice
+    if phases is not None and phases.led_on:
+        report.advice = LED
     if mechanism.laws and outcome in (Outcome.STEP_TOO_SMALL, Outcome.SINGULAR):
         law = undefined_beyond(mechanism, recorder.last, t_end)
     if law is not None:
