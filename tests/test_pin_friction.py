@@ -25,12 +25,12 @@ from robodyn.errors import DescriptionError, InputError
 from robodyn.export.scene_text import scene_text
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
+from robodyn.runs.motion_columns import as_actuation
+from robodyn.runs.report import Outcome
+from robodyn.runs.right_hand_side import right_hand_side
+from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
 from robodyn.scene.plain_scene import plain_scene
-from robodyn.simulation.motion_columns import as_actuation
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.simulation.simulation import simulate
 
 Run = Callable[..., Given]
 G = 9.81

@@ -169,7 +169,7 @@ def check_size(mechanism: Mechanism) -> None:
         limit = f"at most {MOST_LINKS} links; the equations without --steps have no limit"
         value = f"{mechanism.n} links"
         raise InputError("--steps", where=mechanism.source, value=value, limit=limit)
-    mechanism.check_masses()
+    mechanism.check_masses(still=True)
     for k, link in enumerate(mechanism.description.links):
         if link.turn != 1.0:
             limit = (

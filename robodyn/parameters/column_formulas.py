@@ -28,7 +28,7 @@ import numpy as np
 
 from robodyn.dynamics.cam_contacts import cams_of
 from robodyn.dynamics.closed_form import points_of
-from robodyn.dynamics.columns import FAMILIES, LOOPS, MOTORS, column_names
+from robodyn.dynamics.columns import FAMILIES, LOOPS, MOTORS, column_names, known_loop_forces
 from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.dynamics.named_numbers import with_variables
 from robodyn.dynamics.named_points import NamedPoint, named_points
@@ -194,7 +194,10 @@ class ColumnFormulas:
         motors = column_names(mechanism, MOTORS)
         found |= {name: taken("motors", i, "real") for i, name in enumerate(motors)}
         names = column_names(mechanism, LOOPS)
-        return found | {name: taken("loop_forces", i, "real") for i, name in enumerate(names)}
+        places = known_loop_forces(mechanism)
+        return found | {
+            name: taken("loop_forces", i, "real") for i, name in zip(places, names, strict=True)
+        }
 
     def serves(self, name: str) -> bool:
         """Whether there is a column of this name."""

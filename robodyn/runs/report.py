@@ -97,8 +97,5 @@ class Report:
     hint: str = ""  # what would make it faster, or safer
 
 
-class StopRun(Exception):
-    """Ends a run from within the observer."""
-
-    def __init__(self, outcome: Outcome) -> None:
-        self.outcome = outcome
+class InterruptedRun(Exception):
+    """Ends a run from without; what was computed until then is kept."""
