@@ -509,6 +509,23 @@ def test_identities_leave_out_states_without_a_solution() -> None:
     assert not {BALANCE, POWER} & {x.name for x in found}
 
 
+def test_friction_by_forces_that_are_not_unique_says_so() -> None:
+    """A parallelogram with a third crank."""
+    mechanism = scene(f"""gravity: {G}
+links:
+  - {{name: a, m: 0.6, l: 0.35, r: 0.15, I: 0.008, {PIN}}}
+  - {{name: b, m: 1.3, l: 1.0, r: 0.45, I: 0.102}}
+  - {{name: c, m: 0.6, l: 0.35, r: 0.15, I: 0.008, from: [1.0, 0]}}
+  - {{name: d, m: 0.6, l: 0.35, r: 0.15, I: 0.008, from: [0.5, 0]}}
+closures: [[b, c], [{{link: b, at: [0.5, 0]}}, d]]
+start: {{a: 0.7, b: -0.7, c: 0.7, d: 0.7}}
+actuated: [a]
+""")
+    q, qd = np.array([0.7, -0.7, 0.7, 0.7]), np.array([4.0, -4.0, 4.0, 4.0])
+    with pytest.warns(RobodynWarning, match="not unique .*; friction by them is not either"):
+        robodyn.forward_dynamics(mechanism, q, qd, np.zeros(4))
+
+
 # -- what does not serve ---------------------------------------------------------------------------
 
 
@@ -524,7 +541,7 @@ def test_what_has_no_such_friction_refuses_it_by_name() -> None:
     ):
         with pytest.raises(InputError, match=f"{place}: .* {what} have no such friction"):
             call()
-    with pytest.raises(InputError, match="slides has no series: take DOP853"):
+    with pytest.raises(InputError, match=r"as links\[0\] \(crank\)\.friction is, has no"):
         simulate(mechanism, q, zero, 1.0, method="taylor")
 
 
