@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import Outcome as Given
 from contact_scenes import scene
 from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.optimize import brentq
@@ -29,6 +32,7 @@ from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
 from robodyn.scene.plain_scene import plain_scene
 
+Run = Callable[..., Given]
 G = 9.81
 CRANK, ROD = 0.1, 0.35
 RADII = 0.02, 0.015, 0.012  # of the pins of the crank, the crank pin, the gudgeon pin
@@ -505,6 +509,23 @@ def test_identities_leave_out_states_without_a_solution() -> None:
     assert not {BALANCE, POWER} & {x.name for x in found}
 
 
+def test_friction_by_forces_that_are_not_unique_says_so() -> None:
+    """A parallelogram with a third crank."""
+    mechanism = scene(f"""gravity: {G}
+links:
+  - {{name: a, m: 0.6, l: 0.35, r: 0.15, I: 0.008, {PIN}}}
+  - {{name: b, m: 1.3, l: 1.0, r: 0.45, I: 0.102}}
+  - {{name: c, m: 0.6, l: 0.35, r: 0.15, I: 0.008, from: [1.0, 0]}}
+  - {{name: d, m: 0.6, l: 0.35, r: 0.15, I: 0.008, from: [0.5, 0]}}
+closures: [[b, c], [{{link: b, at: [0.5, 0]}}, d]]
+start: {{a: 0.7, b: -0.7, c: 0.7, d: 0.7}}
+actuated: [a]
+""")
+    q, qd = np.array([0.7, -0.7, 0.7, 0.7]), np.array([4.0, -4.0, 4.0, 4.0])
+    with pytest.warns(RobodynWarning, match="not unique .*; friction by them is not either"):
+        robodyn.forward_dynamics(mechanism, q, qd, np.zeros(4))
+
+
 # -- what does not serve ---------------------------------------------------------------------------
 
 
@@ -520,8 +541,83 @@ def test_what_has_no_such_friction_refuses_it_by_name() -> None:
     ):
         with pytest.raises(InputError, match=f"{place}: .* {what} have no such friction"):
             call()
-    with pytest.raises(InputError, match="slides has no series: take DOP853"):
+    with pytest.raises(InputError, match=r"as links\[0\] \(crank\)\.friction is, has no"):
         simulate(mechanism, q, zero, 1.0, method="taylor")
+
+
+SHAPER = "robots/shaper.yaml"
+
+
+@pytest.mark.parametrize(
+    ("command", "what"),
+    [
+        ("linearize SHAPER --q 60deg", "linear models"),
+        ("equations SHAPER", "equations"),
+        ("regressor SHAPER --q 60deg --qd 3 --qdd 0", "regressors"),
+        ("terms SHAPER --q 60deg --qd 3 --derivatives", "derivatives"),
+        ("bench SHAPER --q 60deg --qd 3", "series of many digits"),
+        ("bench SHAPER --evaluators", "evaluators of many digits"),
+        ("fit SHAPER --match TABLE --vary links.lever.m=1:3", "fits"),
+        ("fit SHAPER --simulate --match TABLE --tau 3 --vary links.lever.m=1:3", "fits"),
+        ("identify SHAPER TABLE --of links.crank.m", "regressors"),
+        ("identify SHAPER TABLE", "regressors"),
+        ("trajectory SHAPER --from 0 --to 1 --time min --max-tau 40", "shortest times by torque"),
+    ],
+)
+def test_commands_that_lack_it_refuse_it_by_name(
+    robodyn: Run, tmp_path: Path, command: str, what: str
+) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text("t,q1,qd1,qdd1,tau1\n0,0,1,0,1\n0.1,0.1,1,0,1\n0.2,0.2,1,0,1\n")
+    given = robodyn(*command.replace("SHAPER", SHAPER).replace("TABLE", str(table)).split())
+    assert given.code == 2
+    told = f"{SHAPER}: links[0] (crank).friction.coefficient = 0.08: is of the force in a pin or"
+    assert told in given.err
+    assert f"{what}" in given.err
+    assert "have no such friction" in given.err
+
+
+def test_sweeps_control_and_trajectories_have_it(robodyn: Run, tmp_path: Path) -> None:
+    """As single commands have it for the same numbers."""
+    alone = robodyn("torque", SHAPER, "--q", "1", "--qd", "5", "--qdd", "0").rows[0]
+    swept = robodyn("sweep", SHAPER, "--kind", "torque", "--qd", "5", "--vary", "q1=1,2").rows[0]
+    assert swept["tau1"] == alone["tau1"]
+    ref = tmp_path / "ref.csv"
+    led = robodyn("trajectory", SHAPER, "--speed", "5", "--time", "0.1", "--from", "1",
+                  "--points", "3", "--columns", "t,q,qd,qdd,tau1")  # fmt: skip
+    assert float(led.rows[0]["tau1"]) == pytest.approx(float(alone["tau1"]), rel=1e-12)
+    ref.write_text(led.out)
+    start = SHAPER, "--q", "1", "--qd", "5", "--time", "0.05"
+    pd = "--track", ref, "--control", "pd", "--kp", "200", "--kd", "20"
+    run = robodyn("simulate", *start, *pd, "--points", "3")
+    assert run.code == 0
+    assert run.rows[-1]["tau1"] != run.rows[0]["tau1"]
+    again = robodyn("accel", SHAPER, "-", "--columns", "qdd1", stdin=run.out)
+    for one, other in zip(run.rows, again.rows, strict=True):
+        assert float(one["qdd1"]) == pytest.approx(float(other["qdd1"]), rel=1e-10)
+    swept = robodyn("sweep", *start[:1], "--vary", "q1=1,1.2", *start[3:], *pd)
+    assert float(swept.rows[0]["q1_end"]) == pytest.approx(float(run.rows[-1]["q1"]), abs=1e-8)
+
+
+def test_derivatives_of_runs_have_it() -> None:
+    q = robodyn.assemble(scene(SLOT), [0.7])
+    qd = robodyn.loop_velocities(scene(SLOT), q, [5.0])
+    ends = [
+        simulate(
+            scene(SLOT.replace("0.1, radius: 0.02", f"{x}, radius: 0.02")),
+            q,
+            qd,
+            0.1,
+            [3.0],
+            "DOP853",
+            1e-12,
+            1e-12,
+        ).q[-1]
+        for x in (0.1 - 1e-4, 0.1 + 1e-4)
+    ]
+    name = "links.crank.friction.coefficient"
+    run = simulate(scene(SLOT), q, qd, 0.1, [3.0], sensitivity=[name])
+    assert run.sensitivity[-1, :2, 0] == pytest.approx((ends[1] - ends[0]) / 2e-4, rel=1e-5)
 
 
 @pytest.mark.parametrize(
