@@ -17,8 +17,8 @@ from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.actuation import table
 from robodyn.mechanics.mechanism import Mechanism, build, load
+from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
-from robodyn.simulation.simulation import simulate
 
 EACH = pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau", "taylor"])
 TIMES, FORCES = [0.0, 0.3, 0.55, 1.0, 1.5, 2.0], [4.0, -7.0, 2.0, -1.0, 3.0, 9.0]

@@ -40,11 +40,11 @@ from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.simulation.settings import Settings
-from robodyn.simulation.simulation import run
-from robodyn.simulation.solvers import METHODS, projected
+from robodyn.runs.march import run
+from robodyn.runs.report import Outcome
+from robodyn.runs.right_hand_side import right_hand_side
+from robodyn.runs.settings import Settings
+from robodyn.runs.solvers import METHODS, projected
 
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 

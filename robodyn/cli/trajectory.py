@@ -33,8 +33,8 @@ from robodyn.dynamics.sticking import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError, at_place, named_options, overflow
 from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs.settings import EvenTimes
 from robodyn.scene.quantities import parse_vector, value_from
-from robodyn.simulation.settings import EvenTimes
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.output_file import on_terminal
 from robodyn.trajectories.joint_paths import (

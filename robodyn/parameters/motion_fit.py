@@ -44,9 +44,9 @@ from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.base_parameters import EXCITED, dependence
 from robodyn.parameters.column_formulas import ColumnFormulas, LaneStates, Rows, compiled
+from robodyn.runs.motion_columns import as_actuation
+from robodyn.runs.simulation import simulate
 from robodyn.scene.scene_values import SceneValues
-from robodyn.simulation.motion_columns import as_actuation
-from robodyn.simulation.simulation import simulate
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.short_repr import short_repr
