@@ -23,6 +23,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,6 +51,18 @@ TURNS = 30  # impacts in turn at one instant, after which they have no end
 LAST = 10  # of them, those whose ends take part in all that would follow
 DOUBTS = 3  # times that a joint is let leave its end
 KINK = 1e-14  # of the time of a run: so much beyond a kink the torques are those that follow it
+
+
+class Left(NamedTuple):
+    """What a phase leaves: joints that rest, ends that are touched, and those that press.
+
+    `released` is a joint that a law of the time moves again.
+    """
+
+    rests: set[int]
+    touches: set[End]
+    pushing: set[End]
+    released: int | None = None
 
 
 class Phases:
@@ -269,53 +282,30 @@ class Phases:
         self.begun = t
         self._reach(t)
         before = self._energy(self.moving, y)
-        guard, q, qd = self.guards[place], *self._split(y)
-        rests = {joint for joint in self.still if joint in self.dry}
-        touches, pushing = set(self.touches), set(self.mode.pressed)
-        released = guard.joint if guard.kind == "pauses" else None
-        if released is not None:
-            rests.discard(released)
-            touches = {end for end in touches if end[0] != released}
-        if guard.kind == "presses":
-            pushing.remove((guard.joint, guard.side))
-        if guard.kind == "apart":
-            pushing.add((guard.joint, guard.side))
-        if guard.kind == "slips":
-            rests.add(guard.joint)
+        guard, (q, qd) = self.guards[place], self._split(y := y.copy())
+        left = self._left_by(guard)
         inside = guard.kind == "inside"
         meets = inside and guard.side * qd[guard.joint] > 0.0
         # a joint that starts from rest slips at least until its rate is more than is missed
         begins = guard.kind == "slips" and bool(self.idle) and guard.joint in self.started
         self.doubts = self.doubts + 1 if begins or (inside and not meets) else 0
-        ends = set(sticking.touching(self.mechanism, q, qd, t)) - touches
-        hits = self._run_into(ends, qd)
-        if meets:
-            hits = sorted({*hits, (guard.joint, guard.side)})
-        self.turns = self.turns if self.idle else []
-        # pressed or not, a joint stands on its end unless it was thrown back at this very instant
-        stands = ends - {*hits, *(end for turn in self.turns for end in turn)} if hits else set()
+        hits, stands = self._met(t, y, left, [(guard.joint, guard.side)] if meets else [])
         # it rests where the method cannot tell how far it is thrown back
         if inside and self.doubts == DOUBTS:
-            touches.add((guard.joint, guard.side))
-        q, qd = self._split(y := y.copy())
-        for joint, side in hits:  # rounding must not grow from bounce to bounce
-            q[joint] = self.ends[joint, side]
-        if hits and self.mechanism.rows:
-            # closures may tie some of these joints to one another
-            fixed = sticking.independent(self.mechanism, [joint for joint, _ in hits], q, t)
-            q[:] = close_positions(self.mechanism, q, fixed, t=t)
-            ends = set(sticking.touching(self.mechanism, q, qd, t)) - touches
-            hits = sorted({*hits, *self._run_into(ends, qd)})
-        if standing := sorted((rests | {joint for joint, _ in touches}) - set(self.led)):
+            left.touches.add((guard.joint, guard.side))
+        hits = self._onto_ends(t, y, left, hits)
+        joints = left.rests | {joint for joint, _ in left.touches}
+        if standing := sorted(joints - set(self.led)):
             qd[:], also = sticking.stopped(self.mechanism, q, qd, standing, t)
-            rests |= set(also)
+            left.rests.update(also)
         self.y, self.hits = y, hits
         if hits:
             self.turns = [*self.turns, hits]
-            self.y = self._impact(t, y, hits, touches | stands)
+            self.y = self._impact(t, y, hits, left.touches | stands)
             _, qd = self._split(self.y)
         still = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
         rest = {joint for joint, rate in enumerate(qd.tolist()) if abs(rate) <= still}
+        rests, touches = left.rests, left.touches
         if hits:
             met = touches | stands | set(hits)
             rests, touches = rest & set(self.dry), {x for x in met if x[0] in rest}
@@ -327,11 +317,56 @@ class Phases:
         rests |= set(starting) & set(self.dry)
         if begins and self.doubts < DOUBTS:
             starting = {guard.joint: guard.side}
-        self._enter(t, rests, touches, pushing, starting, released)
+        self._enter(t, rests, touches, left.pushing, starting, left.released)
         self._note(t, was, stood)
         if len(y) > 2 * self.mechanism.n:  # what is lost at once is work as well
             self.y[-1] += self._energy(self.moving, self.y) - before
         return self.y
+
+    def _left_by(self, guard: Guard) -> Left:
+        """What stands and presses still, where this guard ended the phase."""
+        rests = {joint for joint in self.still if joint in self.dry}
+        left = Left(rests, set(self.touches), set(self.mode.pressed))
+        match guard.kind:
+            case "pauses":
+                touches = {end for end in left.touches if end[0] != guard.joint}
+                left = Left(rests - {guard.joint}, touches, left.pushing, guard.joint)
+            case "presses":
+                left.pushing.remove((guard.joint, guard.side))
+            case "apart":
+                left.pushing.add((guard.joint, guard.side))
+            case "slips":
+                left.rests.add(guard.joint)
+        return left
+
+    def _met(
+        self, t: float, y: Array, left: Left, meets: Sequence[End]
+    ) -> tuple[list[End], set[End]]:
+        """The ends that joints run into, what the guard tells among them, and on which they stand.
+
+        Pressed or not, a joint stands on its end unless it was thrown back at this very instant.
+        """
+        q, qd = self._split(y)
+        ends = set(sticking.touching(self.mechanism, q, qd, t)) - left.touches
+        hits = self._run_into(ends, qd)
+        if meets:
+            hits = sorted({*hits, *meets})
+        self.turns = self.turns if self.idle else []
+        thrown = {end for turn in self.turns for end in turn}
+        return hits, ends - {*hits, *thrown} if hits else set()
+
+    def _onto_ends(self, t: float, y: Array, left: Left, hits: list[End]) -> list[End]:
+        """Bring joints that hit onto their ends, in y, and tell which hit then."""
+        q, qd = self._split(y)
+        for joint, side in hits:  # rounding must not grow from bounce to bounce
+            q[joint] = self.ends[joint, side]
+        if hits and self.mechanism.rows:
+            # closures may tie some of these joints to one another
+            fixed = sticking.independent(self.mechanism, [joint for joint, _ in hits], q, t)
+            q[:] = close_positions(self.mechanism, q, fixed, t=t)
+            ends = set(sticking.touching(self.mechanism, q, qd, t)) - left.touches
+            hits = sorted({*hits, *self._run_into(ends, qd)})
+        return hits
 
     def letting_go(self, guard: Guard, t: float, y: Array) -> dict[int, float]:
         """The joints that a guard of what holds lets start, and with which rates."""
