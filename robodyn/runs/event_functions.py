@@ -7,10 +7,8 @@ Between the zeros of its switches an expression is smooth: `abs(x)` bends where 
 `floor(x)` jumps where sin(pi x) does, `a if b > c else d` may jump where b - c does, `sqrt(x)` ends
 there.
 
-How far an expression is from its value at a point, by rounding or in a box: each operation hands on
-how far its operands may be off by its largest slopes in that reach, and adds a rounding of its
-own.  None of the expression's switches may pass zero in the reach: what jumps stays as it is at the
-point.
+How far off rounding may leave an expression: each operation hands on how far its operands may be
+off, by its largest slopes in that reach, and adds a rounding of its own.  What jumps stays as it is.
 """
 
 from __future__ import annotations
@@ -334,7 +332,7 @@ def bound_of(
         for part in (off[..., :n], off[..., n:]) if n > 1 else ():
             part[:] = np.maximum.reduce(part, axis=-1, keepdims=True)
         off *= STATE
-        known = _known(t, t, y, off, n)
+        known = _known(t, y, off, n)
 
         def each(name: str) -> Bounded:
             if columns is None or not name.startswith(PREFIX):
@@ -347,14 +345,12 @@ def bound_of(
     return bound
 
 
-def _known(begin: Array, end: Array, y: Array, dy: Array, n: int) -> Callable[[str], Bounded]:
+def _known(t: Array, y: Array, off: Array, n: int) -> Callable[[str], Bounded]:
     def known(name: str) -> Bounded:
         if name == "t":
-            half = 0.5 * (end - begin)
-            t = begin + half
-            return t, np.abs(half) + EPS * np.abs(t)
+            return t, EPS * np.abs(t)
         column = int(name.lstrip("qd")) + n * name.startswith("qd")
-        return y[..., column], dy[..., column]
+        return y[..., column], off[..., column]
 
     return known
 
