@@ -12,6 +12,7 @@ from conftest import FOUR_BAR, RP_ARM, TWO_LINK, Outcome, relative_error, text
 from named_case import case
 
 import oracles
+from robodyn.cli import REMOVED_OPTIONS
 
 Run = Callable[..., Outcome]
 DEG = math.pi / 180
@@ -626,3 +627,10 @@ def test_values_of_the_joints_that_determine_the_others_are_a_state(
     robodyn("torque", scene, "--q", "60deg").fails(2, "--q = 60deg (1 value)", told)
     robodyn("accel", scene, "--q", "0,60deg,0").fails(2, "--q = 0,60deg,0 (3 values)", told)
     robodyn("torque", bar, "--q", "1,60deg").fails(2, "--q = 1,60deg (2 values): needs 3 values")
+
+
+def test_what_was_removed_names_what_took_its_place(robodyn: Run) -> None:
+    for option, words in REMOVED_OPTIONS.items():
+        with case(option):
+            told = robodyn("torque", "robots/2r.yaml", "--q", "1,2", option).fails(2, option)
+            assert words in " ".join(told.err.split())

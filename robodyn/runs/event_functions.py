@@ -8,7 +8,7 @@ Between the zeros of its switches an expression is smooth: `abs(x)` bends where 
 there.
 
 How far off rounding may leave an expression: each operation hands on how far its operands may be
-off, by its largest slopes in that reach, and adds a rounding of its own.  What jumps stays as it is.
+off, by its largest slopes in that reach, and adds a rounding of its own.  What jumps stays.
 """
 
 from __future__ import annotations
