@@ -274,7 +274,7 @@ class TestStates:
         "command",
         [
             ["linearize"], ["equilibrium"], ["export", "--format", "mjcf"],
-            ["export", "--format", "urdf"], ["terms", "--derivatives"],
+            ["export", "--format", "urdf"],
             ["trajectory", "--from", "0", "--to", "1", "--time", "1"],
             ["assemble", "--range"],
         ],

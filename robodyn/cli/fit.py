@@ -35,6 +35,7 @@ from robodyn.dynamics.columns import scene_units, unit_of
 from robodyn.engines.expression import tangents
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.actuation import expressions
+from robodyn.mechanics.driven import check_times
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.scene.quantities import parse_quantity
@@ -111,6 +112,7 @@ class FitTable:
             else np.tile(self._given(kind), (len(values), 1))
             for kind in KINDS
         }
+        check_times(self.mechanism, "t" in column, name)
         t = column.get("t", np.zeros(len(values)))
         given = {*self.states, *(kind for kind in KINDS if self.options[kind] is not None)}
         at_rest = not self.moving and np.ptp(t) and given == {"q"}

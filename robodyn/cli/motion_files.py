@@ -20,6 +20,7 @@ from robodyn.dynamics.columns import scene_units
 from robodyn.dynamics.free_joints import balanced_mechanism
 from robodyn.dynamics.joint_vectors import driver_of
 from robodyn.errors import InputError, RobodynError, at_place
+from robodyn.mechanics.driven import check_times
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.zero_phase import how, rates
 from robodyn.tables.arrays import Array
@@ -242,6 +243,7 @@ def read_motion(
         sources += [table_source(mechanism, x, reader.names, name) for x in wanted[3:]]
         lack = lack_of(moving, sources)
         timed = "t" in reader.header
+        check_times(mechanism, timed, name)
         if cutoff is not None and not lack.absent:
             limit = f"is for rates that lack: {name} has qd, qdd"
             raise InputError("cutoff", value=cutoff, limit=limit)

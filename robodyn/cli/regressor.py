@@ -12,6 +12,7 @@ from robodyn.cli.output import Grid, chosen_names, write_structure
 from robodyn.cli.states import Quantity, TableOptions, Task, evaluate, remarks
 from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.errors import InputError
+from robodyn.mechanics.driven import check_torques
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.base_parameters import base_parameters, excited, structural
 from robodyn.parameters.regression_matrix import linear_parameters
@@ -51,6 +52,7 @@ def regressor(
     mechanism = model.load()
     if mechanism.rows:
         mechanism = balanced_mechanism(mechanism)
+    check_torques(mechanism)
     quantities = given.quantities(qdd=qdd)
     if condition:
         _tell_condition(mechanism, given, quantities)

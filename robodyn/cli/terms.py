@@ -24,7 +24,6 @@ from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_d
 from robodyn.elements.contacts import COMPLIANT, HARD, STICKS
 from robodyn.errors import InputError, RobodynError, overflow
 from robodyn.loops.loop_rates import check_way_on
-from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.csv_fields import IN_DEGREES
 
@@ -97,12 +96,11 @@ def terms(
         content["Psidot_qd"] = "m/s²", closed_form.closure_bias(mechanism, q_, qd_, t)
         content["gap"] = "m", closed_form.closure_gap(mechanism, q_, t)
     if derivatives:
-        refuse_driven(mechanism, "--derivatives")
         qdd_ = single_state(mechanism, state.quantities(qdd=qdd), t=t)[2]
         tau_ = single_state(mechanism, state.quantities(tau=tau), t=t)[2]
         with remarks():
             names = [name.strip() for each in by or () for name in each.split(",")]
-            content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, names)
+            content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, t, names)
     energies = {}
     if moves:
         energies["KE"] = float(closed_form.kinetic_energy(mechanism, q_, qd_))
@@ -125,6 +123,7 @@ def _derivatives(
     state: tuple[np.ndarray, np.ndarray],
     qdd: np.ndarray,
     tau: np.ndarray,
+    t: float,
     numbers: list[str],
 ) -> dict[str, tuple[str, np.ndarray]]:
     """The derivatives of torques and accelerations, each with its unit."""
@@ -135,10 +134,10 @@ def _derivatives(
         found: tuple[np.ndarray, ...]
         try:
             if what == "tau":
-                found = inverse_dynamics_derivatives(mechanism, *state, qdd, numbers=numbers)
+                found = inverse_dynamics_derivatives(mechanism, *state, qdd, t, numbers)
             else:
                 check_way_on(mechanism, *(x[None] for x in state))
-                found = forward_dynamics_derivatives(mechanism, *state, tau, numbers=numbers)
+                found = forward_dynamics_derivatives(mechanism, *state, tau, t, numbers)
         except InputError:
             raise
         except RobodynError as error:

@@ -26,7 +26,6 @@ from robodyn.engines.formulas import (
     forward_derivatives_formula,
     residual_derivatives_formula,
 )
-from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.tables.arrays import Array
@@ -78,7 +77,6 @@ def forward_dynamics_derivatives(
     `links.forearm.m`, as sweeps vary them, of the file that the mechanism was loaded from; q and qd
     are held.  Raises as `forward_dynamics` does, and InputError for a name that is none.
     """
-    refuse_driven(mechanism, "derivatives by q")
     return ForwardDerivatives(*_each(mechanism, "forward", t, numbers, q=q, qd=qd, tau=tau))
 
 
@@ -95,7 +93,6 @@ def inverse_dynamics_derivatives(
     q, qd, qdd are (..., n) and broadcast; for `numbers` see `forward_dynamics_derivatives`.  Raises
     as `inverse_dynamics` does.
     """
-    refuse_driven(mechanism, "derivatives by q")
     solved = mechanism
     if len(mechanism.actuated) < mechanism.n - len(mechanism.rows):
         from robodyn.dynamics.free_joints import balanced_mechanism  # which asks for slopes itself

@@ -71,7 +71,7 @@ def contact_formulas(
 ) -> list[ContactForce]:
     """What cams do to their followers."""
     rows = mechanism.rows
-    first = len(rows) - len(mechanism.description.couplings)
+    first = mechanism.first_coupling
     slopes, torques = [], []
     for cam in cams_of(mechanism):
         r = first + cam.coupling

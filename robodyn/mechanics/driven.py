@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import lru_cache
+
+from robodyn.elements.program import Given, Program
 from robodyn.errors import InputError
+from robodyn.mechanics.law_rows import LawRows
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.scene.scene import Description
+from robodyn.scene.scene import Curve, Description, Law
 
 
 def driven_joints(description: Description) -> frozenset[int]:
@@ -23,13 +28,47 @@ def driven_joints(description: Description) -> frozenset[int]:
             waiting.remove(x)
 
 
+@lru_cache(maxsize=64)
+def lasts(law: Law | Curve) -> bool:
+    """Whether a law is the same at all times: its slope by t is 0, whatever the joints."""
+    if isinstance(law, Curve):
+        return law.over != "t" or not any(any(c[1:]) for c in law.pieces)
+    program = Program()
+    rows = LawRows(program, lambda name: program.add(Given(name)))
+    return rows.slopes(rows.value(law), ["t"]) == [0.0]
+
+
 def refuse_driven(mechanism: Mechanism, what: str) -> None:
     """Raise InputError, which names the law, if a coupling of the mechanism is a law of the time.
 
-    `what` cannot take such a scene.
+    `what` cannot take such a scene.  Laws that are the same at all times pass.
     """
-    for c, coupling in enumerate(mechanism.description.couplings):
-        if coupling.timed and coupling.law is not None:
-            limit = f"is a law of the time, which {what} cannot take"
-            place, law = f"couplings[{c}]", coupling.law.text
-            raise InputError(place, where=mechanism.source, value=law, limit=limit)
+    lasting = all(lasts(x.law) for x in mechanism.description.couplings if x.law is not None)
+    for place, law in () if lasting else _laws_of_time(mechanism):
+        limit = f"is a law of the time, which {what} cannot take"
+        raise InputError(place, where=mechanism.source, value=law, limit=limit)
+
+
+def check_times(mechanism: Mechanism, timed: bool, source: str = "") -> None:
+    """Raise InputError for rows, of the file `source`, if a law needs times that they lack.
+
+    `timed` says that they have times.
+    """
+    for place, law in () if timed else _laws_of_time(mechanism):
+        limit = f"no times of the rows: {place} = {law} is a law of the time"
+        raise InputError("t", where=source, limit=limit)
+
+
+def check_torques(mechanism: Mechanism) -> None:
+    """Raise InputError if laws of the time lead all joints: none has a torque of its own."""
+    if mechanism.driven and not mechanism.actuated:
+        limit = "none: laws of the time lead the mechanism, and no joint is actuated"
+        raise InputError("torques", where=mechanism.source, limit=limit)
+
+
+def _laws_of_time(mechanism: Mechanism) -> Iterator[tuple[str, str]]:
+    """The places and the texts of laws of the time, those first that are not the same always."""
+    laws = [(c, x.law) for c, x in enumerate(mechanism.description.couplings) if x.timed]
+    for c, law in sorted(laws, key=lambda x: lasts(x[1])):
+        if law is not None:
+            yield f"couplings[{c}]", law.text

@@ -28,10 +28,9 @@ from robodyn.errors import RobodynError
 from robodyn.loops.change_points import nearness
 from robodyn.loops.closing import close_positions, loop_size
 from robodyn.loops.loop_rates import nearest_velocities
-from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.regression_matrix import linear_parameters, regressor
-from robodyn.scene.scene import Description, Motor, Point, Table
+from robodyn.scene.scene import Curve, Description, Motor, Point, Table
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
@@ -108,7 +107,6 @@ def base_parameters(mechanism: Mechanism) -> tuple[BaseParameter, ...]:
 
     Raises RobodynError where no states are found that close its loops.
     """
-    refuse_driven(mechanism, "base parameters")
     parameters = linear_parameters(mechanism.description)
     names, values = [x.name for x in parameters], np.array([x.value for x in parameters])
     found = structural(mechanism)
@@ -133,18 +131,17 @@ def base_parameters(mechanism: Mechanism) -> tuple[BaseParameter, ...]:
 @lru_cache(maxsize=16)
 def structural(mechanism: Mechanism) -> Dependence:
     """What the columns of Y have in common at all states."""
-    refuse_driven(mechanism, "base parameters")
-    q, qd, qdd = random_states(mechanism)
-    found = regressor(mechanism, q, qd, qdd, _times(mechanism, len(q)))
+    found = regressor(mechanism, *random_rows(mechanism))
     return dependence(found.Y.reshape(-1, len(found.names)), found.names)
 
 
 def _times(mechanism: Mechanism, count: int) -> Array:
-    """Times (count,) at which gravity that varies is not the same; zeros if it does not."""
-    if mechanism.description.field is None:
+    """Times (count,) at which gravity that varies, and laws, are not the same; zeros without."""
+    if mechanism.description.field is None and not mechanism.driven:
         return np.zeros(count)
-    tables = [x for x in mechanism.signals if isinstance(x, Table) and x.over == "t"]
-    rows = [x.x for x in tables if not x.repeats]
+    laws = [mechanism.rows[r].law for r in mechanism.driven]
+    tables = [x for x in (*mechanism.signals, *laws) if isinstance(x, (Table, Curve))]
+    rows = [x.x for x in tables if x.over == "t" and not x.repeats]
     low, high = max((x[0] for x in rows), default=0.0), min((x[-1] for x in rows), default=SPAN)
     return np.random.default_rng(1).uniform(low, high, count)
 
@@ -162,20 +159,30 @@ def random_states(mechanism: Mechanism, count: int = STATES, seed: int = 0) -> l
 
     Raises RobodynError where they are not found.
     """
+    return random_rows(mechanism, count, seed)[:3]
+
+
+def random_rows(mechanism: Mechanism, count: int = STATES, seed: int = 0) -> list[Array]:
+    """The same, and their times (count,).
+
+    Raises RobodynError where they are not found.
+    """
     rng, n, units = np.random.default_rng(seed), mechanism.n, mechanism.arrays.units
-    poses = np.zeros((0, n))
+    poses, times = np.zeros((0, n)), np.zeros(0)
     for _ in range(TRIES):
         q = rng.uniform(-np.pi, np.pi, (4 * count, n)) * units
+        t = _times(mechanism, len(q)) if mechanism.driven else np.zeros(len(q))
         if mechanism.rows:
-            q = close_positions(mechanism, q, t=0.0)
+            q = close_positions(mechanism, q, t=t)
             good = np.isfinite(q).all(axis=-1)
-            q = q[good]
-            gap = np.abs(closure_gap(mechanism, q, 0.0)).max(axis=-1)
+            q, t = q[good], t[good]
+            gap = np.abs(closure_gap(mechanism, q, t)).max(axis=-1)
             closed = gap <= CLOSED * loop_size(mechanism)
-            q = q[closed]
+            q, t = q[closed], t[closed]
             if len(q):
-                q = q[nearness(mechanism, scaled_jacobian(mechanism, q, 0.0)) >= FARTHEST]
-        poses = np.concatenate([poses, q])[:count]
+                regular = nearness(mechanism, scaled_jacobian(mechanism, q, t)) >= FARTHEST
+                q, t = q[regular], t[regular]
+        poses, times = np.concatenate([poses, q])[:count], np.concatenate([times, t])[:count]
         if len(poses) == count:
             break
     if len(poses) < min(count, 8):
@@ -183,11 +190,11 @@ def random_states(mechanism: Mechanism, count: int = STATES, seed: int = 0) -> l
         raise RobodynError("base parameters", where=mechanism.source, limit=limit)
     qd, qdd = (rng.normal(size=poses.shape) * units for _ in range(2))
     if mechanism.rows:
-        qd = nearest_velocities(mechanism, poses, qd, 0.0)
-        Psi = scaled_jacobian(mechanism, poses, 0.0)
-        opening = matvec(Psi, qdd / units) + closure_bias(mechanism, poses, qd, 0.0)
+        qd = nearest_velocities(mechanism, poses, qd, times)
+        Psi = scaled_jacobian(mechanism, poses, times)
+        opening = matvec(Psi, qdd / units) + closure_bias(mechanism, poses, qd, times)
         qdd = qdd - units * matvec(np.linalg.pinv(Psi), opening)
-    return [poses, qd, qdd]
+    return [poses, qd, qdd, times if mechanism.driven else _times(mechanism, len(poses))]
 
 
 # -- factors in symbols ---------------------------------------------------------------------------

@@ -257,7 +257,7 @@ class ColumnFormulas:
             return None
         slides, qd = self.mechanism.slides, self.state.relative["qd"]
         both = [qd[k] if k in slides else self._turn(k, 1) for k in (ratio.of, ratio.over)]
-        if len(self._units) == 1:
+        if len(self._units) == 1 and not self.mechanism.driven:
             both = substituted(both, next(iter(self._units.values())))
         return expression.multiply(both[0], 1.0 / both[1])
 
@@ -404,6 +404,7 @@ class LaneStates:
         given: dict[str, list[Shaped]] = {
             "gap": [((r,), f.gap), Psi],
             "closing": [Psi],
+            "drift": [((r,), f.gap_rate)],
             "bend": [((r,), f.gap_bend)],
             "load": [((n,), f.load)],
             "columns": [((len(self.columns),), self.columns)],
@@ -503,6 +504,8 @@ class LaneStates:
         chosen = np.broadcast_to(np.eye(n)[driven], (N, a, n))
         A = np.concatenate([Psi, chosen], axis=1)
         right = np.zeros((N, r + a, 1))
+        if self.mechanism.driven:
+            right[:, :r, 0] = -self._code("drift")(x)[0]  # with qd zero
         right[:, r:, 0] = np.tile(self.rows.qd, (S, 1))
         x[:, n : 2 * n] = solved_lanes(A, right)[..., 0]
         right[:, :r, 0] = -self._code("bend")(x)[0]  # with qdd zero
@@ -532,7 +535,7 @@ class LaneStates:
             return q, np.zeros((*given.shape[:2], 0))
         lanes = replace(plan, steps=tuple(self._lane_steps(plan, p)))
         with np.errstate(all="ignore"):
-            q, _ = known_joints(mechanism, lanes, given, 0.0)
+            q, _ = known_joints(mechanism, lanes, given, self.rows.t)
             self._couple(q, p)
             q, shorts, _ = by_dyads(mechanism, lanes, q, scene_branches(mechanism))
         missed = np.zeros((*q.shape[:2], len(self._conditions)))
@@ -563,7 +566,7 @@ class LaneStates:
     @cached_property
     def _own(self) -> Array:
         """q (T, n) of the scene as it is."""
-        return assemble(self.mechanism, self.rows.q, t=0.0)
+        return assemble(self.mechanism, self.rows.q, t=self.rows.t)
 
     def _lane_steps(self, plan: Plan, p: Array) -> list[Step]:
         """The steps with rows whose numbers are (S, 1)."""
@@ -588,6 +591,7 @@ class LaneStates:
         """Closes what is left, in place, by steps of least squares; what is missing (S, T)."""
         rows, joints = (list(x) for x in self._conditions[-1])
         x = np.zeros((*q.shape[:2], len(self.formulas.inputs)))
+        x[..., 3 * self.n] = self.rows.t
         x[..., x.shape[-1] - self.k :] = p[:, None]
         size = loop_size(self.mechanism)
         for _ in range(3 * PASSES):

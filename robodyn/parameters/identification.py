@@ -30,14 +30,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import point_motion
-from robodyn.dynamics.free_joints import balanced_joints
+from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.elements.base import Element
 from robodyn.elements.keys import WAYS, Declared
 from robodyn.elements.springs import JointSpring
 from robodyn.engines.expression import Graph, slopes_by, substituted
 from robodyn.engines.planar_numbers import Planar
 from robodyn.errors import InputError
-from robodyn.mechanics.driven import refuse_driven
+from robodyn.mechanics.driven import check_times, check_torques
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.base_parameters import (
     EXCITED,
@@ -111,7 +111,7 @@ def identify(
     qd: ArrayLike,
     qdd: ArrayLike,
     tau: ArrayLike,
-    t: ArrayLike = 0.0,
+    t: ArrayLike | None = None,
     of: str | Sequence[str] = (),
     physical: bool = False,
     rest: float | None = None,
@@ -119,13 +119,16 @@ def identify(
     """Parameters from the torques tau (T, a) of the actuated joints along q, qd, qdd (T, n).
 
     tau may be that of all joints, (T, n), zero at passive ones.  Free joints of an open chain have
-    none, which tells something too.  Base parameters are found, or the numbers `of` these names, or
+    none, which tells something too.  Laws of the time need the times t (T,), loads and gravity that
+    vary take 0 without.  Base parameters are found, or the numbers `of` these names, or
     of one name, such as `links.forearm.m`.  A joint with static friction whose rate is `rest`
     (rad/s, m/s) at most is at rest, and its equation left out of that row; None: 0.001 of the
     joint's largest rate.
     Raises InputError for arrays that do not fit, too few rows, and a motion that tells nothing.
     """
-    refuse_driven(mechanism, "identify")
+    check_torques(balanced_mechanism(mechanism))
+    check_times(mechanism, t is not None)
+    t = 0.0 if t is None else t
     states = [np.asarray(x, float) for x in (q, qd, qdd)]
     given, times = np.asarray(tau, float), np.asarray(t, float)
     n, a = mechanism.n, len(mechanism.actuated)

@@ -41,7 +41,7 @@ from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.closing import close_positions, half_turn
 from robodyn.loops.loop_rates import check_closed, loop_velocities
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.driven import refuse_driven
+from robodyn.mechanics.driven import check_times
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.base_parameters import EXCITED, dependence
 from robodyn.parameters.column_formulas import ColumnFormulas, LaneStates, Rows, compiled
@@ -350,13 +350,14 @@ def fit(
     """The numbers within their bounds for which columns are nearest to `target` (T, c), or zero.
 
     `vary` has (low, high) by the names that sweeps have.  q, qd, qdd (T, a) are those of the a
-    actuated joints, rad and s, t (T,) the times; what is not given is zero.  Columns are named as
+    actuated joints, rad and s, t (T,) the times; what is not given is zero, but laws of the time
+    need t.  Columns are named as
     those of `points` (with `of`), `torque` and `reactions`, or q3, qd3, qdd3 of what follows.
     `subject_to` has conditions such as "links.crank.l + links.coupler.l <= 1", which hold at every
     row where columns are in them.  Raises InputError for what does not fit, for forces of dry
     friction and stops, and for bounds within which the loops never close.
     """
-    refuse_driven(mechanism, "fit")
+    check_times(mechanism, t is not None)
     wanted = Wanted(mechanism, vary, columns, of, subject_to)
     formulas, rows = wanted.formulas, _rows(mechanism, q, qd, qdd, t)
     if mechanism.switches:
@@ -608,7 +609,6 @@ def fit_motion(
     q1.., qd1.. and those of `points`, but accelerations; names of `vary` may be start values q1,
     qd1 of joints that do not follow others; tau is as of `simulate`.
     """
-    refuse_driven(mechanism, "fit")
     times = np.asarray(t, float)
     if times.ndim != 1 or len(times) < 2 or not (np.diff(times) > 0.0).all():
         raise InputError("t", limit="must be two times or more that increase")

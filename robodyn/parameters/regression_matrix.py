@@ -40,6 +40,7 @@ from robodyn.engines.expression import Graph, Value, slopes_by, substituted
 from robodyn.engines.formulas import Formula, Recorded, balance, inverse_of, written
 from robodyn.engines.planar_numbers import Planar
 from robodyn.errors import SingularError
+from robodyn.mechanics.driven import check_torques
 from robodyn.mechanics.link_tree import Bodies, bodies
 from robodyn.mechanics.mechanism import Mechanism, constants, joint_damping
 from robodyn.mechanics.modes import in_mode
@@ -175,10 +176,11 @@ def regressor(
     """Y and what is known, so that the actuated joints' torques are Y @ values + known.
 
     Free joints count as actuated, see `free_joints.py`.  q, qd, qdd are (..., n) and broadcast.
-    Raises as `inverse_dynamics` does.
+    Raises as `inverse_dynamics` does, and InputError if laws of the time lead all joints.
     """
     mechanism.check_rubbing("regressors")
     mechanism = balanced_mechanism(mechanism)
+    check_torques(mechanism)
     states = together(mechanism, {"q": q, "qd": qd, "qdd": qdd})
     for name, array in states.items():
         finite(name, array)
