@@ -19,6 +19,7 @@ from test_scene_schema import obeys
 
 import robodyn
 from random_mechanisms import LOOPS, forced, seeded_scene
+from robodyn import load, simulate
 from robodyn.dynamics.named_numbers import named_values
 from robodyn.engines import machine
 from robodyn.errors import DescriptionError, InputError
@@ -409,3 +410,51 @@ def test_numbers_of_laws_are_decimal_in_the_steps_too(tmp_path: Path, robodyn: R
         assert steps.code == 0, steps.err
         assert "9.81" in steps.out
         assert "562949953421312" not in steps.out
+
+
+ON_THE_LINE = """\
+constants: {level: 0.3 rad, w: 4 rad/s, T: 2 N m, half: w/2, b: 0.15 m, gap: 0.2}
+links: [{name: bar, m: 1, l: 0.5, r: 0.2, I: 0.05}]
+points: {P: "bar@b,2*b"}
+"""
+
+
+def test_options_know_constants(robodyn: Run, tmp_path: Path) -> None:
+    """Runs, events and points are those of the numbers that the constants are."""
+    file = tmp_path / "line.yaml"
+    file.write_text(ON_THE_LINE, encoding="utf-8")
+    run = ["simulate", file, "--q", "0", "--time", "1", "--points", "3", "--quiet"]
+    for named, plain in (
+        (["--tau", "T sin(w t)"], ["--tau", "2 sin(4 t)"]),
+        (["--tau", "T", "--until", "q1 > level"], ["--tau", "2", "--until", "q1 > 0.3"]),
+        (["--tau", "T", "--until", "q1 > gap"], ["--tau", "2", "--until", "q1 > 0.2"]),
+        (["--tau", "2", "--until", "tau1 q1 > T q1/2 + 0.1 J"],
+         ["--tau", "2", "--until", "tau1 q1 > 2*q1/2 + 0.1"]),
+    ):  # fmt: skip
+        one, other = (robodyn(*run, *x).succeeds() for x in (named, plain))
+        assert one.out == other.out
+    found = robodyn("points", file, "--q", "0", "--of", "bar@b,-b", "--of", "P").succeeds().rows[0]
+    assert [float(found[x]) for x in ("point1_x", "point1_y", "P_x", "P_y")] == [
+        0.15, -0.15, 0.15, 0.3,
+    ]  # fmt: skip
+    given = robodyn("torque", file, "--q", "0", "--force", "bar@b,0=0,-20").succeeds()
+    assert given.column("tau1") == [pytest.approx(3.0)]
+    swept = ["--vary", "constants.level=0.1,0.2", "--result", "events", "--event", "x=q1-level"]
+    rows = robodyn(
+        "sweep", file, "--q", "0", "--qd", "1", "--time", "1", "--quiet", *swept
+    ).succeeds()
+    assert rows.column("x_first") == [pytest.approx(0.1), pytest.approx(0.2)]
+    told = robodyn(*run, "--until", "q1 > T")
+    told.fails(2, "--until: an event does not allow a comparison of rad and N m")
+
+
+def test_what_an_option_says_does_not_vary(robodyn: Run, tmp_path: Path) -> None:
+    file = tmp_path / "line.yaml"
+    file.write_text(ON_THE_LINE, encoding="utf-8")
+    run = ["simulate", file, "--q", "0", "--time", "1", "--quiet"]
+    for words in (["--tau", "T sin(half t)"], ["--until", "q1 > w*1 s"], ["--event", "x=qd1 - w"]):
+        told = robodyn(*run, *words, "--sensitivity", "links.bar.m,constants.w")
+        told.fails(2, f"{words[0]} = ", "constants.w varies")
+    robodyn(*run, "--tau", "T", "--sensitivity", "constants.w").succeeds()
+    with pytest.raises(InputError, match=r"has half, and constants\.w varies"):
+        simulate(load(file), [0], [0], 1.0, "T sin(half t)", sensitivity=["constants.w"])

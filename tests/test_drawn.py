@@ -688,3 +688,128 @@ def test_faults_of_the_drawing_and_of_what_else_there_is_are_told_together() -> 
         "links[2] (rocker).pins",
         "springs[0].stiffness",
     ]
+
+
+# Welds
+
+
+PARTS = {  # pins, mass, centre in the drawing, I
+    "coupler": [("A, B", 1.3, 0.6 + 0.6j, 0.1)],
+    "coupler arm": [("B, P", 0.5, 0.9 + 0.82j, 0.02)],
+    "coupler tip": [("P, U", 0.2, 0.7 + 1.1j, 0.01)],
+    "rocker": [("O4, B", 1.0, 1.08 + 0.3j, 0.06)],
+    "rocker arm": [("O4, R", 0.5, 1.2 + 0.5j, 0.02)],
+    "rocker ear": [("R, T", 0.1, 1.5 + 1.1j, 0.003)],
+}
+
+
+def mass_of(*names: str) -> str:
+    """The mass, centre and moment of inertia of parts together."""
+    parts = [PARTS[name][0][1:] for name in names]
+    mass = sum(m for m, _, _ in parts)
+    centre = sum(m * z for m, z, _ in parts) / mass
+    about = sum(I + m * abs(z - centre) ** 2 for m, z, I in parts)
+    return f"m: {mass!r}, centre: [{centre.real!r}, {centre.imag!r}], I: {about!r}"
+
+
+def part(name: str, welded: bool = True) -> str:
+    pins, *_ = PARTS[name][0]
+    return f"  - {{name: {name}, pins: [{pins}], {mass_of(name)}{', joint: fixed' * welded}}}"
+
+
+def welded_scenes() -> tuple[str, str]:
+    """A scene whose links have parts that are welded, and the same whose links have all pins."""
+    pins = """\
+pins: {O2: [0, 0], A: [0.175, 0.303], B: [1.046, 0.798], O4: [1.1, 0], P: [0.62, 0.85],
+  R: [1.4, 0.9], S: [1.9, 0.2], T: [1.6, 1.2], U: [0.9, 1.3], V: [0.7, 1.5]}"""
+    rest = """\
+  - {name: push, pins: [R, S], m: 0.4, r: 0.3, I: 0.01}
+  - {name: lever, pins: [U, V], m: 0.2, r: 0.1, I: 0.004}
+springs: [{between: [T, P], stiffness: 30, length: 0.2}]
+loads: [{point: U, force: [2, -1]}, {point: T, force: [0, 3]}]
+ground: [O2, O4, {pin: S, along: [1, 0]}]
+actuated: [crank]"""
+    crank = "  - {name: crank, pins: [O2, A], m: 0.6, r: 0.15, I: 0.008}"
+    top = f"gravity: [0.3, -9.7]\n{pins}\nlinks:\n{crank}\n"
+    coupler = ["coupler", "coupler arm", "coupler tip"]
+    rocker = ["rocker", "rocker arm", "rocker ear"]
+    one = [part(x, x not in ("coupler", "rocker")) for x in (*coupler, *rocker)]
+    two = [f"  - {{name: coupler, pins: [A, B, P, U], {mass_of(*coupler)}}}"]
+    two += [f"  - {{name: rocker, pins: [O4, B, R, T], {mass_of(*rocker)}}}"]
+    return top + "\n".join([*one, rest]), top + "\n".join([*two, rest])
+
+
+def test_welds_are_parts_of_the_link_above() -> None:
+    one, two = map(built, welded_scenes())
+    assert one.link_names == two.link_names == ("crank", "coupler", "rocker", "push", "lever")
+    assert [weld.name for weld in one.description.welds] == [
+        "coupler arm",
+        "coupler tip",
+        "rocker arm",
+        "rocker ear",
+    ]
+    shift = start_of(two) - start_of(one)  # the zero of what hangs from a weld is its x axis
+    for k in (0, 1, 2):
+        assert shift[k] == 0.0
+    for turned in (0.0, 0.4, -0.7):
+        given = [start_of(one)[0] + turned, 0.3 + turned]
+        q = assemble(with_independent(one), given, t=0.0)
+        other, qd = q + shift, np.array([0.3, -1.2, 0.7, 0.5, -0.4])
+        for function in (mass_matrix, gravity_vector):
+            assert np.abs(function(one, q) - function(two, other)).max() < 2e-14
+        assert np.abs(coriolis_matrix(one, q, qd) - coriolis_matrix(two, other, qd)).max() < 2e-14
+        Psi = closure_jacobian(one, q, 0.0) - closure_jacobian(two, other, 0.0)
+        assert np.abs(Psi).max() < 1e-14
+        assert np.abs(closure_gap(one, start_of(one), 0.0)).max() < 1e-14
+    for pin in "PTURB":
+        places = (points(x, start_of(x), 0 * qd, 0 * qd, of=pin)[1] for x in (one, two))
+        assert np.abs(next(places) - next(places)).max() < 1e-14
+
+
+def test_what_a_weld_is_part_of() -> None:
+    """The nearest link above that has its first pin; the ground if none has; a frame on a slide."""
+    text = """\
+pins: {O: [0, 0], A: [1, 0], B: [1, 1], C: [2, 1], D: [-1, 1], E: [2, 2], F: [-1, 0]}
+links:
+  - {name: bracket, pins: [O, D], joint: fixed}
+  - {name: slide, pins: [A], along: [0, 1]}
+  - {name: post, pins: [A, B], joint: fixed}
+  - {name: arm, pins: [B, C]}
+  - {name: hook, pins: [B, E], joint: fixed}
+  - {name: pendulum, pins: [D, F]}
+ground: [O, A]
+"""
+    scene = from_text(text, "drawn.yaml")
+    assert [link.name for link in scene.links] == ["slide", "arm", "pendulum"]
+    carried = {weld.name: weld.hangs_from.link for weld in scene.welds}
+    assert carried == {"bracket": None, "post": 0, "hook": 1}
+    assert scene.links[1].hangs_from.link == 3 + 1  # the post, the second of the welds
+    mech = built(text)
+    assert mech.parent == (None, 0, None)
+    assert not scene.closures
+    assert points(mech, [0.3, 0.0, 0.0], [1.0, 0, 0], [0.0] * 3, of="B")[1].tolist() == [[1.0, 1.3]]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ("joint: revolute", "links[1] (arm).joint: follows from the pins: leave it out"),
+        ("joint: fixed, angle: 3", "links[1] (arm).angle: follows from the pins"),
+        ("joint: fixed, along: [1, 0]", "links[1] (arm).along: is an unknown key"),
+        ("joint: fixed, damping: 1", "links[1] (arm).damping: is an unknown key"),
+        ("joint: fixed, pins: [B]", "links[1] (arm).pins: needs two pins"),
+        ("joint: fixed, pins: [D, C]", "begins with D, which nothing holds"),
+    ],
+)
+def test_what_a_weld_may_not_have(wrong: str, told: str) -> None:
+    pins = "" if "pins" in wrong else "pins: [B, C], "
+    text = f"""\
+pins: {{O: [0, 0], B: [1, 1], C: [2, 1], D: [3, 1]}}
+links:
+  - {{name: crank, pins: [O, B]}}
+  - {{name: arm, {pins}{wrong}}}
+ground: [O]
+"""
+    with pytest.raises(DescriptionError) as error:
+        from_text(text, "drawn.yaml")
+    assert told in str(error.value)

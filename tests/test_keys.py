@@ -17,13 +17,13 @@ from robodyn.errors import DescriptionError
 from robodyn.mechanics.mechanism import build
 from robodyn.scene import grammar
 from robodyn.scene.description import _Reader, from_text
-from robodyn.scene.drawn_keys import DrawnLink, DrawnScene, GroundLine, Slot
+from robodyn.scene.drawn_keys import DrawnLink, DrawnScene, DrawnWeld, GroundLine, Slot
 from robodyn.scene.plain_scene import _Writer, plain_scene
 from robodyn.scene.rewrite import rewritten
 from robodyn.scene.scene_schema import scene_schema
 from robodyn.scene.scene_values import SceneValues
 
-DRAWN = DrawnScene, DrawnLink, GroundLine, Slot
+DRAWN = DrawnScene, DrawnLink, DrawnWeld, GroundLine, Slot
 TEXT = """\
 links:
   - {name: a, m: 1, l: 1, r: 0.5, I: 0.1}

@@ -38,6 +38,7 @@ from robodyn.mechanics.actuation import expressions
 from robodyn.mechanics.driven import check_times
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.column_formulas import ColumnFormulas
+from robodyn.scene.constants import check_apart
 from robodyn.scene.quantities import parse_quantity
 from robodyn.scene.rewrite import write_scene
 from robodyn.scene.scene_values import SceneValues
@@ -262,6 +263,8 @@ class FitOptions:
         if self.simulate:
             from robodyn.parameters.motion_fit import fit_motion
 
+            constants = mechanism.description.constants
+            check_apart(constants, bounds, {"--tau": self.tau or ""})
             torques = expressions(mechanism, self.tau, "--tau") if self.tau else None
             motion = rows.columns, rows.t, rows.q[0], rows.qd[0], torques
             return fit_motion(mechanism, bounds, *motion, **common)

@@ -17,7 +17,7 @@ from robodyn.errors import InputError
 from robodyn.scene.constants import nodes_of
 from robodyn.scene.expressions import COMPARISONS, names_of, number_of, walk
 from robodyn.scene.quantities import NOTHING, entries, expressions, read_value, state_variables
-from robodyn.scene.syntax import VALUE_CONSTANTS, Node, plain_text
+from robodyn.scene.syntax import CONSTANTS, VALUE_CONSTANTS, Node, plain_text
 from robodyn.scene.units import Quantity
 from robodyn.tables.csv_fields import shown
 
@@ -136,7 +136,8 @@ def _compared(mechanism: Mechanism, text: str) -> list[str]:
         return bool(names) and names <= turning and alike
 
     with suppress(ValueError, ArithmeticError):  # which the command tells
-        for one in expressions(text, state_variables(mechanism.n, mechanism.slides)):
+        constants = {**CONSTANTS, **nodes_of(mechanism.description.constants)}
+        for one in expressions(text, state_variables(mechanism.n, mechanism.slides), constants):
             for node in walk(one.written):
                 if type(node) is tuple and node[0] in ("+", "-", *COMPARISONS):
                     _, left, right = node

@@ -74,6 +74,7 @@ from robodyn.runs.settings import (
 )
 from robodyn.runs.simulation import UNTIL, watched_events
 from robodyn.runs.watch import Event, EventWatch
+from robodyn.scene.constants import check_apart
 from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.tables.csv_fields import quoted, shown
 from robodyn.tables.output_file import on_terminal, open_output
@@ -445,6 +446,10 @@ def simulate(
         torques = over_run(mechanism, torques, begin, duration, settings.atol)
     slopes = None
     if how.sensitivity is not None:
+        texts = {"--tau": sources.tau, "--volt": sources.volt, "--until": events.until}
+        texts["--event"] = ", ".join(events.event or ())
+        constants = mechanism.description.constants
+        check_apart(constants, how.sensitivity.split(","), {x: y or "" for x, y in texts.items()})
         slopes = _Slopes(how.sensitivity, mechanism, begin, partial(with_forces, forces=force))
     among_rows = on_terminal(results.out)  # a bar would be in their lines
     with (

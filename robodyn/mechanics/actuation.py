@@ -18,10 +18,11 @@ from robodyn.elements.values import lines_of
 from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
+from robodyn.scene.constants import numbers_of
 from robodyn.scene.dimensions import misfit
 from robodyn.scene.expressions import SCOPE, code_of, names_of
 from robodyn.scene.quantities import state_variables
-from robodyn.scene.syntax import LONGEST, Node, NotAllowedError
+from robodyn.scene.syntax import CONSTANTS, LONGEST, Node, NotAllowedError
 from robodyn.tables.short_repr import short_repr
 
 if TYPE_CHECKING:
@@ -157,7 +158,8 @@ def expressions(
     """
     variables = state_variables(mechanism.n, mechanism.slides)
     try:
-        found = quantities.expressions(text, variables)
+        constants = {**CONSTANTS, **numbers_of(mechanism.description.constants)}
+        found = quantities.expressions(text, variables, constants)
     except NotAllowedError as error:
         if len(text) > LONGEST:
             limit = f"is longer than {LONGEST} characters"

@@ -27,9 +27,10 @@ from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.time_samples import FUNCTIONS
 from robodyn.runs.state_columns import PREFIX, ROUGH, StateColumns, variables
+from robodyn.scene.constants import numbers_of
 from robodyn.scene.expressions import changed, code_of, fold, names_of, walk
 from robodyn.scene.quantities import expressions
-from robodyn.scene.syntax import Node, NotAllowedError
+from robodyn.scene.syntax import CONSTANTS, Node, NotAllowedError
 from robodyn.tables.arrays import Array
 
 Values = Callable[[Array, Array], Array]
@@ -102,7 +103,8 @@ def event_function(
 def _read(mechanism: Mechanism, text: str, where: str) -> tuple[Node, int, bool]:
     """The function of an event, the way that counts, and whether equality is none."""
     try:
-        found = expressions(text, variables(mechanism))
+        constants = {**CONSTANTS, **numbers_of(mechanism.description.constants)}
+        found = expressions(text, variables(mechanism), constants)
     except NotAllowedError as error:
         what = _INSTEAD.search(text)
         instead = f"; {_WRITE[what[0]]}" if what else ""

@@ -37,6 +37,7 @@ from robodyn.runs.settings import (
 )
 from robodyn.runs.state_columns import StateColumns
 from robodyn.runs.watch import Event, EventWatch
+from robodyn.scene.constants import check_apart
 from robodyn.tables.arrays import Array
 from robodyn.tables.named_columns import Columns
 
@@ -207,6 +208,9 @@ def simulate(
     watch = watched_events(mechanism, events or {}, until, float(t_end))
     numbers = None
     if sensitivity:
+        texts = {"until": until or "", "events": ", ".join((events or {}).values())}
+        texts["tau"] = tau if isinstance(tau, str) else ""
+        check_apart(mechanism.description.constants, sensitivity, texts)
         numbers = Numbers(mechanism, sensitivity, state)
     most: Any = max_evals  # which settings make whole
     settings = Settings(method, rtol, atol, stabilize, BAUMGARTE, most, order, max_step)

@@ -28,7 +28,11 @@ def variables(mechanism: Mechanism) -> Variables:
     plain = state_variables(mechanism.n, mechanism.slides)
     units = scene_units(mechanism)
 
+    constants = dict(mechanism.description.constants)
+
     def named(name: str) -> str | None:
+        if name in constants:  # before a column of the name
+            return None
         return plain.named(name) or (PREFIX + name if find(mechanism, name, []) else None)
 
     def of(name: str) -> Mapping[str, float] | None:

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import keyword
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
+from robodyn.errors import InputError
 from robodyn.scene.quantities import is_plain, read_value
 from robodyn.scene.syntax import CONSTANTS, FUNCTIONS, Node, tokens_of
 from robodyn.scene.units import UNITS, Dimension, Named, Quantity, shown_dimension
+from robodyn.tables.csv_fields import shown
 from robodyn.tables.records import Record
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
@@ -115,6 +117,32 @@ def node_of(name: str, constant: Constant) -> Node:
 def _dimension(unit: str) -> Dimension:
     found = read_value(unit).measure
     return found.of if found else {}
+
+
+def numbers_of(constants: Constants) -> dict[str, Any]:
+    """What stands in trees for each of the constants where they are numbers without a name."""
+    return {
+        name: Quantity(x.value, 0, _dimension(x.unit)) if x.unit else float(x.value)
+        for name, x in constants
+    }
+
+
+def check_apart(constants: Constants, varied: Iterable[str], texts: Mapping[str, str]) -> None:
+    """Raise InputError if one of the `texts`, by options, has a constant that is varied.
+
+    `varied` are names of numbers, such as constants.w: what an option says is read once, by the
+    values of the scene.
+    """
+    made = {name: constant.text for name, constant in constants}
+    names = {x.removeprefix("constants."): x for x in varied if x.startswith("constants.")}
+    for name in in_order(made):  # of what is varied, too
+        of = next((names[x] for x in _used(made[name], names) if x != name), None)
+        names |= {name: of} if of is not None and name not in names else {}
+    for option, text in texts.items():
+        for name in _used(text, names):
+            limit = f"has {name}, and {names[name]} varies: write its number here, or the "
+            limit += "expression in the scene"
+            raise InputError(option, value=shown(text), limit=limit)
 
 
 def nodes_of(constants: Constants) -> dict[str, Any]:

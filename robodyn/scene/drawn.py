@@ -3,7 +3,8 @@
 One rule makes the tree.  A link hangs by its first pin from the ground, or else from the first link
 above it in the list that has this pin; its x axis goes to its second pin.  Every further pin that
 it shares with the ground or a link above closes a loop.  The first pin of a link that slides is its
-origin, and goes along with it; what has the pin above it is what it slides on.
+origin, and goes along with it; what has the pin above it is what it slides on.  A link that is
+welded is part of the nearest link above it that has its first pin, or else of the ground.
 
 What comes out is the tree of the explicit form (`links` with `l` and `from`, `closures`, `start`),
 which the same reader reads: numbers keep the lines of the file.
@@ -23,7 +24,7 @@ import numpy as np
 
 from robodyn.scene.grammar import FORMS
 from robodyn.scene.point_names import Places
-from robodyn.scene.scene import Description, Point
+from robodyn.scene.scene import JOINTS, Description, Point
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.tables.arrays import Array
 
@@ -47,6 +48,7 @@ class Bar:
     given: dict[str, Node]
     pins: list[str]
     along: complex | None  # unit vector, of a link that slides
+    welded: bool = False  # whether it is part of what it hangs from
     above: int | None = None  # the link that it hangs from, or the ground
     origin: complex = 0j  # where its first pin is, m
     tip: complex | None = None  # where its second pin is, m, of a link that turns
@@ -141,13 +143,16 @@ class Drawing:
         listed = self.given.get("links")
         for k, node in enumerate(listed.items if isinstance(listed, Sequence) else []):
             keys = {key.text for key, _ in node.pairs} if isinstance(node, Mapping) else set()
+            joint = _scalar(node, "joint")
+            welded = joint is not None and joint.text == JOINTS[2]
             form = "drawn_prismatic_link" if "along" in keys else "drawn_revolute_link"
+            form = "drawn_weld" if welded else form
             name, place = "", f"links[{k}]"
             if isinstance(node, Mapping):
-                named = next((x for key, x in node.pairs if key.text == "name"), None)
-                name = named.text if isinstance(named, Scalar) else ""
+                named = _scalar(node, "name")
+                name = "" if named is None else named.text
                 place += f" ({name})" if name else ""
-            given = self._known(node, place, form, ("l", "from", "joint", "axis", "at"))
+            given = self._known(node, place, form, ("l", "from", "joint", "axis", "at", "angle"))
             for two in ("r", "centre"), ("I", "J"):
                 if all(key in given for key in two):
                     where = f"{place}.{two[1]}"
@@ -158,7 +163,7 @@ class Drawing:
             along = given.pop("along", None)
             way = None if along is None else self.reader.direction(along, f"{place}.along")
             pins = [x.text for x in self._names(given.get("pins"), f"{place}.pins")]
-            yield Bar(name, place, node, given, pins, way)
+            yield Bar(name, place, node, given, pins, way, welded)
 
     def _names(self, node: Node | None, place: str) -> Iterator[Scalar]:
         """The names of a list, each once; a single name is a list of one."""
@@ -311,6 +316,8 @@ class Drawing:
         for k, bar in enumerate(self.bars):
             if bar.along is None:
                 partner = self._partner(bar.pins[0], k)
+                if bar.welded:
+                    partner = max((i for i in self._pinned(bar.pins[0]) if i < k), default=partner)
                 if partner == -1:
                     self._unheld(k, bar.pins[0])
                 else:
@@ -335,6 +342,19 @@ class Drawing:
         if self._is_fixed(pin):
             return None
         return next((i for i in self._pinned(pin) if i < k), -1)
+
+    def _body(self, k: int | None) -> int | None:
+        """Return the link that link k is a part of by welds, itself or one above; or the ground."""
+        while k is not None and self.bars[k].welded:
+            k = self.bars[k].above
+        return k
+
+    def _meets(self, pin: str, k: int) -> int | None:
+        """Return `_partner` without what link k is one body with."""
+        own = self._body(k)
+        if self._is_fixed(pin):
+            return -1 if own is None else None
+        return next((i for i in self._pinned(pin) if i < k and self._body(i) != own), -1)
 
     def _unheld(self, k: int, pin: str) -> None:
         """Add the fault of link k, whose first pin is on nothing above."""
@@ -364,7 +384,7 @@ class Drawing:
             for pin in further:
                 if pin in self.slide_of and k not in self._pinned(pin):
                     continue
-                partner = self._partner(pin, k)
+                partner = self._meets(pin, k)
                 if partner is None:
                     self.joined.append(Joined(k, None, pin))
                 elif partner >= 0:
@@ -457,7 +477,17 @@ class Drawing:
         for pin, links in self.holders.items():
             if len(links) > 1 and not self._is_fixed(pin):
                 k = self._pinned(pin)[0]
-                yield pin, Point(k, self.bars[k].at(self.z[pin]))
+                yield pin, Point(self._number_of(k), self.bars[k].at(self.z[pin]))
+
+    @property
+    def moving(self) -> list[Bar]:
+        """The links that have joints, in the order of their numbers."""
+        return [bar for bar in self.bars if not bar.welded]
+
+    def _number_of(self, k: int) -> int:
+        """The number of link k in a description, where welds come behind the others."""
+        before = sum(bar.welded == self.bars[k].welded for bar in self.bars[:k])
+        return before + (len(self.moving) if self.bars[k].welded else 0)
 
     # -- the explicit form ---------------------------------------------------------------------
 
@@ -496,7 +526,10 @@ class Drawing:
         found["from"] = (
             _vector(bar.origin, line) if above is None else _place(above, bar.origin, line)
         )
-        if bar.along is not None:
+        if bar.welded:
+            own = 1.0 if above is None else above.turn
+            found["angle"] = _number(cmath.phase(bar.turn * own.conjugate()), line)
+        elif bar.along is not None:
             found["joint"] = Scalar("prismatic", False, line)
             axis = bar.along if above is None else bar.along * above.turn.conjugate()
             found["axis"] = _vector(axis, line)
@@ -531,7 +564,7 @@ class Drawing:
     def _start(self) -> Node:
         """The pose of the drawing: an angle, rad, or a displacement, m, of each joint."""
         found: dict[str, Node] = {}
-        for bar in self.bars:
+        for bar in (x for x in self.bars if not x.welded):
             above = 1.0 if bar.above is None else self.bars[bar.above].turn
             q = 0.0 if bar.along else cmath.phase(bar.turn * above.conjugate())
             found[bar.name] = _number(q, bar.node.line)
@@ -546,7 +579,8 @@ class Drawing:
         """
         if not self.joined or not self.sound:
             return
-        n, couplings = len(self.bars), np.zeros((len(description.couplings), len(self.bars)))
+        moving = self.moving
+        n, couplings = len(moving), np.zeros((len(description.couplings), len(moving)))
         for row, coupling in zip(couplings, description.couplings, strict=True):
             row[coupling.joint] = 1.0
             for k, ratio in coupling.ratios:
@@ -579,11 +613,11 @@ class Drawing:
         way = np.abs(np.linalg.svd(rows[:, used])[2][-1])
         own = [k for k, moves in zip(passive, used, strict=True) if moves]
         links = [k for k, part in zip(own, way.tolist(), strict=True) if part > 1e-3 * way.max()]
-        names = " and ".join(self.bars[k].name for k in links)
-        driven = ", ".join(self.bars[k].name for k in actuated)
+        names = " and ".join(moving[k].name for k in links)
+        driven = ", ".join(moving[k].name for k in actuated)
         limit = f"{names} are drawn in line, at a dead centre of {driven}: their branch cannot be "
         limit += "read; draw another pose"
-        bar = self.bars[links[-1]]
+        bar = moving[links[-1]]
         self.reader.fault(bar.place, bar.node, limit)
 
     def _elsewhere(self) -> dict[str, complex]:
@@ -601,12 +635,14 @@ class Drawing:
         """Psi of each closure with pins at z: rows (1 or 2, n), lengths divided by the extent."""
         found = []
         for first, second, pin, along in self.joined:
-            row = np.zeros(len(self.bars), complex)
+            row = np.zeros(len(self.moving), complex)
             for sign, link in ((1.0, first), (-1.0, second)):
                 for k in self._path(link):
                     bar = self.bars[k]
+                    if bar.welded:
+                        continue
                     arm = bar.along or 1j * (z[pin] - z[bar.pins[0]]) / self.extent
-                    row[k] += sign * arm
+                    row[self._number_of(k)] += sign * arm
             if along is None:
                 found.append(np.array([row.real, row.imag]))
             else:
@@ -630,11 +666,18 @@ class Drawing:
             apart = [group for group in groups if not group & joints]
             groups = [*apart, joints.union(*(group for group in groups if group & joints))]
         followers = {coupling.joint for coupling in description.couplings}
-        driven = set(range(len(self.bars))) - in_loops - followers
+        driven = set(range(len(self.moving))) - in_loops - followers
         for group in groups:
             if group & in_loops and not group & driven:
                 driven |= set(sorted(group - followers)[:1])
         return sorted(driven)
+
+
+def _scalar(node: Node, key: str) -> Scalar | None:
+    """The scalar that a mapping has for a key."""
+    pairs = node.pairs if isinstance(node, Mapping) else []
+    found = next((x for name, x in pairs if name.text == key), None)
+    return found if isinstance(found, Scalar) else None
 
 
 def _rank(rows: Array) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from robodyn.elements.keys import Declared, Way, key
-from robodyn.scene.scene import Description, Link
+from robodyn.scene.scene import Description, Link, Weld
 
 
 class DrawnScene(Declared):
@@ -78,6 +78,27 @@ class DrawnLink(Declared):
             "drawn_revolute_link",
             "drawn_link",
             "A rigid link; its frame has x from its first pin to its second.",
+        ),
+    )
+
+
+class DrawnWeld(Declared):
+    """A link by its pins that is part of what has its first pin."""
+
+    pins: ClassVar[Any] = key(
+        "pin_names", "its pins: the first is one of what it is welded to, to the second its x goes"
+    )
+    r: ClassVar[Any] = DrawnLink.keys["r"]
+    centre: ClassVar[Any] = DrawnLink.keys["centre"]
+    joint: ClassVar[Any] = Weld.keys["joint"]
+
+    like = Weld, frozenset(("l", "hangs_from", "angle"))
+    ways: ClassVar[tuple[Way, ...]] = (
+        Way(
+            "drawn_weld",
+            "drawn_link",
+            "A link without a joint, part of the nearest link above that has its first pin.",
+            ("joint",),
         ),
     )
 

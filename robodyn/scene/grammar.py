@@ -16,7 +16,7 @@ from robodyn.elements import kinds
 from robodyn.elements.joints import CURVES
 from robodyn.elements.keys import BY_DIRECTION, NEEDED, ONES, TOGETHER, Declared, Key, Way
 from robodyn.elements.values import FRAMES, Point, Table
-from robodyn.scene.drawn_keys import DrawnLink, DrawnScene, GroundLine, Slot
+from robodyn.scene.drawn_keys import DrawnLink, DrawnScene, DrawnWeld, GroundLine, Slot
 from robodyn.scene.scene import (
     BRANCHES,
     JOINTS,
@@ -95,6 +95,7 @@ OTHERS: tuple[type[Declared], ...] = (
     Face,
     Table,
     DrawnScene,
+    DrawnWeld,
     DrawnLink,
     GroundLine,
     Slot,

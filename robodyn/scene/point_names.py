@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from robodyn.errors import InputError
-from robodyn.scene.quantities import parse_vector
+from robodyn.scene.constants import numbers_of
+from robodyn.scene.quantities import NOTHING, parse_vector
 from robodyn.scene.scene import Description, Point
 from robodyn.scene.welds import Welded
 from robodyn.tables.csv_fields import shown
@@ -24,7 +26,7 @@ class Places:
     """The links by their names, where their tips and centres are in their frames, m, and points.
 
     `count` is that of the links with numbers, which welds have not; `whole` makes a point of a weld
-    one of the link that it is part of.
+    one of the link that it is part of; `named` are the constants of the scene.
     """
 
     def __init__(
@@ -36,8 +38,9 @@ class Places:
         points: dict[str, Point] | None = None,
         whole: Callable[[Point], Point] = lambda point: point,
         has_mass: Callable[[int], bool] = lambda k: True,
+        named: Mapping[str, Any] = NOTHING,
     ) -> None:
-        self.has_mass = has_mass
+        self.has_mass, self.named = has_mass, named
         self.links, self.tip, self.centre = links, tip, centre
         self.count = count or (lambda: len(links))
         self.points, self.whole = points or {}, whole
@@ -53,7 +56,7 @@ class Places:
             return self.points[text]
         link, at, offset = text.rpartition("@")
         if at and link in self.links:
-            return self.whole(Point(self.links[link], _vector(offset, link)))
+            return self.whole(Point(self.links[link], _vector(offset, link, self.named)))
         part = re.fullmatch(_PART, text)
         if part is None or not 1 <= int(part[2]) <= self.count():
             return None
@@ -84,12 +87,13 @@ def places_of(description: Description) -> Places:
         dict(description.pins + description.points),
         Welded(description).point,
         lambda k: bodies[k].has_mass,
+        numbers_of(description.constants),
     )
 
 
-def _vector(offset: str, link: str) -> complex:
+def _vector(offset: str, link: str, named: Mapping[str, Any]) -> complex:
     try:
-        values = parse_vector(offset, where="", unit="m")
+        values = parse_vector(offset, where="", unit="m", named=named)
     except InputError:
         values = []
     if len(values) != 2:

@@ -36,6 +36,7 @@ class PointReader(ValueReader):
             lambda k: self.tip(k).at,
             lambda k: self.centres.get(k, 0j),
             lambda: self.count,
+            named=self.named,
         )
 
     def survey_link(self, i: int, given: dict[str, Node]) -> None:

@@ -277,17 +277,18 @@ def parse_vector(
     where: str,
     unit: str | Callable[[int], Sequence[str]] = "",
     example: str = "",
+    named: Mapping[str, Node] = NOTHING,
 ) -> list[float]:
     """The numbers of a comma- or space-separated vector; InputError naming `where` if none.
 
-    `unit`: that of all entries, or what tells those of so many.
+    `unit`: that of all entries, or what tells those of so many.  `named` are constants of a scene.
     """
     parts = entries(plain_text(text), where, example or EXAMPLES[""])
     units = [unit] * len(parts) if isinstance(unit, str) else unit(len(parts))
     values = []
     for k, (entry, own) in enumerate(zip(parts, units, strict=True), start=1):
         try:
-            values.append(parse_quantity(entry, own))
+            values.append(parse_quantity(entry, own, named))
         except ValueError as error:
             limit = f"{error}; write {example or EXAMPLES.get(own) or EXAMPLES['']}"
             raise InputError(f"entry {k}", where=where, value=shown(entry), limit=limit) from None

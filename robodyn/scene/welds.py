@@ -78,6 +78,7 @@ def without_welds(description: Description) -> Description:
         springs=tuple(_acting(description.springs, welded)),
         loads=tuple(_acting(description.loads, welded)),
         points=tuple((name, welded.point(point)) for name, point in description.points),
+        pins=tuple((name, welded.point(point)) for name, point in description.pins),
         welds=tuple(weld._replace(m=0.0, I=0.0, payload=0.0) for weld in description.welds),
     )
     for c, closure in enumerate(found.closures):
