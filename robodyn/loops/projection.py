@@ -158,13 +158,16 @@ def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
     elif nearness(mechanism, Psi) <= LOST:
         why = "the loops are at a singular configuration there, or laws repeat one another"
     if why:
-        first = len(mechanism.rows) - len(mechanism.description.couplings)
         worst = max(mechanism.driven, key=lambda r: gap[r])
-        law = mechanism.rows[worst].law
-        assert law is not None
-        what = f"couplings[{worst - first}]"
-        limit = f"cannot be kept at t = {t:.9g} s: {why}"
-        raise LawError(what, where=mechanism.source, value=law.text, limit=limit)
+        raise law_error(mechanism, worst, f"cannot be kept at t = {t:.9g} s: {why}")
+
+
+def law_error(mechanism: Mechanism, row: int, limit: str) -> LawError:
+    """Return the error of the law in a row, which it names."""
+    law = mechanism.rows[row].law
+    assert law is not None
+    what = f"couplings[{row - mechanism.first_coupling}]"
+    return LawError(what, where=mechanism.source, value=law.text, limit=limit)
 
 
 class Projection:

@@ -55,6 +55,8 @@ MOST_STEPS = 1e13  # that take months
 FAR_END = 1e9  # s; where the end is nearer it is a force that makes the steps too short
 NEVER = 1e4  # times the steps that a run may take: even if they grew as much it would not end
 
+LED = "a law of the time leads the joint there, and no stop throws it back"
+
 Due = Callable[[float], Array]  # of a time: output times still to come up to it
 
 
@@ -416,7 +418,9 @@ def _advice(run: Run) -> str:
     """What to do about a run that ended before its time, where more is known than its outcome."""
     mechanism, outcome, control = run.mechanism, run.outcome, run.actuation.control
     told, lost = "", outcome in (Outcome.STEP_TOO_SMALL, Outcome.SINGULAR)
-    if control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
+    if run.phases is not None and run.phases.led_on:
+        told = LED
+    if not told and control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
         told = no_hold(mechanism, control)
     if not told and mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL:
         told = near_table_end(mechanism, run.t, run.y)
