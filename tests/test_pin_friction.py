@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 import robodyn
 from robodyn.dynamics.closed_form import energies, other_forces
 from robodyn.dynamics.dynamics import RobodynWarning
-from robodyn.dynamics.friction_rounds import NotSettledError, load_of
+from robodyn.dynamics.friction_rounds import NotSettledError, forward_of_one, load_of
 from robodyn.dynamics.identities import BALANCE, POWER, identities, sample_states
 from robodyn.dynamics.reaction_forces import reactions
 from robodyn.engines import rounds
@@ -367,6 +367,19 @@ def test_written_out_rates_are_those_of_dense_algebra(text: str, tau: list[float
         y = np.concatenate([q, qd, [0.0]])
         one, other = (np.array(side.rates(0.7, y)) for side in both)
         assert np.abs(one - other).max() < 1e-12 * np.abs(other).max()
+
+
+@pytest.mark.parametrize("guide", ["joint", "line"])
+def test_one_state_by_dense_algebra_is_one_of_many(guide: str) -> None:
+    """Also if M is singular, as of a piston without inertia."""
+    mechanism = slider_crank(0.3, -50.0, False, guide, 0.5)
+    q, qd = states(mechanism, np.linspace(-3.0, 3.0, 9), 6.0)
+    tau = np.tile([4.0, 0.0, 0.0], (9, 1))
+    many = robodyn.forward_dynamics_and_forces(mechanism, q, qd, tau)
+    for k in range(9):
+        one = forward_of_one(mechanism, q[k], qd[k], tau[k], 0.0, 0.0)
+        assert one.joints == pytest.approx(many.qdd[k], rel=1e-12)
+        assert one.multipliers == pytest.approx(many.multipliers[k], rel=1e-11)
 
 
 def test_runs_take_written_out_rates() -> None:

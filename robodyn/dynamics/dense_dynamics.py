@@ -178,13 +178,35 @@ def forward(
 
     A `baumgarte` rate b (1/s) makes the closures obey gapdd + 2 b gapd + b^2 gap = 0.
     """
+    return _solved(mechanism, q, qd, tau, baumgarte, t)[0]
+
+
+def forward_and_caused(
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array,
+    tau: Array,
+    loads: Array,
+    baumgarte: float,
+    t: ArrayLike,
+) -> tuple[Accelerations, Accelerations]:
+    """`forward` of states (T, n), and what loads (T, c, n) at the joints add to it, as `caused`."""
+    found, M, s = _solved(mechanism, q, qd, tau, baumgarte, t)
+    return found, _caused(mechanism, M, s, loads)
+
+
+def _solved(
+    mechanism: Mechanism, q: Array, qd: Array, tau: Array, baumgarte: float, t: ArrayLike
+) -> tuple[Accelerations, Array, Decomposition]:
+    """`forward`, with M in x and Psi decomposed."""
     at, rates = placed(mechanism, q), absolute_rates(mechanism, qd)
     loads = joint_loads(mechanism, q, qd, t)
     acceleration, M, force, s = _moved(mechanism, at, rates, tau - loads, baumgarte, t)
     unbalanced = matvec(M, acceleration) - force
     multipliers = matvec(np.swapaxes(s.inverse, -1, -2), unbalanced)
     qdd = _of_joints(mechanism, acceleration)
-    return Accelerations(qdd, multipliers, "; ".join(_dependence(mechanism, s.rank)))
+    remark = "; ".join(_dependence(mechanism, s.rank))
+    return Accelerations(qdd, multipliers, remark), M, s
 
 
 def accelerations(
@@ -253,10 +275,17 @@ def caused(mechanism: Mechanism, q: Array, loads: Array, t: ArrayLike) -> Accele
 
     What `forward` adds to its answer for such loads more.
     """
-    units, (count, c, n) = mechanism.arrays.units, loads.shape
-    M = mass_matrix(mechanism, q) * units[:, None] * units
-    s = decompose(mechanism, scaled_jacobian(mechanism, q, t))
-    right, free = loads * units, np.zeros_like(loads)
+    at, units = placed(mechanism, q), mechanism.arrays.units
+    M, Psi = _whole_inertia(mechanism, at), absolute_jacobian(mechanism, at, t)
+    s = decompose(mechanism, Psi * units)
+    return _caused(mechanism, M * units[:, None] * units, s, loads)
+
+
+def _caused(mechanism: Mechanism, M: Array, s: Decomposition, loads: Array) -> Accelerations:
+    """The same by M (T, n, n) in x and Psi decomposed."""
+    count, c, n = loads.shape
+    right = matvec(relative_matrix(mechanism).T, loads) * mechanism.arrays.units
+    free = np.zeros_like(loads)
     for rank in set(s.rank.ravel().tolist()):
         which = s.rank == rank
         N, inertia = (np.repeat(x[which], c, axis=0) for x in (s.V[..., rank:], M))
@@ -264,7 +293,8 @@ def caused(mechanism: Mechanism, q: Array, loads: Array, t: ArrayLike) -> Accele
         free[which] = moved.reshape(-1, c, n)
     unbalanced = matvec(M[:, None], free) - right
     multipliers = matvec(np.swapaxes(s.inverse, -1, -2)[:, None], unbalanced)
-    return Accelerations(free * units, multipliers.reshape(count, c, len(mechanism.rows)))
+    lam = multipliers.reshape(count, c, len(mechanism.rows))
+    return Accelerations(_of_joints(mechanism, free), lam)
 
 
 def responses(mechanism: Mechanism, q: Array, joints: Sequence[int], t: float) -> Array:

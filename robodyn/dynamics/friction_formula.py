@@ -7,15 +7,19 @@ accelerations and multipliers, so their slopes give B.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from robodyn.dynamics.pin_friction import sizes, slips
 from robodyn.dynamics.reaction_forces import sides_of
 from robodyn.dynamics.reaction_formulas import felt_formulas, placed_formulas, planar_values
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import Planar
-from robodyn.engines.expression import Value, substituted, tangents
+from robodyn.engines.expression import Tangents, Value, substituted, tangents
 from robodyn.engines.formulas import (
     Formula,
     Recorded,
@@ -27,8 +31,10 @@ from robodyn.engines.formulas import (
 )
 from robodyn.engines.rounds import Rounds
 from robodyn.engines.series import relative
+from robodyn.engines.straightline import compile_floats
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
+from robodyn.tables.arrays import Array, Complex
 
 
 @lru_cache(maxsize=64)
@@ -49,27 +55,33 @@ def rubbed_formula(
     return written(plain, write)
 
 
-def _rubbed(
-    mechanism: Mechanism,
-    state: Recorded,
-    torques: Sequence[float] | None,
-    baumgarte: float,
-    power: bool,
-) -> Formula:
+class Contacts(NamedTuple):
+    """The c contacts as formulas of a state: their forces are forces + slopes [xdd; lam] + push f.
+
+    D (c, n) rows of slip rates, `part` (c); planar forces (c) without accelerations, multipliers
+    and friction, slopes (2 c) of their x and y by these, by name, and push[j][i] (c, c) planar.
+    """
+
+    D: NDArray[Any]
+    speeds: list[Value]
+    part: list[Value]
+    names: list[str]
+    forces: list[Value]  # x and y side by side, by the named unknowns
+    slopes: list[Tangents]
+    push: list[list[Planar]]
+
+
+def contacts_of(mechanism: Mechanism, state: Recorded, Psi: Sequence[Sequence[Value]]) -> Contacts:
+    """The contacts of a recorded state of the mechanism without friction; Psi (r, n) in joints."""
     plain, n, graph = state.mechanism, mechanism.n, state.graph
     contacts, rows = mechanism.rubbing, range(len(mechanism.rows))
-    series, factors, right = forward_system(state, torques, baumgarte, power)
     at = placed_formulas(state)
     D, along = slips(mechanism, at)
-    first = factors.solve(right)
-    caused = [factors.solve([*_absolute(plain, row), *(0.0 for _ in rows)]) for row in D]
-    # the forces in contacts, and their slopes
     names = [f"a{k}" for k in range(n)] + [f"l{r}" for r in rows]
     unknown = [graph.variable(name) for name in names]
     a, lam = unknown[:n], unknown[n:]
     bent = at.accelerations(plain, planar_values(state.absolute("qd")), planar_values(a))
-    joints = relative(plain, a)
-    felt = felt_formulas(state, at, bent, (a, joints), lam, joint_jacobian(state, series))
+    felt = felt_formulas(state, at, bent, (a, relative(plain, a)), lam, Psi)
     rubs = any(x.joint is not None for x in contacts)
     R, carried = felt.reactions() if rubs else (), sides_of(plain)
 
@@ -88,40 +100,101 @@ def _rubbed(
             assert contact.joint is not None
             forces.append(within(i, R[contact.joint]))
     parts = [x for force in forces for x in force]
-    slopes = tangents(parts, names)
-    moved = [
-        dict(zip(names, [*x[:n], *(-m for m in x[n:])], strict=True)) for x in (first, *caused)
-    ]
-    flat = substituted(parts, moved[0])
-    N = list(zip(flat[::2], flat[1::2], strict=True))
-    B: list[list[Planar]] = []
+    push = []
     for j, pushing in enumerate(contacts):
-        by = [sum((s * moved[j + 1][name] for name, s in each.items()), 0.0) for each in slopes]
-        row = list(zip(by[::2], by[1::2], strict=True))
+        row: list[Planar] = [(0.0, 0.0)] * len(contacts)
         if pushing.closure is not None and pushing.radius is None:  # it pushes its sides
             for i, contact in enumerate(contacts):
                 if contact.joint is not None and (side := carried[pushing.closure, contact.joint]):
-                    x, y = within(i, along[j] * -side)
-                    row[i] = row[i][0] + x, row[i][1] + y
-        B.append(row)
+                    row[i] = within(i, along[j] * -side)
+        push.append(row)
     rates = state.relative["qd"]
     speeds = [sum((d * qd for d, qd in zip(row, rates, strict=True)), 0.0) for row in D]
     each = zip(sizes(mechanism), speeds, contacts, strict=True)
     part = [-size * expression.call("tanh", v * (1.0 / x.speed)) for size, v, x in each]
+    return Contacts(D, speeds, part, names, parts, tangents(parts, names), push)
+
+
+def _rubbed(
+    mechanism: Mechanism,
+    state: Recorded,
+    torques: Sequence[float] | None,
+    baumgarte: float,
+    power: bool,
+) -> Formula:
+    plain, n, graph = state.mechanism, mechanism.n, state.graph
+    rows = range(len(mechanism.rows))
+    series, factors, right = forward_system(state, torques, baumgarte, power)
+    own = contacts_of(mechanism, state, joint_jacobian(state, series))
+    first = factors.solve(right)
+    caused = [factors.solve([*_absolute(plain, row), *(0.0 for _ in rows)]) for row in own.D]
+    moved = [
+        dict(zip(own.names, [*x[:n], *(-m for m in x[n:])], strict=True)) for x in (first, *caused)
+    ]
+    flat = substituted(own.forces, moved[0])
+    N = list(zip(flat[::2], flat[1::2], strict=True))
+    B: list[list[Planar]] = []
+    for by, pushed in zip(moved[1:], own.push, strict=True):
+        made = [sum((s * by[name] for name, s in each.items()), 0.0) for each in own.slopes]
+        each = zip(made[::2], made[1::2], pushed, strict=True)
+        B.append([(x + z[0], y + z[1]) for x, y, z in each])
     # with friction
-    f = [graph.variable(f"f{i}") for i in range(len(contacts))]
+    f = [graph.variable(f"f{i}") for i in range(len(caused))]
     solution = [
         sum((fi * x[k] for fi, x in zip(f, caused, strict=True)), value)
         for k, value in enumerate(first)
     ]
     series.complete(solution)
     own_power = [
-        sum((fi * v for fi, v in zip(f, speeds, strict=True)), x)
+        sum((fi * v for fi, v in zip(f, own.speeds, strict=True)), x)
         for x in series_power(series, power)
     ]
     outputs = (*relative(plain, solution[:n]), *(-x for x in solution[n:]), *own_power)
     inputs, pivots = state.inputs + state.timed, closure_pivots(state, factors)
-    return Formula(inputs, outputs, pivots, rounds=Rounds(part, N, B))
+    return Formula(inputs, outputs, pivots, rounds=Rounds(own.part, N, B))
+
+
+class ContactsAt(NamedTuple):
+    """`Contacts` at a state: D (c, n), part (c), N (c) at rest, slopes (c, n + r), push (c, c)."""
+
+    D: Array
+    part: Array
+    N: Complex
+    slopes: Complex
+    push: Complex
+
+
+@lru_cache(maxsize=64)
+def contacts_at(mechanism: Mechanism) -> Callable[[float, Array, Array], ContactsAt]:
+    """A function of t, q and qd (n,) of one state; slopes are by qdd and the multipliers."""
+    plain, n, c = without_rubbing(mechanism), mechanism.n, len(mechanism.rubbing)
+    state = Recorded(plain, ("qd",), True)
+    series = state.series([0.0] * n)
+    series.residuals(0)
+    own = contacts_of(mechanism, state, joint_jacobian(state, series))
+    rest = substituted(own.forces, dict.fromkeys(own.names, 0.0))
+    slopes = [each.get(name, 0.0) for each in own.slopes for name in own.names]
+    push = [x for row in own.push for z in row for x in z]
+    outputs = (*own.D.ravel().tolist(), *own.part, *rest, *slopes, *push)
+    run = compile_floats(Formula(state.inputs + state.timed, outputs, ()), "contacts")
+    width, timed = len(own.names), bool(state.timed)
+    ends = np.cumsum([c * n, c, 2 * c, 2 * c * width])
+    J = np.eye(width)
+    J[:n, :n] = mechanism.arrays.J
+
+    def at(t: float, q: Array, qd: Array) -> ContactsAt:
+        values = np.array(run(*q.tolist(), *qd.tolist(), *([t] if timed else [])))
+        D, part, N, slope, pushed = np.split(values, ends)
+        sides = slope.reshape(c, 2, width)
+        return ContactsAt(
+            D.reshape(c, n),
+            part,
+            N[::2] + 1j * N[1::2],
+            (sides[:, 0] + 1j * sides[:, 1]) @ J,
+            (pushed[::2] + 1j * pushed[1::2]).reshape(c, c),
+        )
+
+    return at
 
 
 def _absolute(mechanism: Mechanism, load: Sequence[Value]) -> list[Value]:

@@ -12,6 +12,7 @@ mechanism, or no motion, or no torque, keeps the equations.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -20,11 +21,13 @@ from numpy.typing import NDArray
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.cam_contacts import contacts_on_links
 from robodyn.dynamics.dynamics import pins_at
+from robodyn.dynamics.friction_formula import contacts_at
 from robodyn.dynamics.pin_friction import Rubbing, rubbing_at
 from robodyn.dynamics.placed import absolute_rates, finite, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of, reactions, sides_of
 from robodyn.dynamics.sticking import Smooth
 from robodyn.engines import rounds
+from robodyn.engines.formulas import MAX_GENERATED
 from robodyn.errors import RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
@@ -84,6 +87,29 @@ def settled(
         multipliers + (f[..., None] * lam).sum(axis=-2),
         (f[..., None] * at.D).sum(axis=-2),
     )
+
+
+def forward_of_one(
+    mechanism: Mechanism, q: Array, qd: Array, tau: Array, baumgarte: float, t: float
+) -> Friction:
+    """Forward dynamics with friction of one state (n,), as `settled` has it."""
+    plain, state, at = without_rubbing(mechanism), (q[None], qd[None], tau[None]), None
+    if mechanism.n <= MAX_GENERATED:
+        with suppress(ArithmeticError, ValueError):  # arrays say where a spring has no direction
+            at = contacts_at(mechanism)(t, q, qd)
+    if at is None:
+        start = dense_dynamics.forward(plain, *state, baumgarte, t)
+        found = settled(mechanism, "forward", state, t, start.qdd, start.multipliers)
+        return Friction(*(x[0] for x in found))
+    first, caused = dense_dynamics.forward_and_caused(plain, *state, at.D[None], baumgarte, t)
+    n = mechanism.n
+    N = at.N + at.slopes[:, :n] @ first.qdd[0] + at.slopes[:, n:] @ first.multipliers[0]
+    qdd, lam = caused.qdd[0], caused.multipliers[0]
+    B = qdd @ at.slopes[:, :n].T + lam @ at.slopes[:, n:].T + at.push
+    f = rounds.of_one(at.part, N, B)
+    if f is None:
+        raise _not_settled(mechanism, at.part[None], B[None], q[None], 0)
+    return Friction(first.qdd[0] + f @ qdd, first.multipliers[0] + f @ lam, f @ at.D)
 
 
 def solvable(

@@ -31,7 +31,7 @@ import numpy as np
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import closure_drift, other_forces
 from robodyn.dynamics.friction_formula import rubbed_formula
-from robodyn.dynamics.friction_rounds import NotSettledError, settled
+from robodyn.dynamics.friction_rounds import NotSettledError, forward_of_one
 from robodyn.engines import straightline
 from robodyn.errors import SignalError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across
@@ -40,7 +40,6 @@ from robodyn.loops.misses import Misses
 from robodyn.loops.projection import Projection, best_closing, dense_closing, written_out
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.parts import without_rubbing
 from robodyn.tables.arrays import Array
 
 Rates = Callable[[float, Array], Any]
@@ -194,13 +193,10 @@ def _best_kind(mechanism: Mechanism) -> str:
 
 def _rubbed(mechanism: Mechanism, baumgarte: float) -> Moved:
     """qdd (n,), the load (n,) of friction by forces in pins and slides, and multipliers (r,)."""
-    plain = without_rubbing(mechanism)
 
     def moved(q: Array, qd: Array, tau: Array, t: float) -> tuple[Array, Array, Array]:
-        many = q[None], qd[None], tau[None]
-        first = dense_dynamics.forward(plain, *many, baumgarte, t)
-        found = settled(mechanism, "forward", many, t, first.qdd, first.multipliers)
-        return found.joints[0], found.load[0], found.multipliers[0]
+        found = forward_of_one(mechanism, q, qd, tau, baumgarte, t)
+        return found.joints, found.load, found.multipliers
 
     return moved
 
