@@ -813,3 +813,15 @@ ground: [O]
     with pytest.raises(DescriptionError) as error:
         from_text(text, "drawn.yaml")
     assert told in str(error.value)
+
+
+def test_a_four_bar_all_in_line_has_no_branch() -> None:
+    """Then Psi has rank 1, and the crank's own freedom is no reason."""
+    text = text_of(
+        {"O": 0j, "A": 1 + 1j, "B": 3 + 3j, "Q": 4 + 4j},
+        {"crank": "O, A", "coupler": "A, B", "rocker": "Q, B"},
+        "O, Q",
+        "crank",
+    )
+    with pytest.raises(DescriptionError, match="coupler and rocker are drawn in line"):
+        from_text(text, "drawn.yaml")

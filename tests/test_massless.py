@@ -88,7 +88,7 @@ COMMANDS = {
     "bench": ["--q", "1"],
     "regressor": ["--q", "1"],
     "export": ["--q", "1", "--format", "mjcf"],
-    "sweep": ["--q", "1", "--vary", "links.crank.l=0.3:0.36:3", "--result", "max(q3)"],
+    "sweep": ["--vary", "q1=0.3:0.36:3", "--kind", "torque"],
 }
 
 
@@ -99,6 +99,7 @@ def test_commands_that_need_a_mass_say_so(robodyn, tmp_path: Path, command: str)
     result = robodyn(command, str(file), *COMMANDS[command])
     assert result.code == 2
     assert f"links[0] (crank): has no mass m, which {command} needs" in result.err
+    assert not result.out
 
 
 def test_commands_that_need_none(robodyn, tmp_path: Path) -> None:

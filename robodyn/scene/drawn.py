@@ -596,6 +596,8 @@ class Drawing:
             return
         actuated = self.actuated(description)
         passive = [k for k in range(n) if k not in actuated]
+        generic = _rank(np.vstack([*moved, couplings]))  # above that of a drawing all in line
+        rank = rank if generic >= n else generic
         most = n - rank - len(actuated)  # freedoms that no actuated joint decides
 
         def free(rows: Listed[Array]) -> int:

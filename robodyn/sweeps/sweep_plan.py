@@ -255,7 +255,7 @@ def check(plan: Plan) -> Mechanism:
         for value in axis.ends:
             build(plan.values.replaced({axis.name: value}))
     assembly_plan(mechanism if plan.track else with_independent(mechanism))
-    if plan.kind == "motion":
+    if plan.kind == "motion" or not plan.told:  # columns that are told may need none
         mechanism.check_masses()
     if plan.kind == "motion" and mechanism.timed:
         with suppress(InputError):  # of a table that ends too early: motions tell it
