@@ -67,8 +67,8 @@ if TYPE_CHECKING:
     from robodyn.rest.linear_model import lqr as lqr
     from robodyn.rest.poses_at_rest import equilibria as equilibria
     from robodyn.rest.poses_at_rest import equilibrium as equilibrium
-    from robodyn.simulation.simulation import Motion as Motion
-    from robodyn.simulation.simulation import simulate as simulate
+    from robodyn.runs.simulation import Motion as Motion
+    from robodyn.runs.simulation import simulate as simulate
     from robodyn.trajectories.postures import Posture as Posture
     from robodyn.trajectories.postures import postures as postures
     from robodyn.trajectories.reference import ReferenceMotion as ReferenceMotion
@@ -126,7 +126,7 @@ _ROOMS = {
     "parameters.motion_fit": ["fit", "fit_motion"],
     "rest.poses_at_rest": ["equilibria", "equilibrium"],
     "rest.linear_model": ["linearize", "lqr"],
-    "simulation.simulation": ["Motion", "simulate"],
+    "runs.simulation": ["Motion", "simulate"],
     "control.state_feedback": ["StateFeedback"],
     "control.tracking": ["ReferenceTable"],
     "trajectories.task_space": ["inverse_kinematics"],

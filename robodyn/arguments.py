@@ -36,18 +36,29 @@ def argument_check(function: FunctionType) -> Callable[[Sequence[Any], Mapping[s
         name: (*_kind(str(annotation)), "ArrayLike" in str(annotation))
         for name, annotation in function.__annotations__.items()
     }
+    # types by which a value is known to be right, whatever it is: found as they come
+    right: set[tuple[str, type]] = {
+        (name, type(None))
+        for name, (test, _, is_array) in kinds.items()
+        if not is_array and test(None)
+    }
     of_states = function.__module__.split(".")[1] in ("dynamics", "loops")
 
     def check(given: Sequence[Any], named: Mapping[str, Any]) -> None:
-        shapes = {}
+        shapes: dict[str, tuple[int, ...]] = {}
         for name, value in (*zip(names, given, strict=False), *named.items()):
-            if name not in kinds:
+            if (name, type(value)) in right or name not in kinds:
                 continue  # Python says that there is no such argument
             test, words, is_array = kinds[name]
+            if is_array and type(value) is list and _plain(value):
+                shapes[name] = (len(value),)
+                continue
             array = _as_array(value) if is_array and value is not None else None
             if not test(value if array is None else array):
                 told = shown(repr(value)) if isinstance(value, _PLAIN) else type(value).__name__
                 raise InputError(name, where=where, value=told, limit=f"must be {words}")
+            if type(value) in _WHOLE or type(value).__module__.startswith("robodyn."):
+                right.add((name, type(value)))  # what it is tells all
             if array is not None:
                 if not (of_states and name in STATE):  # which such functions look at themselves
                     _check_finite(name, array)
@@ -82,6 +93,21 @@ def _as_array(value: Any) -> np.ndarray[Any, Any] | None:
     except (TypeError, ValueError, OverflowError):
         return None
     return array
+
+
+_WHOLE = (float, bool)
+
+
+def _plain(values: list[Any]) -> bool:
+    """Whether a list is a few finite numbers: mostly it is, and that is soon seen."""
+    if len(values) >= _FEW:
+        return False
+    for x in values:
+        if type(x) is not float and type(x) is not int:
+            return False
+        if not -_LARGEST <= x <= _LARGEST:
+            return False
+    return True
 
 
 _PLAIN = (str, bytes, int, float, complex, list, tuple, dict, np.ndarray, type(None))

@@ -46,8 +46,8 @@ from robodyn.engines.straightline import compile_floats
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
+from robodyn.runs.right_hand_side import right_hand_side
 from robodyn.scene.description import from_text
-from robodyn.simulation.right_hand_side import right_hand_side
 from yardsticks import four_bar_rates, two_link_rates
 
 Array = NDArray[np.float64]

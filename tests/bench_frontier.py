@@ -26,8 +26,8 @@ from scipy.integrate import ode, odeint
 import robodyn
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
+from robodyn.runs.series_engine import SeriesEngine
 from robodyn.scene.description import from_text
-from robodyn.taylor.compiled import CompiledEngine
 from yardsticks import four_bar_rates, two_link_rates
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ def case(reference: str, time: float) -> Case:
 def taylor(case: Case, tolerance: float) -> Run:
     """A run of the Taylor integrator, prepared."""
     still = Actuation((0.0,) * case.mechanism.n)
-    made = CompiledEngine(case.mechanism, still, rtol=tolerance, atol=tolerance)
+    made = SeriesEngine(case.mechanism, still, rtol=tolerance, atol=tolerance)
     none = np.zeros(0)
 
     def run() -> Array:

@@ -24,10 +24,10 @@ from random_mechanisms import mechanism as read
 from robodyn.engines import machine
 from robodyn.mechanics.actuation import Actuation
 from robodyn.runs import machine_motion
+from robodyn.runs.benchmark import benchmark
 from robodyn.runs.machine_steps import Scene
-from robodyn.simulation.benchmark import benchmark
-from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.taylor.compiled import CompiledEngine
+from robodyn.runs.right_hand_side import right_hand_side
+from robodyn.runs.series_engine import SeriesEngine
 
 TIME = 0.5  # s, of the N-four-bar falling from the vertical: before the horizontal
 LOOPS = (1, 2, 5, 10, 20, 40)
@@ -90,7 +90,7 @@ def many_loops(bench: Any) -> list[Any]:
         y = np.concatenate([y, np.full(n + 1, -1.0), np.full(n, 1.0)])
         exact = float(n_four_bar_exact(n, TIME)[0])
         still = Actuation((0.0,) * m)
-        engine = CompiledEngine(mechanism, still)
+        engine = SeriesEngine(mechanism, still)
         run = partial(engine.advance, 0.0, y, TIME, np.zeros(0), 10**6)
         assert abs(run().y[-1][0] - exact) < 1e-7
         costs.setdefault("taylor", []).append(min(timeit(run, number=1) for _ in range(9)))
@@ -128,7 +128,7 @@ def code_of_many_loops(bench: Any) -> list[Any]:
         for n in (2, *counts) if machine.available() else ():  # the first loads LLVM
             mechanism = n_four_bar(n)
             begin = process_time()
-            engine = CompiledEngine(mechanism, Actuation((0.0,) * mechanism.n))
+            engine = SeriesEngine(mechanism, Actuation((0.0,) * mechanism.n))
             made.append(process_time() - begin)
             q = robodyn.assemble(mechanism, [1.0])
             y = np.concatenate([q, robodyn.loop_velocities(mechanism, q, [1.0])])

@@ -33,8 +33,8 @@ from robodyn.engines.series import Series
 from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.simulation.benchmark import LONGS
-from robodyn.simulation.right_hand_side import right_hand_side
+from robodyn.runs.benchmark import LONGS
+from robodyn.runs.right_hand_side import right_hand_side
 
 DIGITAL = Arithmetic(
     cos=mp.cos,

@@ -12,7 +12,7 @@ from conftest import FOUR_BAR, FRESH, ROOT, TWO_LINK
 import oracles
 from robodyn import load, simulate
 from robodyn.dynamics.identities import sample_states
-from robodyn.simulation.report import Outcome
+from robodyn.runs.report import Outcome
 
 REFERENCES = Path(__file__).parent / "references"
 

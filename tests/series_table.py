@@ -22,7 +22,7 @@ from robodyn.mechanics.actuation import Actuation, expressions
 from robodyn.runs import machine_motion
 from robodyn.runs.machine_motion import Observer
 from robodyn.runs.machine_steps import Scene
-from robodyn.taylor.compiled import CompiledEngine
+from robodyn.runs.series_engine import SeriesEngine
 
 ORDER = 12 if FRESH else 8
 TOLERANCE = 1e-12  # of a step
@@ -88,7 +88,7 @@ def compiled(name, which):
     """The engine of steps; it is made once for all that is asked of it."""
     one, actuation, _ = known(name, which)
     options = {"rtol": TOLERANCE, "atol": TOLERANCE, "order": ORDER, "work": True}
-    return CompiledEngine(one.mech, actuation, **options)
+    return SeriesEngine(one.mech, actuation, **options)
 
 
 def by_program(one, actuation, kind, order=ORDER):
@@ -115,7 +115,7 @@ def by_rows(name, which, kind):
 
 
 def by_machine_code(name, which, lanes=1):
-    """By the code of steps; of one lane it is that which `CompiledEngine` runs."""
+    """By the code of steps; of one lane it is that which `SeriesEngine` runs."""
     one, actuation, _ = known(name, which)
     if lanes == 1:
         made, code, _, _ = compiled(name, which)._made(None)

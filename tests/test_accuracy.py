@@ -18,17 +18,17 @@ from robodyn.engines import formulas
 from robodyn.errors import InputError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation import accuracy
-from robodyn.simulation.accuracy import (
+from robodyn.runs import accuracy
+from robodyn.runs.accuracy import (
     AUTO,
     AccuracyError,
     best_method,
     error_estimate,
     settings_for,
 )
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.settings import METHODS, Settings
-from robodyn.simulation.simulation import run
+from robodyn.runs.march import run
+from robodyn.runs.report import Outcome
+from robodyn.runs.settings import METHODS, Settings
 
 REFERENCES = Path(__file__).parent / "references"
 ASKED = (1e-3, 1e-6, 1e-9)

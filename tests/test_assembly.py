@@ -29,7 +29,7 @@ from robodyn.dynamics import closed_form as cf
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import load
-from robodyn.simulation.simulation import simulate
+from robodyn.runs.simulation import simulate
 
 SEEDS = range(8)
 FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: more of the slow

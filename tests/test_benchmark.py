@@ -19,11 +19,11 @@ from robodyn.dynamics.evaluators import COLUMNS, measure_evaluators
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation import benchmark
-from robodyn.simulation.benchmark import ORDER, TOLERANCE, Measurement, _mark_front, reference
-from robodyn.simulation.motion_columns import as_actuation
-from robodyn.simulation.settings import Settings
-from robodyn.simulation.simulation import run
+from robodyn.runs import benchmark
+from robodyn.runs.benchmark import ORDER, TOLERANCE, Measurement, _mark_front, reference
+from robodyn.runs.march import run
+from robodyn.runs.motion_columns import as_actuation
+from robodyn.runs.settings import Settings
 
 TOLERANCES = (1e-4, 1e-8, 1e-13)
 ARM = np.array([-1.3, -0.2, 0.5, 0.25])

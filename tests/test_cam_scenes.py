@@ -20,11 +20,11 @@ from robodyn.dynamics.state import State
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.runs.report import Outcome
 from robodyn.scene.description import from_text
 from robodyn.scene.plain_scene import plain_scene
 from robodyn.scene.scene import Point
 from robodyn.scene.scene_values import read_numbers
-from robodyn.simulation.report import Outcome
 
 M, J, K, PRELOAD, G = 0.4, 0.002, 900.0, 0.03, 9.81
 H, W = 0.02, 30.0

@@ -9,7 +9,7 @@ import pytest
 from robodyn.cli import bench
 from robodyn.dynamics import evaluators
 from robodyn.pictures import chart_figure
-from robodyn.simulation import benchmark
+from robodyn.runs import benchmark
 
 ARM = ("bench", "robots/2r.yaml", "--q=-1.3,-0.2", "--qd", "0.5,0.25", "--time", 0.2)
 SHORT = (*ARM, "--repeats", 1)

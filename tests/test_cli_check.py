@@ -406,3 +406,16 @@ def test_a_coupling_that_is_constant_is_told_of_welds(
     assert given.code == 0
     note = "Note: a coupling keeps q2 (b) constant: `joint: fixed` with an `angle` says that"
     assert (note in given.err) is told
+
+
+def test_friction_by_forces_is_shown_a_line_a_contact(robodyn: Run) -> None:
+    told = robodyn("check", "robots/shaper.yaml", "--format", "table").out
+    lines = [" ".join(line.split()) for line in told.splitlines()]
+    assert "friction of crank coefficient 0.08, radius 0.025 m, speed 0.05 rad/s" in lines
+    assert "friction of loop 1 coefficient 0.12, speed 0.005 m/s" in lines
+    found = robodyn("check", "robots/shaper.yaml").json["friction"]
+    assert [(x["joint"], x["loop"]) for x in found] == [
+        ("crank", None), ("lever", None), ("link", None), (None, 1), (None, 2)
+    ]  # fmt: skip
+    assert found[0]["radius"] == 0.025
+    assert found[3]["radius"] is None

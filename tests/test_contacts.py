@@ -24,10 +24,10 @@ from robodyn.elements.contacts import Mode
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
+from robodyn.runs.phases import Phases, rates_after
+from robodyn.runs.report import Outcome
+from robodyn.runs.simulation import Motion, simulate
 from robodyn.scene.description import from_text
-from robodyn.simulation.phases import Phases, rates_after
-from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import Motion, simulate
 
 G = 9.81
 METHODS = ("DOP853", "RK45", "Radau", "taylor")

@@ -19,13 +19,13 @@ import robodyn
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.sticking import mode_at
 from robodyn.elements.joints import CompliantStop
-from robodyn.events import pieces, single_zeros
 from robodyn.mechanics import actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.simulation.motion_columns import as_actuation
-from robodyn.simulation.phases import DOUBTS, Phases
-from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import Motion, simulate
+from robodyn.runs import roots
+from robodyn.runs.motion_columns import as_actuation
+from robodyn.runs.phases import DOUBTS, Phases
+from robodyn.runs.report import Outcome
+from robodyn.runs.simulation import Motion, simulate
 
 # -- which joints of a loop stick ------------------------------------------------------------------
 
@@ -341,15 +341,14 @@ def test_what_rounding_hides_for_long_is_told_once(
 ) -> None:
     """Along its stop a joint follows this but for what the method misses: zero, or nearly."""
     boxes = 0
-    stretches = single_zeros.stretches
+    look = roots._look
 
-    def counted(*given: Any) -> Any:
+    def counted(sampled: Any, begin: Any, *given: Any) -> Any:
         nonlocal boxes
-        boxes += 1
-        return stretches(*given)
+        boxes += len(begin)
+        return look(sampled, begin, *given)
 
-    monkeypatch.setattr(single_zeros, "stretches", counted)
-    monkeypatch.setattr(pieces, "stretches", counted)
+    monkeypatch.setattr(roots, "_look", counted)
     motion = simulate(
         scene(BLOCKS), [0.0] * 4, [1.0, -2.0, 0.5, 3.0], 1.3, method=method, rtol=1e-7,
         atol=1e-7, events={"same": "q4 - 3 - 3*sin(5*(t - 1))/5"},

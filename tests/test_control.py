@@ -41,8 +41,8 @@ from robodyn.control import laws
 from robodyn.control.laws import driving_torques, rest_torques
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.simulation.accuracy import error_estimate, settings_for
-from robodyn.simulation.settings import Settings
+from robodyn.runs.accuracy import error_estimate, settings_for
+from robodyn.runs.settings import Settings
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 ARM = load(ROBOTS / "2r.yaml")

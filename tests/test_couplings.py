@@ -26,9 +26,9 @@ from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynam
 from robodyn.dynamics.evaluators import _accelerations
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
+from robodyn.runs.benchmark import reference
+from robodyn.runs.right_hand_side import right_hand_side
 from robodyn.scene.quantities import parse_coupling
-from robodyn.simulation.benchmark import reference
-from robodyn.simulation.right_hand_side import right_hand_side
 
 FIVE_BAR = """
 gravity: 9.81

@@ -570,7 +570,7 @@ def test_any_bytes_are_refused(data: bytes) -> None:
         *("errors.InputError", "errors.AssemblyError", "errors.SingularError"),
         *("trajectories.loop_path.PathEndError", "trajectories.loop_path.TravelError"),
         *("trajectories.time_scaling.LimitError", "engines.row_values.TableLeftError"),
-        *("simulation.accuracy.AccuracyError", "cli.simulate.UnfinishedError"),
+        *("runs.accuracy.AccuracyError", "cli.simulate.UnfinishedError"),
     ],
 )
 def test_every_error_goes_to_another_process(path: str) -> None:

@@ -27,8 +27,8 @@ from robodyn.dynamics import closed_form, identities
 from robodyn.dynamics.closed_form import energies
 from robodyn.errors import InputError, LawError
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation.benchmark import reference
-from robodyn.simulation.report import Outcome
+from robodyn.runs.benchmark import reference
+from robodyn.runs.report import Outcome
 
 METHODS = ["DOP853", "RK45", "Radau", "taylor"]
 ROD = """

@@ -23,7 +23,7 @@ from robodyn.dynamics.closed_form import (
     gravity_vector,
     mass_matrix,
 )
-from robodyn.simulation.report import Outcome
+from robodyn.runs.report import Outcome
 
 METHODS = ["DOP853", "taylor"]
 BEAD = """

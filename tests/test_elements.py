@@ -524,7 +524,7 @@ def test_an_element_may_be_added_to_a_mechanism(seed):
 
 ROOT = Path(robodyn.__file__).parent
 PICTURES = ("elements/", "pictures/")
-CONTACTS = ("mechanics/modes.py", "dynamics/sticking.py", "simulation/phases.py")
+CONTACTS = ("mechanics/modes.py", "dynamics/sticking.py", "runs/phases.py")
 
 
 def imports(file):

@@ -25,7 +25,7 @@ from robodyn.engines import machine
 from robodyn.loops.projection import float_closing, suspect_quality
 from robodyn.mechanics.actuation import Actuation, expressions, table
 from robodyn.runs.machine_motion import Status
-from robodyn.taylor.compiled import serves
+from robodyn.runs.series_engine import serves
 
 EVERYWHERE = (*KINDS, *ROBOTS)
 EVERY = pytest.mark.parametrize("name", EVERYWHERE, ids=lambda x: getattr(x, "stem", x))

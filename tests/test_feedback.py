@@ -31,9 +31,9 @@ from robodyn import (
     simulate,
 )
 from robodyn.control.state_feedback import StateFeedback, read_feedback
-from robodyn.simulation.accuracy import error_estimate, settings_for
-from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.simulation.settings import Settings
+from robodyn.runs.accuracy import error_estimate, settings_for
+from robodyn.runs.right_hand_side import right_hand_side
+from robodyn.runs.settings import Settings
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 ARM = load(ROBOTS / "2r.yaml")

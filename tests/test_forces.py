@@ -38,7 +38,7 @@ from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.engines.row_values import RowValues
 from robodyn.errors import SingularError
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation.benchmark import reference
+from robodyn.runs.benchmark import reference
 
 SEEDS = range(4)
 TREES = {f"tree {n}": seeded_tree(n, n) for n in (1, 2, 3, 5)}

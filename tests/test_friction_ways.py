@@ -17,7 +17,7 @@ from robodyn.equations.written import equations
 from robodyn.errors import DescriptionError, InputError
 from robodyn.export.urdf import urdf
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.simulation.simulation import simulate
+from robodyn.runs.simulation import simulate
 
 EACH = pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau", "taylor"])
 BLOCK = "links: [{{name: block, joint: prismatic, axis: [1, 0], m: 2, l: 0, r: 0, I: 1, {}}}]"

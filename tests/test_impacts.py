@@ -18,8 +18,8 @@ import robodyn
 from robodyn.dynamics import closed_form
 from robodyn.elements.joints import HardStop
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.simulation import recording
-from robodyn.simulation.simulation import Motion, simulate
+from robodyn.runs import report
+from robodyn.runs.simulation import Motion, simulate
 
 Run = Callable[..., Outcome]
 Array = np.ndarray
@@ -209,7 +209,7 @@ def test_impacts_of_random_scenes(tens: int) -> None:
         mechanism, q, qd, tau, end = drawn(seed)
         method = METHODS[seed % len(METHODS)]
         motion = simulate(mechanism, q, qd, end, tau, method=method, rtol=1e-9, atol=1e-9)
-        assert motion.outcome is recording.Outcome.FINISHED, seed
+        assert motion.outcome is report.Outcome.FINISHED, seed
         assert motion.report.energy_drift < 1e-5, seed
         for joint, side, limit, _ in mechanism.of(HardStop):
             assert (side * (motion.q[:, joint] - limit)).max() < 1e-9, seed
@@ -221,7 +221,7 @@ def test_a_joint_that_turned_back_just_beyond_its_end_goes_on(method: str) -> No
     """Impacts in turn throw it 4e-12 rad beyond: less than steps tell, more than rounding."""
     mechanism, q, qd, tau, end = drawn(765700)
     motion = simulate(mechanism, q, qd, end, tau, method=method, rtol=1e-9, atol=1e-9)
-    assert motion.outcome is recording.Outcome.FINISHED
+    assert motion.outcome is report.Outcome.FINISHED
     assert motion.report.energy_drift < 1e-7
     check_impacts(mechanism, motion, qd)
 
@@ -248,7 +248,7 @@ def test_geared_fingers_meet_their_ends_at_once(pair: tuple[float, float], metho
     mechanism, way = scene(FINGERS.format(*pair)), math.radians(20.0)
     given = {"method": method, "rtol": 1e-10, "atol": 1e-10}
     motion = simulate(mechanism, [way, -way], [0.0, 0.0], 0.5, "0.01", **given)
-    assert motion.outcome is recording.Outcome.FINISHED
+    assert motion.outcome is report.Outcome.FINISHED
     speed_up, e = 0.01 / (2.0 * (5.0e-5 + 0.1 * 0.04**2)), max(pair)
     first, v = math.sqrt(2.0 * way / speed_up), math.sqrt(2.0 * way * speed_up)
     hits, exact = [x for x in motion.events if x.name == "left hits its max"], first
@@ -299,7 +299,7 @@ def test_a_crank_and_its_rod_meet_their_ends_at_once(
     mechanism, begun = scene(CRANK.format(*pair)), math.radians(30.0)
     given = {"method": method, "rtol": 1e-10, "atol": 1e-10}
     motion = simulate(mechanism, [begun, -2.0 * begun], [0.0, 0.0], 0.5, "5", **given)
-    assert motion.outcome is recording.Outcome.FINISHED
+    assert motion.outcome is report.Outcome.FINISHED
     first, other = motion.events[:2]
     assert (first.name, other.name) == ("crank hits its max", "rod hits its min")
     assert first.t == other.t
@@ -324,7 +324,7 @@ def test_two_and_three_ends_of_a_loop_are_met_at_once(ends: tuple[int, ...], met
     begun = robodyn.assemble(plain, [1.2])
     qd = robodyn.loop_velocities(plain, begun, [4.0])
     motion = simulate(scene(FOUR_BAR.format(**keys)), begun, qd, 0.1, method=method)
-    assert motion.outcome is recording.Outcome.FINISHED
+    assert motion.outcome is report.Outcome.FINISHED
     first = motion.events[0]
     assert sum(x.t == first.t for x in motion.events) == len(ends)
     before = motion.qd[int(np.searchsorted(motion.t, first.t))]
@@ -375,7 +375,7 @@ def test_forces_that_cancel_hold_nothing_and_let_nothing_go(method: str) -> None
     text += "springs: [{joint: beam, stiffness: 3, angle: 0.3}, "
     mechanism = scene(text + "{joint: beam, stiffness: 3, angle: -0.3}]")
     motion = simulate(mechanism, [0.0, 0.0, 0.1], [0.0, 0.0, 5.0], 0.5, method=method)
-    assert motion.outcome is recording.Outcome.FINISHED
+    assert motion.outcome is report.Outcome.FINISHED
     assert {x.name for x in motion.events} == {"other hits its max"}
     assert (motion.q[:, :2] == 0.0).all()
     assert motion.report.steps < 300
@@ -411,7 +411,7 @@ def test_impacts_in_turn_without_end_leave_joints_at_rest(method: str) -> None:
     qd = [2.0, -0.417311089297775, 5.0, -4.755210163820487]
     mechanism = scene(text)
     motion = simulate(mechanism, q, qd, 0.6, "0, 1", method=method)
-    assert motion.outcome is recording.Outcome.FINISHED
+    assert motion.outcome is report.Outcome.FINISHED
     assert abs(motion.events[-1].t - 0.1624462) < 1e-7
     ends = [2.17266045, -1.27690582, 1.94876048, 0.19871222]
     np.testing.assert_allclose(motion.q[-1], ends, atol=5e-9)

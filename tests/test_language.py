@@ -18,10 +18,10 @@ from conftest import ROOT
 from each_case import each
 
 import robodyn
-from robodyn.events.functions import event_function
 from robodyn.mechanics import actuation
 from robodyn.mechanics.mechanism import build
 from robodyn.mechanics.time_samples import values_of
+from robodyn.runs.event_functions import event_function
 from robodyn.scene.description import from_text
 from robodyn.scene.expressions import OPERATIONS, SCOPE, code_of, fold, value_in, walk
 from robodyn.scene.quantities import (

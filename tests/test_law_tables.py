@@ -11,7 +11,7 @@ from robodyn import assemble, load, loop_velocities, simulate
 from robodyn.dynamics import identities
 from robodyn.engines.coupling_laws import law_derivatives
 from robodyn.errors import InputError, LawError
-from robodyn.simulation.report import Outcome
+from robodyn.runs.report import Outcome
 
 METHODS = ["DOP853", "RK45", "Radau", "taylor"]
 CAM = """

@@ -26,8 +26,8 @@ from robodyn.dynamics.dynamics import coupling_torques, forward_dynamics_and_for
 from robodyn.engines.coupling_laws import law_derivatives
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import build
+from robodyn.runs.report import Outcome
 from robodyn.scene.description import from_text
-from robodyn.simulation.report import Outcome
 
 NESTED = """
 gravity: 9.81

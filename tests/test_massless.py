@@ -138,3 +138,151 @@ def test_some_of_the_three_are_not_enough(robodyn, tmp_path: Path) -> None:
     for given, fits in (("", True), ("m: 1", False), ("m: 1, r: 0, I: 1", True), ("r: 0", False)):
         scene = yaml.safe_load(f"links: [{{name: a, l: 1{', ' * bool(given)}{given}}}]")
         assert schema.is_valid(scene) is fits, given
+
+
+def test_peaucelliers_linkage_draws_a_straight_line() -> None:
+    """C on a circle through O, and OC OP = 0.5^2 - 0.25^2: P is at 0.625 (1, tan(q1/2))."""
+    mech = api.load("peaucellier")
+    for q1 in np.radians([-67, -40, -10, 0, 25, 60, 67]):
+        q = api.assemble(mech, [q1])
+        qd = api.loop_velocities(mech, q, [1.5])
+        qdd = api.loop_accelerations(mech, q, qd, [0.0])
+        (_, p, v, a) = api.points(mech, q, qd, qdd, of="P")
+        rate = 0.75 / np.cos(q1 / 2) ** 2  # of tan(q1/2)
+        assert p[..., 0, :] == pytest.approx(0.625 * np.array([1, np.tan(q1 / 2)]), abs=1e-12)
+        assert v[..., 0, :] == pytest.approx(0.625 * np.array([0, rate]), abs=1e-11)
+        bent = 1.5 * rate * np.tan(q1 / 2)
+        assert a[..., 0, :] == pytest.approx(0.625 * np.array([0, bent]), abs=1e-9)
+
+
+STILL = {
+    "a post that a coupling keeps": """\
+links:
+  - {name: post, l: 0.5, MASS}
+  - {name: arm, m: 1.2, l: 0.4, r: 0.2, I: 0.02}
+couplings: ["q1 = 80deg"]
+""",
+    "a post on a post, the second by a gear": """\
+links:
+  - {name: post, l: 0.5, MASS}
+  - {name: shelf, l: 0.3, MASS}
+  - {name: arm, m: 1.2, l: 0.4, r: 0.2, I: 0.02}
+couplings: ["q2 = -2 q1 + 0.1", "q1 = 0.3"]
+""",
+    "a weld on a weld on the ground": """\
+links:
+  - {name: base, l: 0.5, joint: fixed, MASS}
+  - {name: bracket, l: 0.2, joint: fixed, angle: 30deg, MASS}
+  - {name: arm, m: 1.2, l: 0.4, r: 0.2, I: 0.02}
+""",
+    "a weld on a slide that a law keeps": """\
+links:
+  - {name: table, joint: prismatic, axis: [0, 1], l: 0.5, MASS}
+  - {name: bracket, l: 0.2, joint: fixed, angle: 30deg, MASS}
+  - {name: arm, m: 1.2, l: 0.4, r: 0.2, I: 0.02}
+couplings: ["q1 = 0.2 m"]
+""",
+    "two links in a frame that carries a four-bar": """\
+links:
+  - {name: left, l: 0.9, MASS}
+  - {name: right, l: 1.0, from: [1.0, 0.0], MASS}
+  - {name: arm, m: 1.0, l: 0.63, r: 0.2, I: 0.01, from: left}
+  - {name: rod, m: 2.0, l: 0.94, r: 0.2, I: 0.1, from: arm}
+  - {name: rocker, m: 1.0, l: 0.54, r: 0.2, I: 0.1, from: [1.0, 0.0]}
+closures: [[left, right], [rod, rocker]]
+actuated: [arm]
+start: {left: 63deg, right: 127deg, arm: -45deg, rod: -76deg, rocker: 80deg}
+""",
+    "a strut between two points of the ground": """\
+links:
+  - {name: strut, l: 1.3, from: [0.5, 0], MASS}
+  - {name: arm, m: 1.2, l: 0.4, r: 0.2, I: 0.02, from: {link: strut, at: [0.4, 0]}}
+closures: [[strut, [1.8, 0]]]
+actuated: [arm]
+start: {strut: 0}
+""",
+}
+
+
+def table(outcome) -> dict[str, list[float]]:
+    """The columns that a command wrote."""
+    return {name: outcome.column(name) for name in outcome.rows[0]}
+
+
+GRAVITY = "gravity: [1.1, -9.81]\n"
+
+
+@pytest.mark.parametrize("name", STILL)
+def test_the_mass_of_a_link_that_stands_still_acts_on_nothing_that_moves(
+    robodyn, tmp_path: Path, name: str
+) -> None:
+    """Every column is that with any masses, but for the forces that carry their weight."""
+    light, heavy = tmp_path / "light.yaml", tmp_path / "heavy.yaml"
+    light.write_text(GRAVITY + STILL[name].replace(", MASS", ""), encoding="utf-8")
+    heavy.write_text(
+        GRAVITY + STILL[name].replace("MASS", "m: 7, r: [0.1, 0.2], I: 3"), encoding="utf-8"
+    )
+    lost = {"tc1", "tc2"} if "coupl" in STILL[name] else set()
+    lost |= {"fx1", "fy1"} if "closures" in STILL[name] else set()
+    for command in (
+        ["torque", "--q=-20deg", "--qd", "2", "--qdd", "3"],
+        ["accel", "--q=-20deg", "--qd", "2", "--tau", "3"],
+        ["simulate", "--q=-20deg", "--time", "0.3", "--points", "3", "--columns", "t,q,qd"],
+        ["linearize", "--q=-20deg"],
+    ):
+        one, other = (robodyn(command[0], str(x), *command[1:]) for x in (light, heavy))
+        assert one.code == other.code == 0, (command, one.err, other.err)
+        if command[0] == "linearize":
+            assert one.json["A"] == pytest.approx(np.array(other.json["A"]), rel=1e-9)
+            continue
+        ones, others = table(one), table(other)
+        assert {*others} - {*ones} == ({x for x in others if x in lost}), command
+        for column in ones:
+            assert ones[column] == pytest.approx(others[column], rel=1e-7, abs=1e-9), column
+    if lost:
+        result = robodyn("reactions", str(light), "--q=-20deg")
+        assert result.code == 2
+        assert "has no mass m, which reactions needs" in result.err
+    light.write_text(STILL[name].replace(", MASS", ""), encoding="utf-8")  # nothing weighs
+    heavy.write_text(STILL[name].replace("MASS", "m: 7, r: [0.1, 0.2], I: 3"), encoding="utf-8")
+    for command in ("reactions", "torque"):
+        state = ["--q=-20deg", "--qd", "2", "--qdd", "3"]
+        one, other = (table(robodyn(command, str(x), *state)) for x in (light, heavy))
+        assert [*one] == [*other]
+        for column in one:
+            if not column.startswith("shake_m"):
+                assert one[column] == pytest.approx(other[column], rel=1e-9, abs=1e-9), column
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # equal cranks about one point turn together
+        "links:\n  - {name: a, l: 0.5}\n  - {name: b, l: 0.5, from: [0, 0]}\n"
+        "closures: [[a, b]]\nactuated: [a]\n",
+        # a frame on what turns
+        "links:\n  - {name: wheel, m: 1, l: 0.5, r: 0.1, I: 0.1}\n"
+        "  - {name: a, l: 0.5}\n  - {name: b, l: 0.6, from: 'wheel@0.1,0.1'}\nclosures: [[a, b]]\n"
+        "actuated: [wheel]\n",
+        # a joint that the time drives
+        'links: [{name: a, l: 0.5}]\ncouplings: ["q1 = 2 rad/s t"]\n',
+        # what a coupling keeps upon what turns
+        "links:\n  - {name: wheel, m: 1, l: 0.5, r: 0.1, I: 0.1}\n  - {name: a, l: 0.5}\n"
+        'couplings: ["q2 = 0.3"]\n',
+    ],
+)
+def test_a_link_that_moves_needs_its_mass(robodyn, tmp_path: Path, text: str) -> None:
+    file = tmp_path / "light.yaml"
+    file.write_text(text, encoding="utf-8")
+    state = [] if " t" in text else ["--q", "0.3"]
+    result = robodyn("torque", str(file), *state)
+    assert result.code == 2
+    assert " (a): has no mass m, which torque needs" in result.err
+
+
+def test_what_moves_is_named_not_what_stands(robodyn, tmp_path: Path) -> None:
+    file = tmp_path / "light.yaml"
+    text = "links:\n  - {name: base, l: 1, joint: fixed}\n  - {name: arm, l: 1}\n"
+    file.write_text(text, encoding="utf-8")
+    result = robodyn("torque", str(file), "--q", "0.3")
+    assert "links[1] (arm): has no mass m, which torque needs" in result.err

@@ -26,9 +26,9 @@ from random_mechanisms import LOOPS, Scene, mechanism, motored, seeded_scene, se
 from robodyn.dynamics import closed_form, dynamics, identities, reaction_forces
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import load
+from robodyn.runs.benchmark import reference
+from robodyn.runs.motion_columns import as_actuation
 from robodyn.scene.description import from_text
-from robodyn.simulation.benchmark import reference
-from robodyn.simulation.motion_columns import as_actuation
 from robodyn.trajectories.time_scaling import LimitError
 
 SEEDS = range(FIRST_SEED, FIRST_SEED + (200 if FRESH else 24))

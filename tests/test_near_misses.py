@@ -15,7 +15,7 @@ from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.engines import machine
 from robodyn.loops.change_points import nearest_singular
 from robodyn.loops.closing import BITS, HALF_PI, _cos_sin, singular_size
-from robodyn.simulation.simulation import simulate
+from robodyn.runs.simulation import simulate
 from robodyn.trajectories.reference import reference_motion
 
 FAST = "taylor"

@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import Outcome as Given
 from contact_scenes import scene
-from scipy.integrate import solve_ivp
+from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.optimize import brentq
 
 import robodyn
-from robodyn.dynamics.closed_form import energies
-from robodyn.dynamics.friction_rounds import NotSettledError
+from robodyn.dynamics.closed_form import energies, other_forces
+from robodyn.dynamics.dynamics import RobodynWarning
+from robodyn.dynamics.friction_rounds import NotSettledError, load_of
+from robodyn.dynamics.identities import BALANCE, POWER, identities, sample_states
 from robodyn.dynamics.reaction_forces import reactions
+from robodyn.engines import rounds
+from robodyn.engines.rounds import by_rounds
 from robodyn.errors import DescriptionError, InputError
 from robodyn.export.scene_text import scene_text
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
+from robodyn.runs.motion_columns import as_actuation
+from robodyn.runs.report import Outcome
+from robodyn.runs.right_hand_side import right_hand_side
+from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
 from robodyn.scene.plain_scene import plain_scene
-from robodyn.simulation.simulation import simulate
 
+Run = Callable[..., Given]
 G = 9.81
 CRANK, ROD = 0.1, 0.35
 RADII = 0.02, 0.015, 0.012  # of the pins of the crank, the crank pin, the gudgeon pin
@@ -277,27 +288,41 @@ def test_a_pin_in_a_slot_of_a_lever_loses_the_power_that_the_equations_lack() ->
     assert R[1] @ [1.0, 1j] == pytest.approx(2.0 * (a + 1j * G) + on_pin, rel=1e-12)
 
 
+PIN = "friction: {coefficient: 0.15, radius: 0.03, speed: 0.3}"
+ARM = f"""gravity: {G}
+links:
+  - {{name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082, {PIN}, motor: {{ratio: 5, inertia: 1e-3}}}}
+  - {{name: b, m: 0.9, l: 0.6, r: 0.25, I: 0.031, {PIN}, payload: 0.4}}
+  - {{name: c, joint: prismatic, axis: [0, 1], m: 0.5, l: 0.1, r: 0.05, I: 0.01,
+     friction: {{coefficient: 0.2, speed: 0.2}}}}
+springs:
+  - {{between: [[0.3, 0.5], {{link: b, at: [0.2, 0.1]}}], stiffness: 40, length: 0.2, damping: 2}}
+loads:
+  - {{link: c, at: [0.1, 0], force: ["3 N sin(2 rad/s t)", -2]}}
+  - {{link: b, at: [0.6, 0], force: [1, 2], frame: link}}
+"""
+FOUR = f"""gravity: {G}
+links:
+  - {{name: crank, m: 0.6, l: 0.35, r: 0.15, I: 0.008, {PIN}}}
+  - {{name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102, {PIN}}}
+  - {{name: rocker, m: 1.0, l: 0.80, r: 0.36, I: 0.061, from: [1.1, 0.0]}}
+closures: [{{pins: [coupler, rocker], {PIN}}}]
+assembly: open
+"""
+CAM = f"""gravity: {G}
+links:
+  - {{name: disc, m: 1, l: 0, r: 0.01, I: 0.02, {PIN}}}
+  - {{name: lift, joint: prismatic, axis: [0, 1], from: [0.01, 0.06], m: 0.5, l: 0.1, r: 0, I: 0.1,
+     friction: {{coefficient: 0.1, speed: 0.01}}}}
+couplings: [{{law: "q2 = 8 mm (1 - cos(q1))", cam: {{roller: 8 mm, at: [0, 0]}}}}]
+"""
+
+
 @pytest.mark.parametrize("count", [1, 500])
 def test_forward_is_the_inverse_of_inverse_dynamics(count: int) -> None:
     """Of an arm, a four-bar and a lever with a slot, one state and many."""
-    pin = "friction: {{coefficient: {}, radius: 0.05, speed: 0.3}}"
-    arm = scene(f"""gravity: {G}
-links:
-  - {{name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082, {pin.format(0.2)}}}
-  - {{name: b, m: 0.9, l: 0.6, r: 0.25, I: 0.031, {pin.format(0.3)}}}
-  - {{name: c, joint: prismatic, axis: [0, 1], m: 0.5, l: 0.1, r: 0.05, I: 0.01,
-     friction: {{coefficient: 0.2, speed: 0.2}}}}
-""")
-    four = scene(f"""gravity: {G}
-links:
-  - {{name: crank, m: 0.6, l: 0.35, r: 0.15, I: 0.008, {pin.format(0.2)}}}
-  - {{name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102, {pin.format(0.2)}}}
-  - {{name: rocker, m: 1.0, l: 0.80, r: 0.36, I: 0.061, from: [1.1, 0.0]}}
-closures: [{{pins: [coupler, rocker], {pin.format(0.25)}}}]
-assembly: open
-""")
     random = np.random.default_rng(7)
-    for mechanism in (arm, four, scene(SLOT)):
+    for mechanism in (scene(ARM), scene(FOUR), scene(SLOT)):
         n = mechanism.n
         if mechanism.rows:
             q, _ = states(mechanism, random.uniform(0.2, 2.5, count), 0.0)
@@ -327,6 +352,180 @@ def test_what_locks_is_refused_with_its_coefficient() -> None:
     )
 
 
+@pytest.mark.parametrize("text", [ARM, FOUR, SLOT, CAM])
+@pytest.mark.parametrize("tau", [[1.5], "2*sin(3*t)"])
+def test_written_out_rates_are_those_of_dense_algebra(text: str, tau: list[float] | str) -> None:
+    mechanism = scene(text)
+    actuated, random = len(mechanism.actuated), np.random.default_rng(3)
+    torques = tau * actuated if isinstance(tau, list) else ",".join([tau] * actuated)
+    actuation = as_actuation(mechanism, torques)
+    both = [right_hand_side(mechanism, actuation, work=True, kind=kind) for kind in (None, "dense")]
+    assert both[0].kind == "straight-line"
+    for _ in range(20):
+        q = robodyn.assemble(mechanism, random.uniform(0.3, 2.8, actuated))
+        qd = robodyn.loop_velocities(mechanism, q, random.uniform(-5.0, 5.0, actuated))
+        y = np.concatenate([q, qd, [0.0]])
+        one, other = (np.array(side.rates(0.7, y)) for side in both)
+        assert np.abs(one - other).max() < 1e-12 * np.abs(other).max()
+
+
+def test_runs_take_written_out_rates() -> None:
+    mechanism = scene(SLOT)
+    q = robodyn.assemble(mechanism, [0.7])
+    run = simulate(mechanism, q, robodyn.loop_velocities(mechanism, q, [20.0]), 0.05)
+    assert run.report.evaluator == "straight-line"
+
+
+METHODS = pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
+
+
+@METHODS
+@pytest.mark.parametrize("text", [ARM, FOUR, SLOT, CAM])
+def test_the_energy_balance_counts_what_friction_takes(text: str, method: str) -> None:
+    """To the tolerance; and the energy is less by the integral of forces times slips."""
+    mechanism, tol = scene(text), 1e-9
+    actuated = len(mechanism.actuated)
+    q = robodyn.assemble(mechanism, [0.7] * actuated)
+    qd = robodyn.loop_velocities(mechanism, q, [6.0, -3.0, 0.5][:actuated])
+    tau = [0.3] * actuated
+    run = simulate(mechanism, q, qd, 0.2, tau, method, tol, tol, t_eval=np.linspace(0, 0.2, 2001))
+    assert run.outcome is Outcome.FINISHED
+    assert run.report.energy_drift < 30.0 * tol
+    motion = robodyn.forward_dynamics_and_forces(mechanism, run.q, run.qd, run.tau, run.t)
+    load = load_of(mechanism, run.q, run.qd, motion.qdd, motion.multipliers, run.t)
+    lost = (load * run.qd).sum(axis=-1)
+    assert (lost <= 0.0).all()
+    assert lost.min() < -0.1
+    forces = other_forces(mechanism, run.q, run.qd, run.t)  # spring dampers, forces that turn
+    power = ((run.tau + forces) * run.qd).sum(axis=-1) + lost
+    work = cumulative_simpson(power, x=run.t, initial=0.0)
+    energy = run.to_dict()["energy"]
+    size = run.report.energy_in_motion
+    assert np.abs(energy - energy[0] - work).max() < 1e-6 * size
+    assert abs(run.report.work - work[-1]) < 1e-6 * size
+
+
+@METHODS
+def test_the_energy_balance_of_the_example_holds_until_it_locks(method: str) -> None:
+    mechanism = robodyn.load("robots/shaper.yaml")
+    q = robodyn.assemble(mechanism, [0.4])
+    qd = robodyn.loop_velocities(mechanism, q, [20.0])
+    tol = 1e-6 if method == "Radau" else 1e-8
+    run = simulate(mechanism, q, qd, 0.5, None, method, tol, tol)
+    assert run.outcome is Outcome.FRICTION
+    assert run.report.energy_drift < 30.0 * tol
+    assert run.report.t_reached == pytest.approx(0.127237, abs=1e-5)
+
+
+def rod_on_a_line(mu: float, speed: float) -> Mechanism:
+    """A uniform rod of 1 m whose end is kept on a rough line."""
+    return scene(f"""gravity: {G}
+links:
+  - {{name: x, joint: prismatic, axis: [1, 0], m: 0, l: 0, r: 0, I: 0}}
+  - {{name: y, joint: prismatic, axis: [0, 1], from: x, m: 0, l: 0, r: 0, I: 0}}
+  - {{name: rod, from: y, m: 1.2, l: 0.5, r: 0, I: 0.1}}
+closures: [{{point: {{link: rod, at: [-0.5, 0]}}, on: {{through: [0, 0], along: [1, 0]}},
+            friction: {{coefficient: {mu}, speed: {speed}}}}}]
+""")
+
+
+def thrown(angle: float, slip: float, turning: float) -> tuple[np.ndarray, np.ndarray]:
+    """A state of the rod, whose angle is told from that of link y, which points upwards."""
+    q = np.array([0.5 * math.cos(angle), 0.5 * math.sin(angle), angle - 0.5 * math.pi])
+    qd = np.array(
+        [slip - 0.5 * math.sin(angle) * turning, 0.5 * math.cos(angle) * turning, turning]
+    )
+    return q, qd
+
+
+@METHODS
+@OF_WAY
+def test_a_run_ends_where_friction_has_no_solution(method: str, way: float) -> None:
+    """Painleve: of a uniform rod mu sin cos reaches 1/3 + cos^2 (k^2 = a^2/3)."""
+    mu = 1.8
+    q, qd = thrown(0.3, 6.0 * way, 6.0)
+    run = simulate(rod_on_a_line(mu, 0.05), q, qd, 1.0, None, method, 1e-9, 1e-9)
+    assert run.outcome is Outcome.FRICTION
+    angle = math.atan(brentq(lambda tan: tan**2 - 3.0 * mu * tan + 4.0, 0.0, 1.5, xtol=1e-15))
+    assert run.q[-1, 2] + 0.5 * math.pi == pytest.approx(angle, abs=1e-6)
+    assert run.report.outcome == "friction"
+    assert "closures[0].friction.coefficient = 1.8: friction has no solution" in run.report.advice
+    assert run.report.t_reached == run.t[-1] > 0.06
+
+
+def test_a_run_by_dense_algebra_ends_there_too() -> None:
+    text = plain_scene(rod_on_a_line(1.8, 0.05).description)
+    text["links"][2]["I"] = 1e-9  # and a payload at each end: M is not eliminated first
+    dense = robodyn.load(text)
+    q, qd = thrown(0.3, 6.0, 6.0)
+    for method in ("DOP853", "Radau"):
+        run = simulate(dense, q, qd, 1.0, None, method, 1e-8, 1e-8)
+        assert run.outcome is Outcome.FRICTION, (run.outcome, run.report.evaluator)
+
+
+def test_a_run_that_cannot_start_names_the_coefficient() -> None:
+    q, qd = thrown(1.0, 6.0, 6.0)
+    for call in (
+        lambda: simulate(rod_on_a_line(1.8, 0.05), q, qd, 1.0),
+        lambda: robodyn.forward_dynamics(rod_on_a_line(1.8, 0.05), q, qd, np.zeros(3)),
+        lambda: robodyn.forward_dynamics(rod_on_a_line(80.0, 0.05), q, qd, np.zeros(3)),
+    ):
+        with pytest.raises(NotSettledError, match=r"closures\[0\]\.friction\.coefficient = \d"):
+            call()
+
+
+def test_rounds_that_are_slow_are_finished_by_newton() -> None:
+    """f = part |N + f B| of real numbers, on either side of part B = 1."""
+    slow = np.array([[0.999], [-0.999], [1.001], [0.3], [np.nan], [1e300]])
+    f, left = by_rounds(slow, np.full((6, 1), 2.0 + 0j), np.ones((6, 1, 1), complex))
+    assert left.tolist() == [False, False, True, False, False, True]
+    known = [2.0 * x / (1.0 - x) for x in (0.999, 0.3)] + [-0.999 * 2.0 / 1.999]
+    assert f[[0, 3, 1], 0] == pytest.approx(known, rel=1e-12)
+    assert np.isnan(f[[2, 4, 5]]).all()
+
+
+@pytest.mark.parametrize("text", [ARM, FOUR, SLOT, CAM])
+def test_identities_include_it(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    mechanism = scene(text)
+    sample = sample_states(mechanism, 30)
+    found = {x.name: x for x in identities(mechanism, sample)}
+    assert all(x.holds for x in found.values())
+    monkeypatch.setattr(
+        rounds, "by_rounds", lambda *given: (0.999 * by_rounds(*given)[0], by_rounds(*given)[1])
+    )
+    wrong = {x.name for x in identities(mechanism, sample) if not x.holds}
+    assert wrong == {BALANCE, POWER}
+
+
+def test_identities_leave_out_states_without_a_solution() -> None:
+    mechanism = rod_on_a_line(1.8, 0.05)
+    sample = sample_states(mechanism, 50)
+    with pytest.warns(RobodynWarning, match="no solution at .* of 50 random states"):
+        found = identities(mechanism, sample)
+    assert all(x.holds for x in found)
+    assert {BALANCE, POWER} <= {x.name for x in found}
+    with pytest.warns(RobodynWarning, match="no solution at 50 of 50"):
+        found = identities(rod_on_a_line(1e9, 1e-9), sample)
+    assert not {BALANCE, POWER} & {x.name for x in found}
+
+
+def test_friction_by_forces_that_are_not_unique_says_so() -> None:
+    """A parallelogram with a third crank."""
+    mechanism = scene(f"""gravity: {G}
+links:
+  - {{name: a, m: 0.6, l: 0.35, r: 0.15, I: 0.008, {PIN}}}
+  - {{name: b, m: 1.3, l: 1.0, r: 0.45, I: 0.102}}
+  - {{name: c, m: 0.6, l: 0.35, r: 0.15, I: 0.008, from: [1.0, 0]}}
+  - {{name: d, m: 0.6, l: 0.35, r: 0.15, I: 0.008, from: [0.5, 0]}}
+closures: [[b, c], [{{link: b, at: [0.5, 0]}}, d]]
+start: {{a: 0.7, b: -0.7, c: 0.7, d: 0.7}}
+actuated: [a]
+""")
+    q, qd = np.array([0.7, -0.7, 0.7, 0.7]), np.array([4.0, -4.0, 4.0, 4.0])
+    with pytest.warns(RobodynWarning, match="not unique .*; friction by them is not either"):
+        robodyn.forward_dynamics(mechanism, q, qd, np.zeros(4))
+
+
 # -- what does not serve ---------------------------------------------------------------------------
 
 
@@ -342,8 +541,83 @@ def test_what_has_no_such_friction_refuses_it_by_name() -> None:
     ):
         with pytest.raises(InputError, match=f"{place}: .* {what} have no such friction"):
             call()
-    with pytest.raises(InputError, match="slides has no series: take DOP853"):
+    with pytest.raises(InputError, match=r"as links\[0\] \(crank\)\.friction is, has no"):
         simulate(mechanism, q, zero, 1.0, method="taylor")
+
+
+SHAPER = "robots/shaper.yaml"
+
+
+@pytest.mark.parametrize(
+    ("command", "what"),
+    [
+        ("linearize SHAPER --q 60deg", "linear models"),
+        ("equations SHAPER", "equations"),
+        ("regressor SHAPER --q 60deg --qd 3 --qdd 0", "regressors"),
+        ("terms SHAPER --q 60deg --qd 3 --derivatives", "derivatives"),
+        ("bench SHAPER --q 60deg --qd 3", "series of many digits"),
+        ("bench SHAPER --evaluators", "evaluators of many digits"),
+        ("fit SHAPER --match TABLE --vary links.lever.m=1:3", "fits"),
+        ("fit SHAPER --simulate --match TABLE --tau 3 --vary links.lever.m=1:3", "fits"),
+        ("identify SHAPER TABLE --of links.crank.m", "regressors"),
+        ("identify SHAPER TABLE", "regressors"),
+        ("trajectory SHAPER --from 0 --to 1 --time min --max-tau 40", "shortest times by torque"),
+    ],
+)
+def test_commands_that_lack_it_refuse_it_by_name(
+    robodyn: Run, tmp_path: Path, command: str, what: str
+) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text("t,q1,qd1,qdd1,tau1\n0,0,1,0,1\n0.1,0.1,1,0,1\n0.2,0.2,1,0,1\n")
+    given = robodyn(*command.replace("SHAPER", SHAPER).replace("TABLE", str(table)).split())
+    assert given.code == 2
+    told = f"{SHAPER}: links[0] (crank).friction.coefficient = 0.08: is of the force in a pin or"
+    assert told in given.err
+    assert f"{what}" in given.err
+    assert "have no such friction" in given.err
+
+
+def test_sweeps_control_and_trajectories_have_it(robodyn: Run, tmp_path: Path) -> None:
+    """As single commands have it for the same numbers."""
+    alone = robodyn("torque", SHAPER, "--q", "1", "--qd", "5", "--qdd", "0").rows[0]
+    swept = robodyn("sweep", SHAPER, "--kind", "torque", "--qd", "5", "--vary", "q1=1,2").rows[0]
+    assert swept["tau1"] == alone["tau1"]
+    ref = tmp_path / "ref.csv"
+    led = robodyn("trajectory", SHAPER, "--speed", "5", "--time", "0.1", "--from", "1",
+                  "--points", "3", "--columns", "t,q,qd,qdd,tau1")  # fmt: skip
+    assert float(led.rows[0]["tau1"]) == pytest.approx(float(alone["tau1"]), rel=1e-12)
+    ref.write_text(led.out)
+    start = SHAPER, "--q", "1", "--qd", "5", "--time", "0.05"
+    pd = "--track", ref, "--control", "pd", "--kp", "200", "--kd", "20"
+    run = robodyn("simulate", *start, *pd, "--points", "3")
+    assert run.code == 0
+    assert run.rows[-1]["tau1"] != run.rows[0]["tau1"]
+    again = robodyn("accel", SHAPER, "-", "--columns", "qdd1", stdin=run.out)
+    for one, other in zip(run.rows, again.rows, strict=True):
+        assert float(one["qdd1"]) == pytest.approx(float(other["qdd1"]), rel=1e-10)
+    swept = robodyn("sweep", *start[:1], "--vary", "q1=1,1.2", *start[3:], *pd)
+    assert float(swept.rows[0]["q1_end"]) == pytest.approx(float(run.rows[-1]["q1"]), abs=1e-8)
+
+
+def test_derivatives_of_runs_have_it() -> None:
+    q = robodyn.assemble(scene(SLOT), [0.7])
+    qd = robodyn.loop_velocities(scene(SLOT), q, [5.0])
+    ends = [
+        simulate(
+            scene(SLOT.replace("0.1, radius: 0.02", f"{x}, radius: 0.02")),
+            q,
+            qd,
+            0.1,
+            [3.0],
+            "DOP853",
+            1e-12,
+            1e-12,
+        ).q[-1]
+        for x in (0.1 - 1e-4, 0.1 + 1e-4)
+    ]
+    name = "links.crank.friction.coefficient"
+    run = simulate(scene(SLOT), q, qd, 0.1, [3.0], sensitivity=[name])
+    assert run.sensitivity[-1, :2, 0] == pytest.approx((ends[1] - ends[0]) / 2e-4, rel=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -47,8 +47,8 @@ from robodyn.engines.series import Series, State
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import Actuation, callback, expressions, table
 from robodyn.mechanics.torque_rows import linear_piece, torque_slots
+from robodyn.runs.report import Outcome
 from robodyn.scene.expressions import FUNCTIONS
-from robodyn.simulation.report import Outcome
 
 ORDER = 12
 

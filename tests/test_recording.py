@@ -13,10 +13,10 @@ from robodyn.dynamics import closed_form, dynamics
 from robodyn.loops import assembly
 from robodyn.loops.assembly import loop_size
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation.recording import ROWS_AT_ONCE, RunStatistics
-from robodyn.simulation.report import Outcome, Report
-from robodyn.simulation.settings import METHODS, EvenTimes, Settings
-from robodyn.simulation.simulation import run
+from robodyn.runs.march import run
+from robodyn.runs.readers import ROWS_AT_ONCE, RunStatistics
+from robodyn.runs.report import Outcome, Report
+from robodyn.runs.settings import METHODS, EvenTimes, Settings
 
 
 def least_singular(mech, q):

@@ -24,7 +24,7 @@ from robodyn.dynamics.dynamics import forward_dynamics
 from robodyn.loops.assembly import close_positions
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation, expressions
-from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
+from robodyn.runs.right_hand_side import RightHandSide, right_hand_side
 
 KINDS = ("straight-line", "dense")
 EACH_KIND = each("kind", KINDS)

@@ -17,7 +17,7 @@ from conftest import ROOT, Outcome
 import robodyn as rd
 from robodyn import cli
 from robodyn.engines import batches
-from robodyn.simulation.settings import METHODS
+from robodyn.runs.settings import METHODS
 from robodyn.tables.arrays import Array
 
 Run = Callable[..., Outcome]

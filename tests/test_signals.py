@@ -33,11 +33,11 @@ from robodyn.engines.row_values import SignalError, TableLeftError
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build, load
+from robodyn.runs.benchmark import reference
 from robodyn.runs.machine_motion import Status
 from robodyn.scene.description import from_text
 from robodyn.scene.scene_schema import scene_schema
 from robodyn.scene.scene_values import SceneValues
-from robodyn.simulation.benchmark import reference
 from robodyn.sweeps.lanes import Aims, Motions, integrate
 
 Run = Callable[..., Outcome]

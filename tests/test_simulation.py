@@ -31,6 +31,7 @@ from reference_motions import (
     slope,
 )
 from scipy.integrate import solve_ivp
+from unwritten import MASSLESS
 
 import oracles
 from random_mechanisms import mechanism
@@ -39,11 +40,11 @@ from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.simulation.settings import Settings
-from robodyn.simulation.simulation import run
-from robodyn.simulation.solvers import METHODS, projected
+from robodyn.runs.march import run
+from robodyn.runs.report import Outcome
+from robodyn.runs.right_hand_side import right_hand_side
+from robodyn.runs.settings import Settings
+from robodyn.runs.solvers import METHODS, projected
 
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 
@@ -78,7 +79,7 @@ class TestReferenceDigits:
         # a hard case, and scenes whose mechanics others of their kind have
         others = {"parallelogram", "cart-pole", "scotch-yoke", "hydraulic-boom", "toggle-press"}
         others |= {"rack-gripper", "jansen-leg", "drawn-six-bar", "bell-crank", "weather-vane"}
-        others |= {"disc-cam", "shaper", "shaken-pendulum"}
+        others |= {"disc-cam", "shaper", "shaken-pendulum", "recovery-truck", *MASSLESS}
         assert examples - scenes == {f"robots/{x}.yaml" for x in others}
         assert set(SENSITIVITY) == {path.stem for path in REFERENCES.glob("*.json")}
 

@@ -33,12 +33,11 @@ from robodyn.engines.arithmetic import FLOATS
 from robodyn.engines.expression import Expression
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import build
-from robodyn.runs import machine_motion
+from robodyn.runs import machine_motion, series_engine
 from robodyn.runs.machine_motion import Observer
 from robodyn.runs.machine_steps import Scene
+from robodyn.runs.series_engine import NoCodeError, SeriesEngine, serves
 from robodyn.scene.description import from_text
-from robodyn.taylor import compiled
-from robodyn.taylor.compiled import CompiledEngine, NoCodeError, serves
 
 REFERENCES = Path(__file__).parent / "references"
 ALL = 10**5  # steps, more than any motion here takes
@@ -59,9 +58,9 @@ def reference(name: str):
     return load(ROOT / data["scene"]), np.array([s["t"] for s in data["states"]]), np.array(states)
 
 
-def engine(mechanism: Mechanism, tau=None, **options) -> CompiledEngine:
+def engine(mechanism: Mechanism, tau=None, **options) -> SeriesEngine:
     torques = constant(mechanism, [0.0] * mechanism.n if tau is None else tau)
-    return CompiledEngine(mechanism, torques, **{"rtol": 1e-14, "atol": 1e-14, **options})
+    return SeriesEngine(mechanism, torques, **{"rtol": 1e-14, "atol": 1e-14, **options})
 
 
 def moved(mechanism, y, t, tau=None, **options):
@@ -278,10 +277,10 @@ class TestServes:
     def test_torques_without_a_series_it_does_not(self):
         given = expressions(scene("2r"), "abs(q1), 0", "test")
         with pytest.raises(InputError, match="abs has no series"):
-            CompiledEngine(scene("2r"), given)
+            SeriesEngine(scene("2r"), given)
 
     def test_very_large_mechanisms_it_does_not(self, monkeypatch):
-        monkeypatch.setattr(compiled, "LARGEST", 50)
+        monkeypatch.setattr(series_engine, "LARGEST", 50)
         with pytest.raises(NoCodeError, match="160 loops"):
             engine(n_four_bar(6))
 
@@ -299,7 +298,7 @@ class TestServes:
     def test_one_code_serves_all_numbers_of_a_shape(self):
         text = (ROOT / "robots/four-bar.yaml").read_text()
         made = [
-            CompiledEngine(mechanism, constant(mechanism, tau), family=machine.PLAIN)
+            SeriesEngine(mechanism, constant(mechanism, tau), family=machine.PLAIN)
             for mechanism in (
                 load(ROOT / "robots/four-bar.yaml"),
                 build(
@@ -316,7 +315,7 @@ def test_from_rest_at_right_angles_to_gravity_only_every_fourth_coefficient_is_l
     mechanism = load(ROOT / "robots/2r.yaml")
     still = Actuation((0.0, 0.0))
     for order in range(8, 20):
-        engine = CompiledEngine(mechanism, still, rtol=1e-8, atol=1e-8, order=order)
+        engine = SeriesEngine(mechanism, still, rtol=1e-8, atol=1e-8, order=order)
         chunk = engine.advance(0.0, np.zeros(4), 2.0, np.zeros(0), 1000)
         motion = simulate(mechanism, [0, 0], [0, 0], 2.0, rtol=1e-11, atol=1e-11, t_eval=[2.0])
         assert chunk.y[-1][:2] == pytest.approx(motion.q[-1], abs=1e-5)

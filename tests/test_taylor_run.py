@@ -27,16 +27,15 @@ from robodyn.errors import InputError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.loops.projection import float_closing, suspect_quality
 from robodyn.mechanics.actuation import Actuation, expressions
-from robodyn.runs import machine_motion
+from robodyn.runs import machine_motion, series_engine
+from robodyn.runs.accuracy import AUTO, best_method, settings_for
+from robodyn.runs.benchmark import reference as longdouble_reference
 from robodyn.runs.machine_motion import Status
-from robodyn.simulation.accuracy import AUTO, best_method, settings_for
-from robodyn.simulation.benchmark import reference as longdouble_reference
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.settings import Settings
-from robodyn.simulation.simulation import run
+from robodyn.runs.march import run
+from robodyn.runs.report import Outcome
+from robodyn.runs.series_engine import SeriesEngine
+from robodyn.runs.settings import Settings
 from robodyn.sweeps.lanes import order_where_series_cost
-from robodyn.taylor import compiled
-from robodyn.taylor.compiled import CompiledEngine
 
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 
@@ -187,7 +186,7 @@ class TestServed:
         assert settings.method == "DOP853"
 
     def test_too_many_loops(self, monkeypatch):
-        monkeypatch.setattr(compiled, "LARGEST", 20)
+        monkeypatch.setattr(series_engine, "LARGEST", 20)
         bars = n_four_bar(3)
         with pytest.raises(InputError, match="160 loops"):
             taylor(bars, np.repeat([1.0, -1.0], [4, 3]), np.zeros(7), 1.0)
@@ -226,7 +225,7 @@ class TestServed:
             kernels.append(arguments)
             return compile(*arguments) if len(kernels) == 1 else None
 
-        compiled._kept.cache_clear()
+        series_engine._kept.cache_clear()
         monkeypatch.setattr(machine_motion, "compile", one)
         motion = taylor(scene("2r"), *START, 1.0, tau)
         assert len(kernels) > 1
@@ -367,7 +366,7 @@ class TestProcess:
         line = [sys.executable, "-c", code]
         done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT, check=True)
         modules = json.loads(done.stderr)
-        assert "robodyn.taylor.run" in modules
+        assert "robodyn.runs.series_steps" in modules
         assert not [name for name in modules if name.split(".")[0] == "scipy"]
         assert len(done.stdout.splitlines()) > 5
 
@@ -464,7 +463,7 @@ NONE = np.zeros(0)
 
 def engine(mech, tau="", rtol=1e-15, order=None, work=False):
     actuation = expressions(mech, tau, "test") if tau else Actuation((0.0,) * mech.n)
-    return CompiledEngine(mech, actuation, rtol=rtol, atol=rtol, order=order, work=work)
+    return SeriesEngine(mech, actuation, rtol=rtol, atol=rtol, order=order, work=work)
 
 
 def taylor_steps_run(name, times=NONE, **options):
@@ -514,7 +513,7 @@ def test_slope_of_the_error_of_equal_steps(name, order):
     known = reference(name)
     mech, t = known.mechanism, float(known.t[1])
     still = Actuation((0.0,) * mech.n)  # without closings, and with a tolerance that holds no step
-    made = CompiledEngine(mech, still, rtol=FREE, atol=FREE, order=order, project=False)
+    made = SeriesEngine(mech, still, rtol=FREE, atol=FREE, order=order, project=False)
     counts = [round(2 * t) * count for count in COUNTS[name]]
     errors = []
     for count in counts:
@@ -547,7 +546,7 @@ def test_what_is_not_finite_makes_no_step(broken):
     for value in (1e300, np.inf, np.nan):
         tau = [0.0, 0.0]
         tau[broken] = value
-        made = CompiledEngine(pair, Actuation(tuple(tau)), order=8)
+        made = SeriesEngine(pair, Actuation(tuple(tau)), order=8)
         chunk = made.advance(0.0, np.array([0.1, 0.2, 0.0, 0.0]), 1.0, NONE, ALL)
         assert (chunk.status, len(chunk.t)) == (Status.NOT_FINITE, 0)
 

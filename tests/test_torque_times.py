@@ -24,11 +24,11 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.kinks import NEAR, kink_at, next_kink, next_stop
 from robodyn.mechanics.torque_times import over_a_run
-from robodyn.simulation.accuracy import AUTO, settings_for
-from robodyn.simulation.benchmark import reference
-from robodyn.simulation.recording import UnseenWork
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.settings import METHODS, Settings
+from robodyn.runs.accuracy import AUTO, settings_for
+from robodyn.runs.benchmark import reference
+from robodyn.runs.readers import UnseenWork
+from robodyn.runs.report import Outcome
+from robodyn.runs.settings import METHODS, Settings
 
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 PENDULUM = load(ROOT / "robots/pendulum.yaml")
@@ -191,7 +191,7 @@ def test_a_torque_too_fast_for_samples_is_told_before_the_first_step(text, monke
     def stepping(*_, **__):
         raise AssertionError("a step was taken first")
 
-    monkeypatch.setattr("robodyn.simulation.simulation.SmoothMotions.run", stepping)
+    monkeypatch.setattr("robodyn.runs.march.Run._leg", stepping)
     warnings.simplefilter("error")  # until the end of this test
     with pytest.raises(RobodynWarning, match="too fast to be sampled"):
         simulate(FREE, [0.0], [0.0], 1.0, text)

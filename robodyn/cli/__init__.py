@@ -106,7 +106,7 @@ def group_options(command: str, parameters: Iterable[Any]) -> None:
 
 def _successor(message: str) -> str:
     """Return what to type in place of a removed option or value that the message refuses, or ""."""
-    from robodyn.simulation.settings import REMOVED  # only a faulty option pays for the import
+    from robodyn.runs.settings import REMOVED  # only a faulty option pays for the import
 
     for option, successor in REMOVED_OPTIONS.items():
         if re.search(f"No such option: {option}(?![\\w-])", message):

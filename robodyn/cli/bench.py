@@ -19,7 +19,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.pictures.chart_figure import work_precision
-from robodyn.simulation.benchmark import benchmark
+from robodyn.runs.benchmark import benchmark
 
 MOST_REPEATS = 10_000
 COLUMNS = (

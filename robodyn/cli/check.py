@@ -53,8 +53,6 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
       robodyn check 2r --format json
     """
     mechanism = model.load()
-    if mechanism.rubbing:
-        note("Note: friction by the forces in pins and slides is left out of these checks")
     for coupling in mechanism.description.couplings:
         if coupling.law is None and not coupling.terms:
             name = mechanism.link_names[coupling.joint]
@@ -82,6 +80,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         "start": _start(mechanism),
         "loops": [loop_class(mechanism, c) for c in range(len(mechanism.description.closures))],
         **({"cams": cams} if (cams := _cams(mechanism)) else {}),
+        **({"friction": _rubbing(mechanism)} if mechanism.rubbing else {}),
         **_conditioning(mechanism, sample),
         "states": len(sample.q),
         "closing": sample.closing if mechanism.rows else None,
@@ -175,6 +174,25 @@ def _cams_told(cams: list[dict[str, Any]]) -> Iterator[list[str]]:
             yield ["", f"face touched from {first:.6g} to {last:.6g} m: {last - first:.6g} m long"]
 
 
+def _rubbing(mechanism: Mechanism) -> list[dict[str, Any]]:
+    """Friction by the forces in pins and slides; a slide has no radius."""
+    found = []
+    for x in mechanism.rubbing:
+        place: dict[str, Any] = {"loop": None if x.closure is None else x.closure + 1}
+        place["joint"] = None if x.joint is None else mechanism.link_names[x.joint]
+        numbers = {"coefficient": x.coefficient, "radius": x.radius, "speed": x.speed}
+        found.append(place | numbers | {"unit": "m/s" if x.radius is None else "rad/s"})
+    return found
+
+
+def _rubbing_told(rubbing: list[dict[str, Any]]) -> Iterator[list[str]]:
+    """What `_rubbing` holds, as rows of a table."""
+    for x in rubbing:
+        radius = "" if x["radius"] is None else f"radius {x['radius']:.6g} m, "
+        told = f"coefficient {x['coefficient']:.6g}, {radius}speed {x['speed']:.6g} {x['unit']}"
+        yield [f"friction of {x['joint'] or 'loop ' + str(x['loop'])}", told]
+
+
 def _start_told(start: dict[str, Any]) -> str:
     """What `_start` holds as a sentence."""
     if not start["closed"]:
@@ -215,6 +233,7 @@ def _tables(content: dict[str, Any], results: list[Identity]) -> list[Grid]:
     facts.append(["mobility", str(content["mobility"])])
     facts += [[f"loop {c}", kind] for c, kind in enumerate(content["loops"], start=1)]
     facts += _cams_told(content.get("cams", []))
+    facts += _rubbing_told(content.get("friction", []))
     for key, label in (("cond_M", "condition of M"), ("cond_Psi", "condition of Psi")):
         if content[key]:
             span = ["infinite" if x is None else f"{x:.3g}" for x in content[key]]

@@ -93,7 +93,7 @@ def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
     A run that does not come to the end of its step is stopped within it; and what waits after that
     (for a pipe that nobody reads), works for too long, or gets another signal, ends at once.
     """
-    from robodyn.simulation.report import Outcome, StopRun
+    from robodyn.runs.report import InterruptedRun
 
     stopped: list[int] = []
     told = False  # whether the run knows, or has come to its end
@@ -116,7 +116,7 @@ def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
             end(stopped[0], frame)
         if not told:
             told = True
-            raise StopRun(Outcome.INTERRUPTED)
+            raise InterruptedRun
 
     alarms = hasattr(signal, "setitimer")
     urged = signal.signal(signal.SIGALRM, urge) if alarms else None
@@ -131,7 +131,7 @@ def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
                 return bool(stopped)
 
             yield watch
-    except StopRun:  # before there was a run
+    except InterruptedRun:  # before there was a run
         end(stopped[0])
     finally:
         if alarms:

@@ -51,21 +51,20 @@ from robodyn.dynamics.joint_vectors import joint_values
 from robodyn.dynamics.named_points import named_points
 from robodyn.dynamics.state import State
 from robodyn.errors import AssemblyError, InputError, RobodynError, at_place, named_options
-from robodyn.events.functions import named_events
-from robodyn.events.watch import Event, EventWatch
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.voltages import voltages
-from robodyn.scene.quantities import parse_vector, value_from
-from robodyn.simulation.motion_columns import (
+from robodyn.runs.event_functions import named_events
+from robodyn.runs.march import run
+from robodyn.runs.motion_columns import (
     applied_torques,
     motion_columns,
     over_run,
 )
-from robodyn.simulation.report import Outcome, Report
-from robodyn.simulation.settings import (
+from robodyn.runs.report import Outcome, Report
+from robodyn.runs.settings import (
     DEFAULT_DURATION,
     MAX_EVALUATIONS,
     NO_ENGINE,
@@ -73,7 +72,9 @@ from robodyn.simulation.settings import (
     Settings,
     Stabilize,
 )
-from robodyn.simulation.simulation import UNTIL, run, watched_events
+from robodyn.runs.simulation import UNTIL, watched_events
+from robodyn.runs.watch import Event, EventWatch
+from robodyn.scene.quantities import parse_vector, value_from
 from robodyn.tables.csv_fields import quoted, shown
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import Writer
@@ -238,7 +239,7 @@ def torque_source(
         return voltages(mechanism, options.volt, "--volt"), end
     if options.tau_from is None:
         return Actuation((0.0,) * mechanism.n), end
-    names = ["t", *(f"tau{k + 1}" for k in mechanism.actuated)]
+    names = column_names(mechanism, ["t", "tau"])
     values, _, name, _ = read_columns(options.tau_from, lambda *_: names)
     times, torques = values[:, 0].tolist(), values[:, 1:].tolist()
     made = actuation.table(mechanism, times, torques, where=name, until=end, hold=options.tau_hold)
@@ -524,13 +525,13 @@ def _accurate(
 ) -> tuple[Settings, float | None]:
     """The settings that are accurate as asked for, and the estimate of the error."""
     if how.accuracy is not None:
-        from robodyn.simulation.accuracy import AUTO, settings_for
+        from robodyn.runs.accuracy import AUTO, settings_for
 
         wanted = replace(settings, method=how.method or AUTO)
         with named(), remarks():
             return settings_for(mechanism, begin, duration, torques, wanted, how.accuracy)
     if how.estimate_error:
-        from robodyn.simulation.accuracy import error_estimate
+        from robodyn.runs.accuracy import error_estimate
 
         with remarks():
             return settings, error_estimate(mechanism, begin, duration, torques, settings)
@@ -547,7 +548,7 @@ class _Slopes:
         begin: np.ndarray,
         forced: Callable[[Mechanism], Mechanism],
     ) -> None:
-        from robodyn.simulation.differences import Numbers
+        from robodyn.runs.differences import Numbers
 
         self.names = [name.strip() for name in text.split(",")]
         if not all(self.names) or len(set(self.names)) < len(self.names):
@@ -561,7 +562,7 @@ class _Slopes:
 
     def write(self, rows: _Rows, facts: Report, given: tuple[Any, ...]) -> bool:
         """Write the rows with the derivatives; tells whether a signal broke off the runs."""
-        from robodyn.simulation.differences import sensitivities, tell
+        from robodyn.runs.differences import sensitivities, tell
 
         if not self.kept:
             return False
@@ -594,7 +595,7 @@ class _Rows:
         # columns that no state tells: errors of a controller, derivatives
         self.given = [] if control is None else column_names(mechanism, ["errors"])
         if self.slopes is not None:
-            from robodyn.simulation.differences import columns
+            from robodyn.runs.differences import columns
 
             self.given += columns(mechanism.n, self.slopes.names)
         self.points = named_points(mechanism)
@@ -641,8 +642,8 @@ def _told(
     mechanism, watched = rows.mechanism, given[-1]
     with nullcontext() if results.report is None else open_output(results.report) as report:
         with named(), remarks():
-            outcome, recorder = run(*given)
-            facts = recorder.settle()
+            outcome, record = run(*given)
+            facts = record.settle()
             if rows.slopes is not None and rows.slopes.write(rows, facts, given):
                 outcome = Outcome.INTERRUPTED
                 facts.outcome, facts.advice = outcome.label, outcome.advice
@@ -654,7 +655,7 @@ def _told(
 
             report.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
         if table is not None and watched is not None:
-            found = sorted([*watched.found, *recorder.contacts], key=lambda x: abs(x.t))
+            found = sorted([*watched.found, *record.contacts], key=lambda x: abs(x.t))
             _write_events(table, mechanism, found)
     return outcome, facts
 
@@ -662,7 +663,7 @@ def _told(
 def _write_events(stream: BinaryIO, mechanism: Mechanism, found: Sequence[Event]) -> None:
     """Each event: its name, its time and the state there."""
     n = mechanism.n
-    columns = ["t", *(f"{name}{k}" for name in ("q", "qd") for k in range(1, n + 1))]
+    columns = column_names(mechanism, ["t", "q", "qd"])
     writer = Writer(stream, columns, ["event"])
     for i in range(0, len(found), EVENTS_AT_ONCE):
         some = found[i : i + EVENTS_AT_ONCE]

@@ -33,8 +33,8 @@ from robodyn.control.laws import controller
 from robodyn.dynamics.columns import scene_units
 from robodyn.errors import InputError, named_options
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.simulation.motion_columns import check_span
-from robodyn.simulation.settings import DEFAULT_POINTS
+from robodyn.runs.motion_columns import check_span
+from robodyn.runs.settings import DEFAULT_POINTS
 from robodyn.sweeps import sweep_request
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.row_results import TAKEN

@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Option
 
 from robodyn.errors import InputError
-from robodyn.simulation.settings import DEFAULT_POINTS, EvenTimes
+from robodyn.runs.settings import DEFAULT_POINTS, EvenTimes
 
 MOST_ROWS = 100_000_000
 _POINTS = f"Number of rows. Default: {DEFAULT_POINTS}."

@@ -25,7 +25,7 @@ from robodyn.cli.states import (
     table_source,
 )
 from robodyn.cli.times import Points, output_times
-from robodyn.dynamics.columns import column_names, scene_units
+from robodyn.dynamics.columns import column_names, of_joints, scene_units
 from robodyn.dynamics.joint_vectors import driver_of, joint_values
 from robodyn.dynamics.named_points import named_point, named_points
 from robodyn.dynamics.state import State, find
@@ -34,8 +34,8 @@ from robodyn.errors import InputError, RobodynError, at_place, named_options, ov
 from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.driven import check_torques
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs.settings import EvenTimes
 from robodyn.scene.quantities import parse_vector, value_from
-from robodyn.simulation.settings import EvenTimes
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.output_file import on_terminal
 from robodyn.trajectories.joint_paths import (
@@ -173,13 +173,13 @@ def _points_from(mechanism: Mechanism, given: TrajectoryOptions) -> _Through:
         values, names, source, lines = read_columns(given.via, columns, scene_units(mechanism))
         timed = names[-1] == "t"
         column = dict(zip(names, values.T, strict=True))
-        driven = [f"q{k + 1}" for k in mechanism.actuated]
+        driven = of_joints("q", mechanism.actuated)
         known = mechanism, column, lines, source, given.unwrap, driven
         column = without_jumps(*known, refuse=False)
         rows = np.full((len(values), mechanism.n), np.nan)
         whole = len(names) - timed == mechanism.n
         for joint in range(mechanism.n) if whole else mechanism.actuated:
-            rows[:, joint] = column[f"q{joint + 1}"]
+            rows[:, joint] = column[of_joints("q", [joint])[0]]
         if timed:
             refuse(f"does not go with the times (t) in {source}", **ends)
             times = values[:, -1]

@@ -43,7 +43,8 @@ STANDS = 1e-14  # part of what a rate is the sum of, below which it is rounding
 
 
 def _pins(state: State) -> Array:
-    return state.loop_forces[:, : 2 * len(state.mechanism.description.closures)]
+    known = _closures(state.mechanism)
+    return state.loop_forces[:, [2 * c + axis for c in known for axis in (0, 1)]]
 
 
 def _kept(state: State) -> Array:
@@ -54,7 +55,7 @@ def _kept(state: State) -> Array:
 
 def _couplings(state: State) -> Array:
     first = state.loop_forces.shape[1] - len(state.mechanism.description.couplings)
-    return state.loop_forces[:, first:]
+    return state.loop_forces[:, [first + c for c in _known_couplings(state.mechanism)]]
 
 
 def _drive_power(state: State) -> Array:
@@ -65,7 +66,8 @@ def _drive_power(state: State) -> Array:
         return np.zeros((len(state.q), 0))
     numbers = [c for c, x in enumerate(state.mechanism.description.couplings) if x.law is not None]
     slopes = laws.drifts(state.q, state.t)[:, [numbers.index(c) for c in drives]]
-    return np.asarray(_couplings(state)[:, drives] * slopes)
+    known = _known_couplings(state.mechanism)  # which all drives are
+    return np.asarray(_couplings(state)[:, [known.index(c) for c in drives]] * slopes)
 
 
 def _contacts(state: State) -> Array:
@@ -430,6 +432,26 @@ def _aligned(mechanism: Mechanism) -> list[int]:
     return [c for c, closure in enumerate(closures) if closure.aligned is not None]
 
 
+def _closures(mechanism: Mechanism) -> list[int]:
+    """The closures whose pins carry no weight that nobody knows."""
+    unknown = mechanism.unknown_holds.closures
+    return [c for c in range(len(mechanism.description.closures)) if c not in unknown]
+
+
+def _known_couplings(mechanism: Mechanism) -> list[int]:
+    """The couplings that carry no weight that nobody knows."""
+    unknown = mechanism.unknown_holds.couplings
+    return [c for c in range(len(mechanism.description.couplings)) if c not in unknown]
+
+
+def known_loop_forces(mechanism: Mechanism) -> list[int]:
+    """The places of the columns LOOPS in `dynamics.loop_forces`."""
+    closures = len(mechanism.description.closures)
+    kept = 2 * closures + len(_aligned(mechanism))
+    pins = [2 * c + axis for c in _closures(mechanism) for axis in (0, 1)]
+    return [*pins, *range(2 * closures, kept), *(kept + c for c in _known_couplings(mechanism))]
+
+
 def _drives(mechanism: Mechanism) -> list[int]:
     return [c for c, x in enumerate(mechanism.description.couplings) if x.timed]
 
@@ -463,9 +485,9 @@ PLACES: dict[str, Callable[[Mechanism, Sequence[str]], Sequence[str]]] = {
     "a": lambda x, _: _numbers(x.actuated),  # each actuated joint
     "f": lambda x, _: _numbers(_free(x)),  # each free joint of a mechanism that lacks actuators
     "s": lambda x, _: _numbers(x.slides),  # each joint that slides
-    "c": lambda x, _: _numbers(range(len(x.description.closures))),  # each closure
+    "c": lambda x, _: _numbers(_closures(x)),  # each closure
     "m": lambda x, _: _numbers(_aligned(x)),  # each closure that keeps an angle
-    "g": lambda x, _: _numbers(range(len(x.description.couplings))),  # each coupling
+    "g": lambda x, _: _numbers(_known_couplings(x)),  # each coupling
     "d": lambda x, _: _numbers(_drives(x)),  # each coupling that is a law of the time
     "h": lambda x, _: _numbers(_cams(x)),  # each coupling that has a cam
     "v": lambda x, _: _numbers(_motors(x)),  # each actuated joint with a motor
@@ -516,6 +538,12 @@ def column_names(
 ) -> list[str]:
     """The names of the columns of some families, by their names, one family after the other."""
     return [name for x in families for name in names_of(FAMILIES[x], mechanism, points)]
+
+
+def of_joints(family: str, joints: Iterable[int]) -> list[str]:
+    """The columns of some joints, counted from 0, of a family that has one a joint."""
+    stem = FAMILIES[family].columns.partition("{")[0]
+    return [f"{stem}{number}" for number in _numbers(joints)]
 
 
 def declared(name: str) -> tuple[Family, str] | None:

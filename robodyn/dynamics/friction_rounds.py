@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.cam_contacts import contacts_on_links
@@ -23,13 +24,11 @@ from robodyn.dynamics.pin_friction import Rubbing, rubbing_at
 from robodyn.dynamics.placed import absolute_rates, finite, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of, reactions, sides_of
 from robodyn.dynamics.sticking import Smooth
+from robodyn.engines import rounds
 from robodyn.errors import RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
 from robodyn.tables.arrays import Array, Complex
-
-SETTLED = 1e-13  # part of the largest friction that a round changes in the end
-ROUNDS = 400  # beyond which they do not settle: each leaves more than 0.93 of the change before
 
 
 class NotSettledError(RobodynError):
@@ -58,6 +57,8 @@ def by_rounds(
     flat = {name: array.reshape(-1, n) for name, array in states.items()}
     at = np.broadcast_to(times.ravel(), len(flat["q"])) if mechanism.timed else times
     joints, forces, remark = smooth(plain, kind, 2, flat, at)
+    if dense_dynamics.DEPENDENT in remark:
+        remark += "; friction by them is not either, nor the motion under it"
     found = settled(mechanism, kind, tuple(flat.values()), at, joints, forces)
     return found.joints.reshape(shape), found.multipliers.reshape(*shape[:-1], -1), remark
 
@@ -74,6 +75,38 @@ def settled(
 
     `joints` (T, n) are torques, or accelerations, and `multipliers` (T, r).
     """
+    at, answer, lam, N, B = _system(mechanism, kind, states, times, joints, multipliers)
+    f, left = rounds.by_rounds(at.part, N, B)
+    if left.any():
+        raise _not_settled(mechanism, at.part, B, states[0], int(np.argmax(left)))
+    return Friction(
+        joints + (f[..., None] * answer).sum(axis=-2),
+        multipliers + (f[..., None] * lam).sum(axis=-2),
+        (f[..., None] * at.D).sum(axis=-2),
+    )
+
+
+def solvable(
+    mechanism: Mechanism, q: Array, qd: Array, tau: Array, times: Array
+) -> NDArray[np.bool_]:
+    """Which of the states (T, n) have accelerations under torques tau with friction, (T,)."""
+    plain = without_rubbing(mechanism)
+    first = dense_dynamics.forward(plain, q, qd, tau, t=times)
+    at, _, _, N, B = _system(
+        mechanism, "forward", (q, qd, tau), times, first.qdd, first.multipliers
+    )
+    return ~rounds.by_rounds(at.part, N, B)[1]
+
+
+def _system(
+    mechanism: Mechanism,
+    kind: str,
+    states: tuple[Array, ...],
+    times: Array | float,
+    joints: Array,
+    multipliers: Array,
+) -> tuple[Rubbing, Array, Array, Complex, Complex]:
+    """The contacts, what a unit at each makes of joints and multipliers, N and B."""
     plain, (q, qd, third) = without_rubbing(mechanism), states
     at = rubbing_at(mechanism, q, qd)
     if kind == "inverse":
@@ -87,13 +120,20 @@ def settled(
         answer, lam = caused.qdd, caused.multipliers
         qdd, moved = joints, answer
     N = _first_forces(mechanism, at, q, qd, qdd, multipliers, times)
-    B = _responses(mechanism, at, q, moved, lam)
-    f = _rounds(mechanism, at.part, N, B, q)
-    return Friction(
-        joints + (f[..., None] * answer).sum(axis=-2),
-        multipliers + (f[..., None] * lam).sum(axis=-2),
-        (f[..., None] * at.D).sum(axis=-2),
-    )
+    return at, answer, lam, N, _responses(mechanism, at, q, moved, lam)
+
+
+def load_of(
+    mechanism: Mechanism, q: Array, qd: Array, qdd: Array, multipliers: Array, times: Array
+) -> Array:
+    """The load of friction at the joints (T, n) along a motion, from the forces in its contacts."""
+    at = rubbing_at(mechanism, q, qd)
+    pins = pins_at(mechanism, multipliers, placed(mechanism, q).E)
+    R = np.zeros((*pins.shape[:-1], mechanism.n), complex)
+    if any(x.joint is not None for x in mechanism.rubbing):
+        R = reactions(mechanism, q, qd, qdd, multipliers, times) @ np.array([1.0, 1j])
+    f = at.part * np.abs(_felt(mechanism, at.along, R, pins))
+    return np.asarray((f[..., None] * at.D).sum(axis=-2))
 
 
 def _first_forces(
@@ -152,24 +192,15 @@ def _felt(mechanism: Mechanism, along: Complex, R: Complex, pins: Complex) -> Co
     return np.stack(found, axis=-1)
 
 
-def _rounds(mechanism: Mechanism, part: Array, N: Complex, B: Complex, q: Array) -> Array:
-    """f (T, c) with f = part |N + f B|."""
-    f: Array = part * np.abs(N)
-    change = np.zeros_like(f)
-    for _ in range(ROUNDS):
-        before = f
-        f = part * np.abs(N + (f[..., None] * B).sum(axis=-2))
-        change = np.abs(f - before)
-        left = change > SETTLED * np.abs(f).max(axis=-1, keepdims=True)
-        if not left.any():
-            return f
-    state, contact = map(int, np.argwhere(left)[0])
-    contact = int(np.argmax(change[state]))
-    friction = mechanism.rubbing[contact]
+def _not_settled(
+    mechanism: Mechanism, part: Array, B: Complex, q: Array, state: int
+) -> NotSettledError:
+    """The error of one of the states; it names the friction that adds most to its own force."""
+    own = np.abs(part[state] * np.abs(np.diagonal(B[state])))
+    friction = mechanism.rubbing[int(np.argmax(own))]
     at = ", ".join(f"{x:.6g}" for x in q[state])
     limit = f"friction has no solution that rounds come to, at q = {at}: it locks the mechanism"
     limit += " there, or is too large"
     place = f"{mechanism.rubbing_place(friction)}.coefficient"
-    raise NotSettledError(
-        place, where=mechanism.source, value=f"{friction.coefficient:g}", limit=limit
-    )
+    value = f"{friction.coefficient:g}"
+    return NotSettledError(place, where=mechanism.source, value=value, limit=limit)

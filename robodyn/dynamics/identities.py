@@ -7,6 +7,7 @@ Residuals are relative to the size of the terms.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form, dynamics
+from robodyn.dynamics.friction_rounds import load_of, solvable
 from robodyn.dynamics.placed import absolute_rates, frame_rates, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of
 from robodyn.elements.contacts import Mode
@@ -165,7 +167,7 @@ def _worse(one: Identity | None, other: Identity) -> Identity:
 
 
 def _of_one_mode(mechanism: Mechanism, sample: Sample) -> list[Identity]:
-    mechanism = without_rubbing(mechanism)  # which no row has
+    rubbed, mechanism = mechanism, without_rubbing(mechanism)  # which no row has
     q, qd, t, scene = sample.q, sample.qd, sample.t, without_rubbing(build(mechanism.description))
     scene = replace(scene, elements=(*scene.elements, *mechanism.added))
     if mechanism.mode is not None:
@@ -181,7 +183,7 @@ def _of_one_mode(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     found += _energy_identities(mechanism, rows, q, qd, M, C)
     if mechanism.rows:
         found += _closure_identities(mechanism, rows, q, qd, t)
-    return found + _motion_identities(mechanism, rows, q, qd, t, M, C)
+    return found + _motion_identities(rubbed, rows, q, qd, t, M, C)
 
 
 def _below_zero(M: Array) -> float:
@@ -293,19 +295,32 @@ def _closure_identities(
 def _motion_identities(
     mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, t: Array, M: Array, C: Array
 ) -> list[Identity]:
-    """Forward dynamics against inverse dynamics, and power against the growth of energy."""
+    """Forward dynamics against inverse dynamics, and power against the growth of energy.
+
+    Q has friction by the forces in pins too, of states at which it has a solution.
+    """
     driven = list(mechanism.actuated)
     rng = np.random.default_rng(4)
     G = closed_form.gravity_vector(mechanism, q)
     tau = np.zeros(q.shape)
     tau[:, driven] = rng.normal(size=(len(q), len(driven))) * (_top(G) + 1.0)
     try:
+        if mechanism.rubbing:
+            moves = solvable(mechanism, q, qd, tau, t)
+            if lost := int((~moves).sum()):
+                told = f"friction has no solution at {lost} of {len(q)} random states: balances of "
+                warnings.warn(f"{told}motion leave these out", dynamics.RobodynWarning, 2)
+            q, qd, t, M, C, G, tau = (x[moves] for x in (q, qd, t, M, C, G, tau))
+            if not len(q):
+                return []
         motion = dynamics.forward_dynamics_and_forces(mechanism, q, qd, tau, t)
     except SingularError as error:
         return [Identity(name, None, str(error)) for name in (BALANCE, POWER)]
     qdd = motion.qdd
     damping = np.array(rows.mechanism.damping)
     Q = closed_form.other_forces(mechanism, q, qd, t)
+    if mechanism.rubbing:
+        Q = Q + load_of(mechanism, q, qd, qdd, motion.multipliers, t)
     terms = [matvec(M, qdd), matvec(C, qd), damping * qd, G, -tau, -Q]
     found, work = [], np.zeros(len(q))
     if mechanism.rows:

@@ -10,10 +10,10 @@ without the radius for slides.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.placed import Placed, as_states, columns, matvec, placed
@@ -36,9 +36,21 @@ class Rubbing(NamedTuple):
 def rubbing_at(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Rubbing:
     """The contacts at states q, qd (..., n), which broadcast."""
     q, qd = np.broadcast_arrays(as_states(mechanism, "q", q), as_states(mechanism, "qd", qd))
-    contacts, at = mechanism.rubbing, placed(mechanism, q)
-    D = np.zeros((*q.shape[:-1], len(contacts), mechanism.n))
-    along = np.zeros(D.shape[:-1], complex)
+    D, along = slips(mechanism, placed(mechanism, q))
+    speeds = np.array([x.speed for x in mechanism.rubbing])
+    return Rubbing(D, -np.array(sizes(mechanism)) * np.tanh(matvec(D, qd) / speeds), along)
+
+
+def sizes(mechanism: Mechanism) -> list[float]:
+    """The coefficient of each contact, times the radius of pins."""
+    return [x.coefficient * (x.radius or 1.0) for x in mechanism.rubbing]
+
+
+def slips(mechanism: Mechanism, at: Placed) -> tuple[NDArray[Any], NDArray[Any]]:
+    """D (..., c, n) and `along` (..., c) of `Rubbing`, of numbers or of formulas `at` (n,)."""
+    contacts, kind = mechanism.rubbing, at.x.dtype  # float, or object
+    D = np.zeros((*at.x.shape[:-1], len(contacts), mechanism.n), kind)
+    along = np.zeros(D.shape[:-1], np.result_type(kind, complex))
     for i, contact in enumerate(contacts):
         if contact.joint is not None:
             D[..., i, contact.joint] = 1.0
@@ -52,18 +64,16 @@ def rubbing_at(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Rubbing:
             else:
                 along[..., i] = _line(mechanism, contact.closure, at)
                 D[..., i, :] = _sliding(mechanism, closure, at, along[..., i])
-    sizes = np.array([x.coefficient * (x.radius or 1.0) for x in contacts])
-    speeds = np.array([x.speed for x in contacts])
-    return Rubbing(D, -sizes * np.tanh(matvec(D, qd) / speeds), along)
+    return D, along
 
 
-def _axis(mechanism: Mechanism, joint: int, at: Placed) -> Complex:
+def _axis(mechanism: Mechanism, joint: int, at: Placed) -> NDArray[Any]:
     """The direction (...) in which a link slides."""
     turned, frame = mechanism.tree.turned(joint, 1.0 + 0j), mechanism.frames[joint]
     return np.asarray(turned * (1.0 + 0j if frame is None else at.E[..., frame]))
 
 
-def _line(mechanism: Mechanism, closure: int, at: Placed) -> Complex:
+def _line(mechanism: Mechanism, closure: int, at: Placed) -> NDArray[Any]:
     """The direction (...) of the line of a closure."""
     row = next(x for x in mechanism.rows if x.closure == closure and not x.arm)
     turned = 1.0 + 0j if row.line is None else at.E[..., row.line]
@@ -80,7 +90,9 @@ def _turning(mechanism: Mechanism, closure: Closure) -> Array:
     return found
 
 
-def _sliding(mechanism: Mechanism, closure: Closure, at: Placed, along: Complex) -> Array:
+def _sliding(
+    mechanism: Mechanism, closure: Closure, at: Placed, along: NDArray[Any]
+) -> NDArray[Any]:
     """The rate (..., n) of the point along the line, by those of joints.
 
     The line's turning moves a point on it across it alone.
@@ -88,8 +100,8 @@ def _sliding(mechanism: Mechanism, closure: Closure, at: Placed, along: Complex)
     points = [mechanism.tree.point(x) for x in (closure.first, closure.second)]
     c = points_of(mechanism, points).c
     moved = columns(mechanism, c, at.X[..., None, :], at.E[..., None, :]) @ mechanism.arrays.J
-    between = moved[..., 0, :] - moved[..., 1, :]
-    return np.asarray((along.conj()[..., None] * between).real)
+    between = np.asarray(along)[..., None].conj() * (moved[..., 0, :] - moved[..., 1, :])
+    return np.array([z.real for z in between]) if between.dtype == object else between.real
 
 
 def at_closures(

@@ -348,7 +348,8 @@ def _felt(changes: NDArray[np.inexact], least: float) -> tuple[int, ...]:
 @lru_cache(maxsize=64)
 def bodies_of(mechanism: Mechanism) -> Bodies:
     """The bodies of a mechanism, at points summed from the ground."""
-    mechanism.check_masses()
+    scene = mechanism.description
+    mechanism.check_masses(still=scene.gravity != 0 or scene.field is not None)
     links, n = mechanism.description.links, mechanism.n
     own = [(k, link.m, Point(k, link.r)) for k, link in enumerate(links) if link.m]
     own += [(k, x.payload, Point(k, x.l)) for k, x in enumerate(links) if x.payload]

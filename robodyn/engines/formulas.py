@@ -33,6 +33,7 @@ from robodyn.engines.arithmetic import (
 )
 from robodyn.engines.expression import FUNCTIONS, Expression, Graph, Value, slopes_by, substituted
 from robodyn.engines.factors import Factors, small_system
+from robodyn.engines.rounds import Rounds
 from robodyn.engines.series import Series, relative, start
 from robodyn.engines.series import absolute as absolute
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
@@ -124,6 +125,7 @@ class Formula(NamedTuple):
     outputs: tuple[Value, ...]
     pivots: tuple[Value, ...]
     Psi: tuple[dict[int, Value], ...] = ()  # its rows in alpha, where they are wanted
+    rounds: Rounds | None = None
 
 
 class Recorded:
@@ -364,6 +366,21 @@ def _forward(
     state: Recorded, torques: Sequence[float] | None, baumgarte: float, power: bool
 ) -> Formula:
     mechanism, n = state.mechanism, state.mechanism.n
+    series, factors, right = forward_system(state, torques, baumgarte, power)
+    solution = factors.solve(right)
+    series.complete(solution)
+    qdd = relative(mechanism, solution[:n])
+    pivots = closure_pivots(state, factors)
+    own_power = series_power(series, power)
+    inputs = state.inputs + state.timed
+    return Formula(inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
+
+
+def forward_system(
+    state: Recorded, torques: Sequence[float] | None, baumgarte: float, power: bool
+) -> tuple[Series, Factors, list[Value]]:
+    """The series of a state, and the equations of its unknowns: their factors and right side."""
+    n = state.mechanism.n
     series = state.series(torques, power)
     right = [-x for x in series.residuals(0)]
     if baumgarte:
@@ -372,15 +389,13 @@ def _forward(
             right[n + r] = right[n + r] - 2.0 * baumgarte * x[1] - baumgarte**2 * x[0]
     factors = series.factorise()
     assert isinstance(factors, Factors)
-    solution = factors.solve(right)
-    series.complete(solution)
-    qdd = relative(mechanism, solution[:n])
-    pivots = closure_pivots(state, factors)
-    own_power = [series.real[slot][0] for slot in series.program.named.get("power", [])]
-    if power and not own_power:
-        own_power = [0.0]
-    inputs = state.inputs + state.timed
-    return Formula(inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
+    return series, factors, right
+
+
+def series_power(series: Series, power: bool) -> list[Value]:
+    """The power of a completed series that was asked for it; else nothing."""
+    found = [series.real[slot][0] for slot in series.program.named.get("power", [])]
+    return found or ([0.0] if power else [])
 
 
 def closure_pivots(state: Recorded, factors: Factors) -> tuple[Value, ...]:

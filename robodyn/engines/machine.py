@@ -121,12 +121,10 @@ LIBRARY = (*FUNCTIONS, "pow", "fma")  # of C, that kernels may call
 ROOMS = (
     "elements",
     "engines",
-    "events",
     "loops",
     "mechanics",
     "runs",
     "sweeps",
-    "taylor",
 )  # that decide the text
 PLAIN = "plain"  # the processor's family without what is optional: for tests
 

@@ -15,9 +15,13 @@ from itertools import count
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from robodyn.engines import expression, formulas
+from robodyn.engines.arithmetic import Planar, some
 from robodyn.engines.expression import INPUTS, Expression, Value, needed
 from robodyn.engines.formulas import Formula
+from robodyn.engines.rounds import FEW_ROUNDS, SETTLED, Rounds, by_newton
 from robodyn.mechanics.mechanism import Mechanism
 
 if TYPE_CHECKING:
@@ -158,22 +162,32 @@ def compile_rates(
     baumgarte: float,
     least_pivot: float,
     otherwise: RateFunction,
+    write: Callable[..., Formula | None] = formulas.forward_formula,
 ) -> RateFunction:
     """dy/dt for y = (q, qd, states of the torques' own), then the work done where it is wanted.
 
-    Constant torques are folded in.  A state in which a closure's relative pivot does not exceed
-    `least_pivot` is handed to `otherwise`; every state is, where there is no formula.
+    `write` gives the formula.  Constant torques are folded in.  `otherwise` gets the states in
+    which a closure's relative pivot does not exceed `least_pivot`, or rounds do not settle; it gets
+    every state if there is no formula.
     """
     torques = actuation.constants
-    formula = formulas.forward_formula(mechanism, torques, baumgarte, work)
+    formula = write(mechanism, torques, baumgarte, work)
     if formula is None:
         return otherwise
     n = mechanism.n
     needed = formula.outputs[:n] + formula.pivots + formula.outputs[n + len(mechanism.rows) :]
-    body, outputs = float_source(needed)
-    first = {f"t{node.index}" for node in expression.needed(formula.pivots)}
-    body = sorted(body, key=lambda line: line.split()[0] not in first)
-    early = sum(line.split()[0] in first for line in body)  # what tells the pivots
+    rounds = [] if formula.rounds is None else formula.rounds.values
+    body, outputs = float_source(needed + tuple(rounds))
+    outputs, settling = outputs[: len(needed)], outputs[len(needed) :]
+    # what tells the pivots, what rounds take, and what follows from them
+    stages = [
+        {f"t{node.index}" for node in expression.needed(values)}
+        for values in (formula.pivots, rounds)
+    ]
+    parts: list[list[str]] = [[], [], []]
+    for line in body:
+        name = line.split()[0]
+        parts[next((k for k, names in enumerate(stages) if name in names), 2)].append(line)
     rates = [f"qd{k}" for k in range(n)]
     names = [f"q{k}" for k in range(n)] + rates + actuation.own("z")
     power = ""
@@ -186,9 +200,11 @@ def compile_rates(
     statements = [
         f"{', '.join(names)}, = y.tolist()",
         *actuation.lines,
-        *body[:early],
+        *parts[0],
         *guard,
-        *body[early:],
+        *parts[1],
+        *([] if formula.rounds is None else _rounds(formula.rounds, settling)),
+        *parts[2],
         f"return [{', '.join(rates + outputs[:n] + actuation.own('zd'))}{power}]",
     ]
     # an integrator's trial step may overflow, or leave a torque's domain: it must try a shorter one
@@ -196,9 +212,63 @@ def compile_rates(
     source += "\n    except ZeroDivisionError: return otherwise(t, y)"
     source += f"\n    except (ArithmeticError, ValueError): return [nan] * {len(names)}\n"
     function: RateFunction = define(
-        source, "rates", scope={**actuation.scope, "otherwise": otherwise}
+        source, "rates", scope={**actuation.scope, "otherwise": otherwise, "settled": _settled}
     )
     return function
+
+
+def _rounds(rounds: Rounds, values: list[str]) -> list[str]:
+    """Statements that find f0, f1, ... by the sources of `rounds.values`.
+
+    States in which they do not settle go to `otherwise`.
+    """
+    c, parts, given = len(rounds.part), iter(values), []
+
+    def name(text: str, called: str) -> str:
+        """The statement that gives a value a name, unless it has one or is a number."""
+        if text.isidentifier():
+            return text
+        given.append(f"{called} = {text}")
+        return called
+
+    def planar(z: Planar, called: str) -> str:
+        """The name of a planar value, real if it has no y; "" if it is zero."""
+        x, y = next(parts), next(parts)
+        if not some(*z[1:]):
+            return name(x, called) if some(z[0]) else ""
+        return name(f"complex({x}, {y})", called)
+
+    part = [name(next(parts), f"f_part{i}") for i in range(c)]
+    N = [planar(z, f"f_N{i}") for i, z in enumerate(rounds.N)]
+    B = [[planar(z, f"f_B{j}_{i}") for i, z in enumerate(row)] for j, row in enumerate(rounds.B)]
+    again = []
+    for i in range(c):
+        terms = [N[i], *(f"f{j}*{B[j][i]}" for j in range(c) if B[j][i])]
+        again.append(f"{part[i]}*abs({' + '.join(filter(None, terms)) or '0.0'})")
+    all_f, before = (", ".join(f"{x}{i}" for i in range(c)) for x in ("f", "f_old"))
+    largest = f"max({', '.join(f'abs(f{i})' for i in range(c))}, 0.0)"
+    moved = " or ".join(f"abs(f{i} - f_old{i}) > f_least" for i in range(c))
+    rows = ", ".join(f"[{', '.join(x or '0.0' for x in row)}]" for row in B)
+    return [
+        *given,
+        f"{all_f}, = {', '.join(f'{part[i]}*abs({N[i] or 0.0})' for i in range(c))},",
+        f"for _ in range({FEW_ROUNDS}):",
+        f"    {before}, = {all_f},",
+        f"    {all_f}, = {', '.join(again)},",
+        f"    f_least = {SETTLED!r}*{largest}",
+        f"    if f_least < inf and not ({moved}): break",
+        "else:",
+        f"    f_found = settled([{', '.join(part)}], [{', '.join(x or '0.0' for x in N)}], "
+        f"[{rows}], [{before}])",
+        "    if f_found is None: return otherwise(t, y)",
+        f"    {all_f}, = f_found",
+    ]
+
+
+def _settled(*given: list[Any]) -> list[float] | None:
+    """`by_newton` of lists."""
+    found = by_newton(*map(np.array, given))
+    return None if found is None else found.tolist()
 
 
 def compile_closing(

@@ -66,7 +66,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     are in the turn nearest to q.  Raises InputError for what MJCF cannot say, and for links without
     mass or inertia, which MuJoCo refuses; AssemblyError where no pose is found that closes.
     """
-    mechanism.check_masses()
+    mechanism.check_masses(still=True)
     description = mechanism.description
     refuse_unsaid(mechanism, "MJCF", REASONS, SAID, _unsaid, KINDS)
     for k, link in enumerate(description.links):

@@ -45,7 +45,7 @@ def urdf(mechanism: Mechanism) -> str:
     cannot say: closures, springs, loads, smooth friction, rotors, and couplings of more than two
     joints.
     """
-    mechanism.check_masses()
+    mechanism.check_masses(still=True)
     plain = [] if mechanism.spins else ["motor"]  # a gear alone is no matter of dynamics
     refuse_unsaid(mechanism, "URDF", REASONS, ["couplings", "limits", *plain])
     couplings = {coupling.joint: coupling for coupling in mechanism.description.couplings}

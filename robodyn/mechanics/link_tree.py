@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from robodyn.mechanics.planar_model import PlanarPoint
+from robodyn.elements.link_rows import PlanarPoint
 from robodyn.scene.scene import Closure, Link, Point
 
 

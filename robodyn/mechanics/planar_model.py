@@ -24,7 +24,9 @@ from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
 from robodyn.mechanics.model_parts import Inertias as Inertias
 from robodyn.mechanics.model_parts import OnDemand as OnDemand
 from robodyn.mechanics.model_parts import Terms as Terms
+from robodyn.mechanics.standing import Holds, standing, unknown_holds
 from robodyn.scene.scene import Description, Signal, Table
+from robodyn.scene.welds import Welded
 
 if TYPE_CHECKING:
     import numpy as np
@@ -304,12 +306,32 @@ class Mechanism:
         links = self.description.links if isinstance(self.A, Inertias) else ()
         return tuple(k for k, link in enumerate(links) if not link.has_mass)
 
-    def check_masses(self) -> None:
-        """Raise MassError if a link has no mass: what is asked for needs it."""
-        if self.massless:
+    @cached_property
+    def still(self) -> dict[int, Holds]:
+        """The links that stand still whatever moves, each with what holds it."""
+        return standing(self.description)
+
+    @cached_property
+    def unknown_holds(self) -> Holds:
+        """The couplings and closures that carry the weight of links without a mass."""
+        if not self.massless:
+            return Holds()
+        return unknown_holds(self.description, self.massless, self.still)
+
+    def check_masses(self, still: bool = False) -> None:
+        """Raise MassError if a link has no mass: what is asked for needs it.
+
+        The mass of a link that stands still acts on nothing that moves, and counts as 0 there,
+        unless those `still` are needed too.
+        """
+        lacking = {k for k in self.massless if still or k not in self.still}
+        if lacking:
             scene = self.description.apart or self.description
+            welded = Welded(scene)
+            own = {x.name: welded.link(k) for k, x in enumerate(scene.bodies)}
             each = enumerate(scene.listed)
-            place, name = next((i, x.name) for i, x in each if not x.has_mass)
+            lacks = ((i, x.name) for i, x in each if not x.has_mass and own[x.name] in lacking)
+            place, name = next(lacks)
             raise MassError(f"links[{place}] ({name})", where=self.source)
 
     def __repr__(self) -> str:

@@ -27,7 +27,7 @@ from robodyn.pictures.drawing import drawing, even_rows, traced
 from robodyn.pictures.force_arrows import forces_at
 from robodyn.pictures.mechanism_picture import mechanism_figure
 from robodyn.pictures.value_map import read_map
-from robodyn.simulation.simulation import Motion
+from robodyn.runs.simulation import Motion
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.named_columns import Columns

@@ -22,7 +22,7 @@ from robodyn.pictures.chart import read_chart
 from robodyn.tables.named_columns import Columns
 
 if TYPE_CHECKING:
-    from robodyn.simulation.simulation import Motion
+    from robodyn.runs.simulation import Motion
 
 WIDTH = 420  # pixels
 SIZE = 6.0, 3.2  # inches

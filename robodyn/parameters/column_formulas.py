@@ -25,25 +25,22 @@ from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robodyn.dynamics.cam_contacts import ContactForce, cams_of, forces_on_links
+from robodyn.dynamics.cam_contacts import cams_of
 from robodyn.dynamics.closed_form import points_of
-from robodyn.dynamics.columns import FAMILIES, LOOPS, MOTORS, column_names
+from robodyn.dynamics.columns import FAMILIES, LOOPS, MOTORS, column_names, known_loop_forces
 from robodyn.dynamics.dense_dynamics import RANK_CUT
-from robodyn.dynamics.dynamics import pins_at
 from robodyn.dynamics.named_numbers import with_variables
 from robodyn.dynamics.named_points import NamedPoint, named_points
 from robodyn.dynamics.placed import Placed
-from robodyn.dynamics.reaction_forces import Acts, Felt, Part
+from robodyn.dynamics.reaction_forces import Felt
+from robodyn.dynamics.reaction_formulas import felt_formulas, placed_formulas, planar_values
 from robodyn.dynamics.transmission import ratio_named, transmission_loops, turn_between
 from robodyn.engines import expression
 from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Expression, Graph, Value, slopes_by, substituted, tangents
 from robodyn.engines.factors import Factors
 from robodyn.engines.formulas import Recorded, balance, evaluated, joint_jacobian
-from robodyn.engines.planar_numbers import Planar
-from robodyn.engines.row_values import RowValues
 from robodyn.errors import InputError
 from robodyn.loops.assembly import assemble
 from robodyn.loops.assembly_plan import Plan, Step, assembly_plan
@@ -70,6 +67,7 @@ class ColumnFormulas:
     """The formulas of a mechanism whose numbers `names` change by p0, p1, ..."""
 
     def __init__(self, mechanism: Mechanism, names: Sequence[str], of: Sequence[str] = ()) -> None:
+        mechanism.check_rubbing("fits")
         self.mechanism, self.names = mechanism, tuple(names)
         self.graph = graph = Graph()
         self.p = [graph.variable(f"p{k}") for k in range(len(names))]
@@ -111,52 +109,18 @@ class ColumnFormulas:
     @cached_property
     def moving(self) -> tuple[Placed, Placed, Placed]:
         """Where the mechanism is, and its rates and accelerations."""
-        mechanism, x = self.mechanism, self.state.absolute("q")
-        E = [
-            Planar(1.0, 0.0) if d is None else Planar(expression.cos(x[d]), expression.sin(x[d]))
-            for d in mechanism.frames
-        ]
-        X = [e * x[k] if k in mechanism.slides else e for k, e in enumerate(E)]
-        at = Placed(*(np.array(values, object) for values in (x, X, E)))
-        w, a = (self._planar(self.state.absolute(name)) for name in ("qd", "qdd"))
+        mechanism, at = self.mechanism, placed_formulas(self.state)
+        w, a = (planar_values(self.state.absolute(name)) for name in ("qd", "qdd"))
         return at, at.rates(mechanism, w), at.accelerations(mechanism, w, a)
-
-    @staticmethod
-    def _planar(values: Sequence[Value]) -> NDArray[Any]:
-        return np.array([Planar(x, 0.0) for x in values], object)
 
     # -- forces ------------------------------------------------------------------------------------
 
     @cached_property
     def _felt(self) -> Felt:
         at, _, bent = self.moving
-        lam, rows = self.forces[len(self.mechanism.actuated) :], self.mechanism.rows
-        kept = [x * row.arm for x, row in zip(lam, rows, strict=True) if row.arm]
-        pins = pins_at(self.named, self._planar(lam), at.E)
-        each = self.state.absolute("qdd"), self.state.relative["qdd"], kept
-        xdd, qdd, moments = (np.array(values, object) for values in each)
-        return Felt(self.named, at, bent, xdd, qdd, pins, moments, self._rows, self.contacts)
-
-    @cached_property
-    def contacts(self) -> list[ContactForce]:
-        """What cams do to their followers."""
-        rows, lam = self.mechanism.rows, self.forces[len(self.mechanism.actuated) :]
-        first = self.mechanism.first_coupling
-        slopes, torques = [], []
-        for cam in cams_of(self.mechanism):
-            r = first + cam.coupling
-            slopes.append(self.Psi[r][cam.driver] * (-1.0 / rows[r].arm))
-            torques.append(lam[r] * rows[r].arm)
-        return forces_on_links(self.named, self.moving[0], slopes, torques)
-
-    def _rows(self, part: Part) -> Acts:
-        """What acts, from the rows of its program."""
-        rows = RowValues(part(self.named), self.graph)
-        forces, couples = rows.acting, rows.couples
-        parts = rows.nodes("forces") if forces else []
-        each = [Planar(x, y) for x, y in zip(parts[::2], parts[1::2], strict=True)]
-        moments = rows.nodes("moments") if couples else []
-        return Acts(list(zip(forces, each, strict=True)), list(zip(couples, moments, strict=True)))
+        both = self.state.absolute("qdd"), self.state.relative["qdd"]
+        lam = self.forces[len(self.mechanism.actuated) :]
+        return felt_formulas(self.state, at, bent, both, lam, self.Psi)
 
     @cached_property
     def loop_forces(self) -> list[Value]:
@@ -230,7 +194,10 @@ class ColumnFormulas:
         motors = column_names(mechanism, MOTORS)
         found |= {name: taken("motors", i, "real") for i, name in enumerate(motors)}
         names = column_names(mechanism, LOOPS)
-        return found | {name: taken("loop_forces", i, "real") for i, name in enumerate(names)}
+        places = known_loop_forces(mechanism)
+        return found | {
+            name: taken("loop_forces", i, "real") for i, name in zip(places, names, strict=True)
+        }
 
     def serves(self, name: str) -> bool:
         """Whether there is a column of this name."""
@@ -295,7 +262,7 @@ class ColumnFormulas:
         return expression.multiply(both[0], 1.0 / both[1])
 
     def _pressed(self, k: int) -> Value:
-        found: Value = self.contacts[k].pressed
+        found: Value = self._felt.contacts[k].pressed
         return found
 
     def _taken(self, values: str, at: int, part: str) -> Value:

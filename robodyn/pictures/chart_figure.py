@@ -30,7 +30,7 @@ from robodyn.tables.csv_fields import shown
 from robodyn.tables.output_file import open_output
 
 if TYPE_CHECKING:
-    from robodyn.simulation.benchmark import Benchmark
+    from robodyn.runs.benchmark import Benchmark
 
 MARKS = "osD^vP*X"
 LINE_STYLES = ("-", "--", ":", "-.")

@@ -22,9 +22,9 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs import machine_motion
 from robodyn.runs.machine_motion import RUNNING, Loaded, Status
 from robodyn.runs.machine_steps import Scene
+from robodyn.runs.series_engine import serves
 from robodyn.sweeps.lane_observer import LaneObserver, Notes, kept
 from robodyn.tables.arrays import Array
-from robodyn.taylor.compiled import serves
 
 KEPT = 64  # codes in a process
 PIECE = 128  # lanes of one call of machine code, and

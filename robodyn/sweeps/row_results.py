@@ -21,8 +21,8 @@ from robodyn.errors import InputError
 from robodyn.loops import loop_rates
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs.simulation import Motion
 from robodyn.scene.yaml_values import nearest
-from robodyn.simulation.simulation import Motion
 from robodyn.tables.arrays import Array
 
 

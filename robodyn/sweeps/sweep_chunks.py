@@ -32,7 +32,6 @@ from robodyn.dynamics.columns import TORQUE, column_names
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.engines import machine
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
-from robodyn.events.watch import Event
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.change_points import MISSES, suspect_quality
@@ -40,10 +39,11 @@ from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.rest.balance import rests
 from robodyn.runs.machine_motion import Status
+from robodyn.runs.report import Outcome, Report
+from robodyn.runs.settings import SCIPY_RTOL
+from robodyn.runs.simulation import Motion, simulate
+from robodyn.runs.watch import Event
 from robodyn.scene.scene_values import read_numbers
-from robodyn.simulation.report import Outcome, Report
-from robodyn.simulation.settings import SCIPY_RTOL
-from robodyn.simulation.simulation import Motion, simulate
 from robodyn.sweeps.lane_observer import QUARTERS, crossings, derivative, extremes
 from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
 from robodyn.sweeps.row_results import at_states, of_motion, of_rows, of_states

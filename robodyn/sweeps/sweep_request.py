@@ -13,14 +13,14 @@ from robodyn.dynamics.columns import scene_units, unit_of
 from robodyn.dynamics.joint_vectors import vector_of_joints
 from robodyn.engines import machine
 from robodyn.errors import InputError, named_options, nearest_first
-from robodyn.events.functions import named_events
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.runs.event_functions import named_events
+from robodyn.runs.settings import DEFAULT_DURATION, DEFAULT_POINTS, Settings
+from robodyn.runs.simulation import UNTIL
 from robodyn.scene.quantities import read_value, value_from
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
-from robodyn.simulation.settings import DEFAULT_DURATION, DEFAULT_POINTS, Settings
-from robodyn.simulation.simulation import UNTIL
 from robodyn.sweeps.lanes import served
 from robodyn.sweeps.row_results import check_results
 from robodyn.sweeps.sweep_plan import (

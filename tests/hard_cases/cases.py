@@ -20,9 +20,9 @@ from hard_cases import contacts, many_events, slopes
 from hard_cases import near_misses as near_miss
 from machine_sines import hard_angles, sine_and_cosine
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.runs.report import Outcome
+from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.simulation import simulate
 
 HERE = Path(__file__).resolve().parent
 ROBOTS = HERE.parent.parent / "robots"

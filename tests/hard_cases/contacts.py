@@ -9,9 +9,9 @@ import numpy as np
 
 from robodyn.engines import machine
 from robodyn.mechanics.mechanism import build
+from robodyn.runs.report import Outcome
+from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
-from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import simulate
 
 Found = tuple[str, str, str, float, float]
 METHODS = ("DOP853", "taylor")

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
-from robodyn.simulation.simulation import simulate
 
 METHODS = ("DOP853", "taylor")
 SPEED, DEPTH = 3.0, 1e-10

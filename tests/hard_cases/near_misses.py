@@ -23,11 +23,11 @@ from robodyn.loops.change_points import nearness
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.runs import benchmark
+from robodyn.runs.report import Report
+from robodyn.runs.settings import METHODS
+from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
-from robodyn.simulation import benchmark
-from robodyn.simulation.report import Report
-from robodyn.simulation.settings import METHODS
-from robodyn.simulation.simulation import simulate
 from robodyn.sweeps.sweep_chunks import run_chunk
 from robodyn.sweeps.sweep_plan import Axis, Plan, Variation
 

@@ -2,17 +2,6 @@
 
 The series of a motion costs a few convolutions an order and a link for any planar linkage, as
 `engines/series.py` says.
-
-A step's series tells a box that the state stays in.  z = rho + i theta turns a direction at the
-rate w = Im(z'/z).  With the rate w0 at the start and D = z' - i w0 z, which is zero there, z =
-exp(i w0 x) (1 + integral of exp(-i w0 x) D), so that
-
-    |D| <= far = sum_{k>0} |(k + 1) z_{k+1} - i w0 z_k| h^k,      |z| >= 1 - h far,
-    |w - w0| = |Im(D/z)| <= far / (1 - h far),
-
-and the angle goes away from alpha_0 + w0 x by h times that at most.  Of a displacement z' - z'(0)
-is D, and far is all.  Sizes |z| are |rho| + |theta|, and a joint's box is that of its own
-coordinate and the one below.
 """
 
 from __future__ import annotations
@@ -34,7 +23,6 @@ from robodyn.engines import machine
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.expansion import MotionProgram
 from robodyn.errors import InputError, RobodynError
-from robodyn.events.single_zeros import MISSED
 from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -45,20 +33,7 @@ from robodyn.runs.machine_motion import RUNNING, Loaded, Observer, Status
 from robodyn.runs.machine_steps import Scene
 from robodyn.tables.arrays import Array, Complex
 
-SLACK = 1e-12  # of the sizes of what is added: more than rounding adds
-BLOCK = 256  # steps of one link whose strays are summed at a time: memory near at hand is fast
 END: Array = np.ones(1)  # of a step, the part that is all
-
-
-class Kept(NamedTuple):
-    """What an engine keeps of m steps h.
-
-    `boxes` (m, 2, 2n) are the middles of q and qd, and how far they go from there; `terms`
-    (n, p, m) are z_k h^k, k > 0.
-    """
-
-    boxes: Array
-    terms: Complex
 
 
 def terms_of(parts: Array, h: Array) -> Complex:
@@ -74,55 +49,6 @@ def terms_of(parts: Array, h: Array) -> Complex:
     np.multiply(parts[0, :, 1:], powers, out=terms.real)
     np.multiply(parts[1, :, 1:], powers, out=terms.imag)
     return terms
-
-
-@np.errstate(all="ignore")
-def boxes_along(mechanism: Mechanism, y: Array, terms: Complex, h: Array) -> Array:
-    """The boxes (m, 2, 2n) of steps h (m) between y (m + 1, 2n or more), by their `terms`."""
-    n, slides = mechanism.n, list(mechanism.slides)
-    turned = terms[:, 0].imag  # w0 h
-    if slides:
-        turned = turned.copy()
-        turned[slides] = 0.0
-    far, some = np.empty(turned.shape), max(1, BLOCK // n)
-    for first in range(0, len(h), some):
-        block = slice(first, first + some)
-        far[:, block] = _strays(terms[..., block], turned[:, block])
-    far *= 1.0 + SLACK
-    left = np.maximum(1.0 - far, 0.0)
-    if slides:
-        left[slides] = 1.0
-    own = far / left
-    own += SLACK * np.abs(turned)
-    if n > 1:
-        apart = own.copy()
-        for k, above in enumerate(mechanism.above):
-            if above is not None:
-                own[k] += apart[above]
-    start = y[:-1, : 2 * n].T
-    box = np.empty((2, 2 * n, len(h)))
-    middle, reach = box
-    way = start[n:] * (0.5 * h)
-    middle[:] = start
-    middle[:n] += way
-    np.abs(start, out=reach)
-    reach *= SLACK
-    reach[:n] += np.abs(way)
-    reach[:n] += own
-    reach[n:] += own / np.abs(h)
-    if mechanism.rows:
-        there = states_along(mechanism, y[:-1], terms, h, END)[:, 0]
-        reach += MISSED * np.abs(there - y[1:, : 2 * n]).T
-    return box.transpose(2, 0, 1)
-
-
-def _strays(terms: Complex, turned: Array) -> Array:
-    """The sums (n, m) of |D_k| h^k of steps that turn by w0 h (n, m), k > 0."""
-    stray = terms * (turned * -1j)[:, None]
-    stray[:, :-1] += terms[:, 1:] * _orders(terms.shape[1])[1:]
-    sizes = stray.view(float)
-    sums = np.add.reduce(np.abs(sizes, out=sizes), axis=1)
-    return np.asarray(sums[:, ::2] + sums[:, 1::2])
 
 
 def states_along(mechanism: Mechanism, y: Array, terms: Complex, h: Array, parts: Array) -> Array:
@@ -175,7 +101,7 @@ class Chunk(NamedTuple):
     """Some steps: their ends t (m,) and states y (m, N), and rows at output times (k,), (k, N).
 
     y = (q, qd) in joint coordinates, with the work done by torques less dampers appended where it
-    was asked for.  `kept` is what engines keep of the steps where that was asked for.
+    was asked for.  `terms` (n, p, m) are z_k h^k, k > 0, of the steps h where that was asked for.
     """
 
     t: Array
@@ -183,7 +109,7 @@ class Chunk(NamedTuple):
     row_t: Array
     row_y: Array
     status: Status
-    kept: Kept | None = None
+    terms: Complex | None = None
 
     def first(self, steps: int, direction: float) -> Chunk:
         """The first steps, and the rows within them."""
@@ -199,6 +125,7 @@ ROWS = 16384  # of one call: no step begins when there are more
 TABLE = ("times", "rows", "ends", "states", "series", "count", "given", "keeps")
 ASKED, GIVEN = TABLE.index("count"), TABLE.index("given")  # what each call tells anew begins there
 MOST_STEPS = 4096  # of a call
+ROOMS = 4  # of one scene that are left for further runs
 WORK = 200_000  # links times orders times steps of a call, which takes some 20 ms
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 _BEGUN, _ASKED = Struct("5d").pack_into, Struct("3q").pack_into  # faster than a slice of an array
@@ -277,13 +204,55 @@ class Rows(Observer):
         k.each(len(self.scene.state), lambda i: k.store(k.load(k.at(there, i)), k.at(to, i)))
 
 
+class _Room:
+    """What a run of machine code works on: a block, and where times and results are.
+
+    It is state: no two runs share it, but one may leave it to the next.
+    """
+
+    __slots__ = ("address", "block", "layout", "room", "views")
+
+    def __init__(self, block: Array) -> None:
+        self.block, self.address = block, block.ctypes.data
+        self.room, self.layout = np.empty(0), ()
+        self.views: tuple[Any, ...] = ()
+
+    def laid(self, wanted: int, N: int, most: int, turns: int) -> tuple[Any, ...]:
+        """Where the observer's table is, it, and the times, rows, ends, states, and series.
+
+        Those are `wanted` times, and `most` steps of N numbers and `turns` coefficients.
+        """
+        layout: Any = wanted, N, most, turns
+        if layout == self.layout:
+            return self.views
+        sizes = len(TABLE), wanted, wanted * N, most, most * N, most * turns
+        a, b, c, d, e, end = accumulate(sizes)
+        if len(self.room) < end:
+            self.room = np.empty(end)
+        room, at = self.room, self.room.ctypes.data
+        table = room[:a].view(np.int64)
+        table[:5] = [at + 8 * x for x in (a, b, c, d, e)]
+        parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(most, N)
+        self.layout, self.views = layout, (at, table, *parts, room[e:end].reshape(-1, turns or 1))
+        return self.views
+
+
 class _Ready(NamedTuple):
-    """A scene, its code, and a block with its numbers, at an address."""
+    """A scene, its code, a block with its numbers, and rooms that runs have left."""
 
     scene: Scene
     code: Loaded
     block: Array
-    address: int = 0
+    rooms: list[_Room]
+
+    def room(self) -> _Room:
+        """One with its numbers."""
+        try:
+            room = self.rooms.pop()
+        except IndexError:
+            room = _Room(self.code.block())
+        room.block[:] = self.block
+        return room
 
 
 def _ready(
@@ -301,7 +270,7 @@ def _ready(
         raise NoCodeError("no machine code can be made")
     block = code.block()
     scene.fill(block, *tolerances)
-    return _Ready(scene, code, block)
+    return _Ready(scene, code, block, [])
 
 
 @lru_cache(maxsize=64)
@@ -310,7 +279,7 @@ def _kept(mechanism: Mechanism, constants: tuple[float, ...] | None, *rest: Any)
     return _ready(mechanism, Actuation(constants, linear=constants is None), *rest)
 
 
-class CompiledEngine:
+class SeriesEngine:
     """Steps of the Taylor series in machine code, of any torques that have a series.
 
     Tolerances are those of angles (rad) and rates (rad/s) over one step.  With `work` states have
@@ -330,13 +299,11 @@ class CompiledEngine:
         work: bool = False,
         family: str = "",
     ) -> None:
+        # by how the switches of an expression stand: what is ready, and the room of this run
+        self._ready: dict[tuple[float, ...] | None, tuple[_Ready, _Room]] = {}
         self.mechanism, self.actuation = mechanism, actuation
         self.order = order_where_steps_cost(max(rtol, atol)) if order is None else order
         self._options, self._tolerances = (work, project, family), (float(rtol), float(atol))
-        self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
-        self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
-        self._views: tuple[Any, ...] = ((),)
-        self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps = False
         self.most = max(STEPS, min(MOST_STEPS, WORK // (mechanism.n * self.order)))
         if why := refused(mechanism):
@@ -345,48 +312,33 @@ class CompiledEngine:
             raise NoCodeError("needs the extra `fast`")
         self._made(None if actuation.pieces is None else actuation.pieces.at(0.0))
 
-    def _made(self, held: tuple[float, ...] | None) -> _Ready:
-        """What is ready for the torques as the switches of an expression stand; its block is own.
+    def __del__(self) -> None:
+        for ready, room in self._ready.values():
+            if len(ready.rooms) < ROOMS:
+                ready.rooms.append(room)
+
+    def _made(self, held: tuple[float, ...] | None) -> tuple[_Ready, _Room]:
+        """What is ready for the torques as the switches of an expression stand, and its room.
 
         Raises NoCodeError where there can be no code.
         """
-        found = self._blocks.get(held)
+        found = self._ready.get(held)
         if found is None:
             given = self.actuation
             rest = self.order, held, self._options, self._tolerances
             try:
                 if given.constants is not None or given.linear:  # numbers tell all of it
-                    found = _kept(self.mechanism, given.constants, *rest)
+                    ready = _kept(self.mechanism, given.constants, *rest)
                 else:
-                    found = _ready(self.mechanism, given, *rest)
+                    ready = _ready(self.mechanism, given, *rest)
             except ZeroDivisionError as error:
                 raise NoCodeError("no state has a series") from error
-            block = found.code.block()
-            block[:] = found.block
-            found = self._blocks[held] = _Ready(found.scene, found.code, block, block.ctypes.data)
+            found = self._ready[held] = ready, ready.room()
         return found
 
     @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
         return self.actuation.function(self.mechanism.n)
-
-    def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
-        """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
-
-        y is (q, qd) in joint coordinates, with the work done (J) appended where it is wanted.
-        `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
-        The step in which they run out is the last.
-        """
-        chunk = self._advance(t, y, bound, times, steps, self.keeps)
-        if count := len(chunk.t):
-            begun = (float(chunk.t[-2]), chunk.y[-2]) if count > 1 else (t, y)
-            self._last = *begun, float(chunk.t[-1])
-        return chunk
-
-    def within(self, times: Array) -> Array:
-        """The states (k, N) at times (k,) in the last step, made once more for them."""
-        t, y, end = self._last
-        return self._again(t, y, end, times)
 
     def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
         """Return the states (k, N) at times (k,) in a step from (t, y) to `end`, as a function.
@@ -408,7 +360,7 @@ class CompiledEngine:
 
         Where rounding makes it shorter another one leads to its end.
         """
-        rows = self._advance(t, y, end, times, STEPS, lands=False).row_y
+        rows = self.advance(t, y, end, times, STEPS, lands=False).row_y
         assert len(rows) == len(times)
         return rows
 
@@ -417,7 +369,8 @@ class CompiledEngine:
 
         Return them.
         """
-        scene, code, block, address = next(iter(self._blocks.values()))  # they close alike
+        (scene, code, *_), room = next(iter(self._ready.values()))  # they close alike
+        block, address = room.block, room.address
         if code.close is not None:
             first = scene.place["to_q0"]
             there = block[first : first + rows.shape[1]]
@@ -428,18 +381,20 @@ class CompiledEngine:
                 row[:] = there
         return rows
 
-    def _advance(
-        self,
-        t: float,
-        y: Array,
-        bound: float,
-        times: Array,
-        steps: int,
-        keeps: bool = False,
-        lands: bool = True,
+    def advance(
+        self, t: float, y: Array, bound: float, times: Array, steps: int, lands: bool = True
     ) -> Chunk:
+        """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
+
+        y is (q, qd) in joint coordinates, with the work done (J) appended where it is wanted.
+        `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
+        The step in which they run out is the last.  Unless it `lands` one may end on a state from
+        which no series leads on.
+        """
+        keeps = self.keeps and lands
         pieces = self.actuation.pieces
-        scene, code, block, address = self._made(None if pieces is None else pieces.at(t))
+        (scene, code, *_), room = self._made(None if pieces is None else pieces.at(t))
+        block, address = room.block, room.address
         N, place = len(y), scene.place
         block[:N] = y
         block[N : 2 * N] = y
@@ -458,8 +413,10 @@ class CompiledEngine:
             code.close(address)
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
-        laid = self._laid(len(times), N, steps, keeps)
-        _, at, table, asked, rows, ends, states, series = laid
+        # how many steps are asked for changes from call to call
+        turns = 2 * self.mechanism.n * (self.order + 2) if keeps else 0
+        laid = room.laid(len(times), N, 1 << steps.bit_length(), turns)
+        at, table, asked, rows, ends, states, series = laid
         _ASKED(table.data, 8 * ASKED, len(times), 0, keeps)
         asked[:] = times
         code.advance(address, steps, at)
@@ -467,32 +424,11 @@ class CompiledEngine:
         taken, given = int(block[place["steps"]]), int(table[GIVEN])
         found = _STATUS[block[place["status"]]]
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
-        kept = None
+        terms = None
         if keeps and taken:
-            h = np.diff(made[0], prepend=t)
-            terms = terms_of(series[:taken].T, h)
-            kept = Kept(boxes_along(self.mechanism, np.vstack([y, made[1]]), terms, h), terms)
-        return Chunk(*made, found, kept)
-
-    def _laid(self, wanted: int, N: int, steps: int, keeps: bool) -> tuple[Any, ...]:
-        """Where the observer's table is, it, and the times, rows, ends, states, and series."""
-        most = 1 << steps.bit_length()  # how many are asked for changes from call to call
-        layout = wanted, N, most, keeps
-        if layout == self._views[0]:
-            return self._views
-        wide, orders = 2 * self.mechanism.n, self.order + 2
-        turns = most * wide * keeps
-        sizes = len(TABLE), wanted, wanted * N, most, most * N, turns * orders
-        a, b, c, d, e, end = accumulate(sizes)
-        if len(self._room) < end:
-            self._room = np.empty(end)
-        room, at = self._room, self._room.ctypes.data
-        table = room[:a].view(np.int64)
-        table[:5] = [at + 8 * x for x in (a, b, c, d, e)]
-        series = room[e:end].reshape(-1, orders, wide // 2, 2)
-        parts = room[a:b], room[b:c].reshape(wanted, N), room[c:d], room[d:e].reshape(most, N)
-        self._views = layout, at, table, *parts, series
-        return self._views
+            kept = series[:taken].reshape(taken, self.order + 2, self.mechanism.n, 2)
+            terms = terms_of(kept.T, np.diff(made[0], prepend=t))
+        return Chunk(*made, found, terms)
 
 
 @lru_cache(maxsize=64)
@@ -502,7 +438,8 @@ def refused(mechanism: Mechanism) -> str:
     Of a mechanism with contacts, each mode is one for itself.
     """
     if mechanism.rubbing:
-        return "friction by the forces in pins and slides has no series"
+        place = mechanism.rubbing_place(mechanism.rubbing[0])
+        return f"friction by the force in a pin or slide, as {place} is, has no series"
     if mechanism.switches:
         return "contacts change how it moves"
     if loop_terms(mechanism) > LARGEST:

@@ -33,16 +33,16 @@ from robodyn.dynamics.sticking import AT_REST, TOGETHER, forces_between, mode_at
 from robodyn.elements.contacts import NEAR, End, Guard, Mode
 from robodyn.elements.joints import HardStop
 from robodyn.errors import InputError, SingularError
-from robodyn.events.functions import EventFunction
-from robodyn.events.single_zeros import ROUNDING
-from robodyn.events.watch import Event
 from robodyn.loops.closing import close_positions
 from robodyn.loops.projection import law_error
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word, in_mode, pressed
-from robodyn.simulation.motion_columns import applied_torques
+from robodyn.runs.event_functions import EventFunction
+from robodyn.runs.motion_columns import applied_torques
+from robodyn.runs.roots import ROUNDING
+from robodyn.runs.watch import Event
 from robodyn.tables.arrays import Array
 
 ONWARD = 10.0  # times what is missed: slower back than so a joint may only seem to turn back
@@ -199,7 +199,7 @@ class Phases:
                 missed = max(least + offset, 0.0)
         return EventFunction(
             lambda t, y: self._but_for(missed, guard, values(t, y) - offset, y),
-            lambda t, y: ROUNDING * self._size(guard, t, y),
+            lambda t, y, _: ROUNDING * self._flat_size(guard, t, y),
             f"{guard.kind} {guard.joint} {guard.side}",
             way=-1,
             strict=True,
@@ -233,6 +233,10 @@ class Phases:
             size = np.abs(self._forces(t, y)) + acting[:, list(self.mode.held)]
             return np.asarray(size.sum(axis=1) + sum(map(abs, held)))
         return np.asarray(guard.size(y[:, :n], y[:, n : 2 * n]))
+
+    def _flat_size(self, guard: Guard, t: Array, y: Array) -> Array:
+        """The same (...) of states y (..., N) at times t (...)."""
+        return self._size(guard, t.ravel(), y.reshape(-1, y.shape[-1])).reshape(t.shape)
 
     def _forces(self, t: Array, y: Array) -> Array:
         """What holds each held joint, (k, held)."""

@@ -30,6 +30,7 @@ import numpy as np
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import closure_drift, other_forces
+from robodyn.dynamics.friction_formula import rubbed_formula
 from robodyn.dynamics.friction_rounds import NotSettledError, settled
 from robodyn.engines import straightline
 from robodyn.errors import SignalError
@@ -57,6 +58,15 @@ class RightHandSide:
     projection: Projection | None
     kind: str  # straight-line or dense
     near: NearSingular | None = None
+    refused: Refused | None = None
+
+
+@dataclass(slots=True)
+class Refused:
+    """The last state at which friction by forces had no solution: its time, and the error."""
+
+    t: float = math.nan
+    error: NotSettledError | None = None
 
 
 @dataclass(slots=True)
@@ -82,24 +92,28 @@ def right_hand_side(
     """
     kind = kind or _best_kind(mechanism)
     straight = partial(straightline.compile_rates, mechanism, work=work, baumgarte=baumgarte)
+    if mechanism.rubbing:
+        straight = partial(straight, write=rubbed_formula)
+
+    refused = Refused() if mechanism.rubbing else None
 
     def solving(torques: Actuation) -> Rates:
         """The rates of a state as it is."""
-        fallback = _dense_rates(mechanism, torques, work, baumgarte)
+        fallback = _dense_rates(mechanism, torques, work, baumgarte, refused)
         if kind == "dense":
             return fallback
         return straight(torques, least_pivot=SINGULAR, otherwise=fallback)
 
     solved = solving(actuation)
     if not mechanism.rows:
-        return RightHandSide(solved, None, kind)
+        return RightHandSide(solved, None, kind, refused=refused)
     closing = (dense_closing if kind == "dense" else best_closing)(mechanism)
     project = Projection(mechanism, closing, misses)
     if baumgarte:  # its restoring terms need the gap: no state is projected
-        return RightHandSide(solved, project, kind)
+        return RightHandSide(solved, project, kind, refused=refused)
     careful = _projecting(project, actuation, solving, solved, kind == "dense")
     if kind == "dense":  # a projection costs little beside them
-        return RightHandSide(careful, project, kind)
+        return RightHandSide(careful, project, kind, refused=refused)
 
     def watched(t: float, y: Array) -> Any:
         near.met = True
@@ -107,7 +121,7 @@ def right_hand_side(
 
     rates = straight(actuation, least_pivot=NEAR, otherwise=watched)
     near = NearSingular(watched)
-    return RightHandSide(rates, project, kind, near)
+    return RightHandSide(rates, project, kind, near, refused)
 
 
 def _projecting(
@@ -145,6 +159,8 @@ def _projecting(
 
     def careful(t: float, y: Array) -> Any:
         q = y[: mechanism.n]
+        if not np.isfinite(q).all():  # after a stage whose rates are not
+            return np.full(len(y), np.nan)
         if project.misses.near(q):  # a stage that were closed here would bend the step
             return solved(t, y)
         if dense:  # whose closing is the cheapest test
@@ -169,7 +185,7 @@ def _projecting(
 
 
 def _best_kind(mechanism: Mechanism) -> str:
-    if mechanism.rubbing or not dense_dynamics.elimination_is_safe(mechanism):
+    if not dense_dynamics.elimination_is_safe(mechanism):
         return "dense"
     if mechanism.rows and regular_rank(mechanism) < len(mechanism.rows):
         return "dense"  # closures that depend on one another leave no pivot
@@ -207,8 +223,14 @@ def _moved(mechanism: Mechanism, baumgarte: float, drives: bool) -> Moved:
     return moved
 
 
-def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgarte: float) -> Rates:
-    """dy/dt by dense algebra."""
+def _dense_rates(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    work: bool,
+    baumgarte: float,
+    refused: Refused | None,
+) -> Rates:
+    """dy/dt by dense algebra; `refused` is told where friction has no solution."""
     drives = bool(work and mechanism.driven)
     moved = _moved(mechanism, baumgarte, drives)
     n = mechanism.n
@@ -233,7 +255,11 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             if work and forced:
                 tau = tau + other_forces(mechanism, q, qd, t)
             tau = tau + rubbed
-        except (SignalError, NotSettledError):  # a shorter step may not
+        except SignalError:  # a shorter step may not
+            return np.full(len(y), np.nan)
+        except NotSettledError as error:
+            if refused is not None:
+                refused.t, refused.error = t, error
             return np.full(len(y), np.nan)
         power = [float(tau @ qd - damping @ qd**2) + driving] if work else []
         return [*values[n : 2 * n], *qdd.tolist(), *found[n:], *power]

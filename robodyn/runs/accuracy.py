@@ -24,12 +24,11 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_times import over_a_run
-from robodyn.simulation.recording import Recorder
-from robodyn.simulation.report import Outcome
-from robodyn.simulation.settings import Settings
-from robodyn.simulation.simulation import run
+from robodyn.runs.march import Record, run
+from robodyn.runs.report import Outcome
+from robodyn.runs.series_engine import check_served
+from robodyn.runs.settings import Settings
 from robodyn.tables.arrays import Array
-from robodyn.taylor.compiled import check_served
 
 AUTO = "auto"
 SAMPLES = 200  # times at which runs are compared, besides those of the steps
@@ -174,18 +173,18 @@ class _Motion:
         if self.outcome not in (Outcome.FINISHED, Outcome.LIMIT):
             return None
         rows: list[Array] = []
-        outcome, recorder = run(*self._of, settings, lambda t, y, _: rows.append(y), self.times)
+        outcome, record = run(*self._of, settings, lambda t, y, _: rows.append(y), self.times)
         if outcome is not self.outcome:
             return None
         y = np.concatenate(rows)[: len(self.times), : len(self._of[1])]
         if len(y) < len(self.times):
             return None
-        return Sampled(y, recorder.settle().work_missed, self._apart(recorder))
+        return Sampled(y, record.settle().work_missed, self._apart(record))
 
-    def _apart(self, recorder: Recorder) -> Array:
+    def _apart(self, record: Record) -> Array:
         """How far the times are from the contacts of a run, where its rates may jump."""
         jumps = HARD in self._of[0].contacts
-        hits = np.array([event.t for event in recorder.contacts if jumps])
+        hits = np.array([event.t for event in record.contacts if jumps])
         if not len(hits):
             return np.full(len(self.times), np.inf)
         after = np.searchsorted(hits, self.times)

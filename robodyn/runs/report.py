@@ -42,6 +42,7 @@ class Outcome(Enum):
         "the joint has no stop there; with a stiffness or a restitution in its limits it has one",
     )
     LAW = ("law", "a law of a coupling cannot be kept from there on")
+    FRICTION = ("friction", "friction by the force in a pin or slide has no solution there")
     CHATTERING = (
         "chattering",
         "a hundred changes of contact followed one another without time passing: try another "
@@ -96,8 +97,5 @@ class Report:
     hint: str = ""  # what would make it faster, or safer
 
 
-class StopRun(Exception):
-    """Ends a run from within the observer."""
-
-    def __init__(self, outcome: Outcome) -> None:
-        self.outcome = outcome
+class InterruptedRun(Exception):
+    """Ends a run from without; what was computed until then is kept."""

@@ -4,9 +4,7 @@
 
 1. the state is brought back onto positions and velocities that close, by the least change;
 2. what the solver keeps of the state (its derivative) follows;
-3. a torque that may jump there, at a kink, is told, and the next step starts the method afresh;
-4. an observer sees the step.
-
+3. a torque that may jump there, at a kink, is told, and the next step starts the method afresh.
 Near a change point that the loops miss, steps are held, and one that leapt across is taken again.
 
 The change is of the order of the step's local error, so the order of the method stays.  A dense
@@ -17,7 +15,9 @@ projected states up to the square of that change.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -30,11 +30,10 @@ from robodyn.mechanics.kinks import NEAR, Ahead, kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.run_control import Steps
-from robodyn.simulation.recording import Recorder
-from robodyn.simulation.right_hand_side import NearSingular, RightHandSide
+from robodyn.runs.report import Outcome
+from robodyn.runs.right_hand_side import NearSingular, RightHandSide
+from robodyn.runs.segments import KeptStep, Segment, solver_segment
 from robodyn.tables.arrays import Array
-
-Observer = Callable[[Any], None]
 
 METHODS: dict[str, type[OdeSolver]] = {"DOP853": DOP853, "RK45": RK45, "Radau": Radau}
 EXPLICIT = ("DOP853", "RK45")
@@ -66,7 +65,6 @@ class Projecting(_Solver):  # type: ignore[misc]
         t_bound: float,
         *,
         projection: Callable[[float, Array], Array] | None = None,
-        observer: Observer | None = None,
         kinks: Sequence[float] = (),
         jumps: Sequence[float] = (),
         leaves: Sequence[float] = (),
@@ -88,7 +86,6 @@ class Projecting(_Solver):  # type: ignore[misc]
         self.nfev: int
         self.projection = projection
         self.misses = projection.misses if isinstance(projection, Projection) else None
-        self.observer = observer
         self.kinks = sorted(kinks)
         self.stops = sorted({*kinks, *jumps})
         self.leaves = leaves
@@ -227,12 +224,6 @@ class Projecting(_Solver):  # type: ignore[misc]
             success, message = super()._step_impl()
         return success, message
 
-    def step(self) -> str | None:
-        message: str | None = super().step()
-        if self.status != "failed" and self.observer is not None:
-            self.observer(self)
-        return message
-
     def _dense_output_impl(self) -> DenseOutput:
         if self._ahead.jumps:  # it may be asked for after later steps
             self._ahead.begin(self.t_old, self.direction > 0.0)
@@ -260,40 +251,114 @@ def projected(method: str) -> type[OdeSolver]:
     return type(f"Projected{method}", (Projecting, METHODS[method]), kind)
 
 
-def solver_of(
-    method: str,
-    side: RightHandSide,
-    way: tuple[float, Array, float],
-    tolerances: tuple[float, float],
-    recorder: Recorder,
-    actuation: Actuation,
-    projects: bool = True,
-    max_step: float = np.inf,
-) -> OdeSolver:
-    """The solver of this name along a way (t, y, bound), which the recorder observes."""
-    (t, y, bound), (rtol, atol) = way, tolerances
-    each = np.full(len(y), atol, float)
-    by_product = 2 * recorder.mechanism.n + actuation.states
-    each[by_product:] = 1e100  # the work chooses no step
-    kind: Any = projected(method)
-    solver: OdeSolver = kind(
-        side.rates,
-        t,
-        y,
-        bound,
-        rtol=rtol,
-        atol=each,
-        projection=side.projection if projects else None,
-        near=side.near,
-        slipping=recorder.mechanism if recorder.mechanism.bells else None,
-        observer=recorder.step,
-        kinks=actuation.kinks,
-        jumps=actuation.jumps,
-        leaves=actuation.leaves,
-        told=actuation.told,
-        max_step=max_step,
-    )
-    return solver
+AT_ONCE = 512  # joints of steps that make a segment
+FEW, MANY = 16, 192  # steps of one; of one that is looked at between its steps
+
+
+class SolverSteps:
+    """Steps by one of scipy's solvers along a way (t, y, bound), as segments.
+
+    `single`: each step is a segment, as what goes on with it may change the torques.  `keeps`:
+    states between steps are asked for, which many steps tell together.
+    """
+
+    def __init__(
+        self,
+        method: str,
+        side: RightHandSide,
+        mechanism: Mechanism,
+        way: tuple[float, Array, float],
+        tolerances: tuple[float, float],
+        actuation: Actuation,
+        *,
+        projects: bool = True,
+        max_step: float = np.inf,
+        single: bool = False,
+        keeps: bool = False,
+    ) -> None:
+        (t, y, bound), (rtol, atol) = way, tolerances
+        each = np.full(len(y), atol, float)
+        each[2 * mechanism.n + actuation.states :] = 1e100  # the work chooses no step
+        kind: Any = projected(method)
+        self.outcome: Outcome | None = None
+        self.error: Exception | None = None  # raised once the steps before it are taken
+        self.y = y  # where the last step ended
+        self.most = 1 if single else max(1, min(MANY if keeps else FEW, AT_ONCE // mechanism.n))
+        with _quiet():
+            self.solver: Any = kind(
+                side.rates,
+                t,
+                y,
+                bound,
+                rtol=rtol,
+                atol=each,
+                projection=side.projection if projects else None,
+                near=side.near,
+                slipping=mechanism if mechanism.bells else None,
+                kinks=actuation.kinks,
+                jumps=actuation.jumps,
+                leaves=actuation.leaves,
+                told=actuation.told,
+                max_step=max_step,
+            )
+
+    def leave(self, t: float, y: Array) -> None:
+        """Go on from the state y at t: the solver has told torques of kinks itself."""
+
+    @property
+    def evaluations(self) -> int:
+        """Of the rates, until now."""
+        return int(self.solver.nfev)
+
+    def advance(
+        self, left: float, enough: Callable[[OdeSolver], bool] = lambda solver: False
+    ) -> Segment | None:
+        """The next steps: some, but that more than `left` evaluations, or `enough`, end them.
+
+        None where there are none, and the outcome tells why.
+        """
+        if self.error is not None:
+            raise self.error
+        if self.outcome is not None:
+            return None
+        solver, steps = self.solver, list[KeptStep]()
+        most = self.evaluations + left
+        with _quiet():
+            try:
+                # where a rate is not finite at its start scipy has no first step, and never ends
+                while (
+                    solver.status == "running"
+                    and len(steps) < self.most
+                    and math.isfinite(getattr(solver, "h_abs", 0.0))
+                ):
+                    solver.step()
+                    if solver.status == "failed":
+                        break
+                    steps.append(KeptStep(solver))
+                    if solver.nfev > most or enough(solver):
+                        break
+            except StiffError:
+                self.outcome = Outcome.STIFF
+            except Exception as error:
+                if not steps:
+                    raise
+                self.error = error
+        if steps:
+            begun, self.y = self.y, steps[-1].y
+            return solver_segment(begun, steps)
+        if self.outcome is None:
+            finished = solver.status == "finished"
+            self.outcome = Outcome.FINISHED if finished else Outcome.STEP_TOO_SMALL
+        return None
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What scipy and numpy warn of, the outcome says."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        warnings.filterwarnings("ignore", module="scipy")
+        yield
 
 
 class _ProjectedOutput(DenseOutput):

@@ -28,15 +28,15 @@ from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed, loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.runs.report import Outcome, Report
+from robodyn.runs.settings import Settings
 from robodyn.scene.dimensions import dimension_of
 from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues
-from robodyn.simulation.report import Outcome, Report
-from robodyn.simulation.settings import Settings
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
-    from robodyn.events.watch import EventWatch
+    from robodyn.runs.watch import EventWatch
 
 Build = Callable[[Description], Mechanism]
 TIGHT = {"DOP853": 1e-13, "taylor": 1e-15}  # tolerances of the runs; of other methods 1 % of theirs
@@ -217,18 +217,18 @@ def sensitivities(
     torques = actuation.given or actuation
 
     def moved(name: str, change: float) -> _Run:
-        from robodyn.simulation.simulation import run
+        from robodyn.runs.march import run
 
         machine, start = numbers.at({name: numbers.value(name) + change} if change else {})
         acting = torques.remade(machine) if torques.remade is not None else torques
         y = np.full((len(times), len(state)), np.nan)
         parts: list[Array] = []
-        outcome, recorder = run(
+        outcome, record = run(
             machine, start, t_end, acting, tight, lambda t, x, _: parts.append(x), times, watch
         )
         found = np.concatenate(parts or [y[:0]])[: len(times), : len(state)]
         y[: len(found)] = found
-        return _Run(change, y, [(x.t, x.name) for x in recorder.contacts], outcome)
+        return _Run(change, y, [(x.t, x.name) for x in record.contacts], outcome)
 
     base = moved(names[0], 0.0)
     jumps = np.isin(times, [t for t, _ in base.contacts])  # rows that have no derivative alone

@@ -34,12 +34,12 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanics.torque_times import over_a_scene_run
-from robodyn.simulation.report import Outcome, Report
-from robodyn.simulation.settings import METHODS, Settings
-from robodyn.simulation.simulation import run
+from robodyn.runs.march import run
+from robodyn.runs.report import Outcome, Report
+from robodyn.runs.series_engine import check_served
+from robodyn.runs.series_steps import reach
+from robodyn.runs.settings import METHODS, Settings
 from robodyn.tables.arrays import Array
-from robodyn.taylor.compiled import check_served
-from robodyn.taylor.run import reach
 
 Long = NDArray[Any]  # longdouble
 
@@ -66,6 +66,7 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
 
     Raises InputError if a torque has no series, RobodynError if the motion cannot be followed.
     """
+    mechanism.check_rubbing("series of many digits, which errors are measured against,")
     if mechanism.switches:
         raise _lost(mechanism, "has joints that stick or end: the reference is of smooth motions")
     if actuation.states:
@@ -320,11 +321,11 @@ def benchmark(
     def timed(settings: Settings, at: Array = times) -> tuple[float, Outcome, Report, Array]:
         rows: list[Array] = []
         begun = time.perf_counter()
-        outcome, recorder = run(
+        outcome, record = run(
             mechanism, state, at[-1], actuation, settings, lambda t, y, _: rows.append(y), at
         )
         took = time.perf_counter() - begun
-        report = recorder.settle()
+        report = record.settle()
         return took, outcome, report, np.concatenate(rows or [np.zeros((0, len(state)))])
 
     over = over_a_scene_run(mechanism, actuation, state.tolist(), t_end)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 from typing import Any
@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 
 from robodyn.errors import InputError
-from robodyn.events.state_columns import PREFIX, ROUGH, StateColumns, variables
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.time_samples import FUNCTIONS
+from robodyn.runs.state_columns import PREFIX, ROUGH, StateColumns, variables
 from robodyn.scene.expressions import changed, code_of, fold, names_of, walk
 from robodyn.scene.quantities import expressions
 from robodyn.scene.syntax import Node, NotAllowedError
@@ -47,15 +47,13 @@ _SCOPE |= {"_pow": np.power, "_where": np.where}
 class Part:
     """A function of time and state: `values(t (k,), y (k, 2n or more))`, nan where undefined.
 
-    `noise` (k,), of the same, bounds what rounding may have added to them.  `around` has them
-    in the middle of boxes, and how far they go from there (`rounding.around_of`); or is not known.
+    `noise` bounds what rounding may have added to them along boxes of times t (m, k) in which the
+    states are y (m, k, 2n or more): (m, k or 1).  The steps that have the boxes go from and to
+    states whose numbers are as `large` (m, 2n or more): a state is rounded as these are.
     """
 
     values: Values
-    noise: Values
-    around: Callable[[Array, Array, Array, Array], Bounded] | None = field(
-        default=None, kw_only=True
-    )
+    noise: Callable[[Array, Array, Array], Array]
 
 
 _EQUAL = "for the time when a and b are equal write a - b"
@@ -143,9 +141,7 @@ def _made(
     n: int, name: str, tree: Node, way: int, strict: bool, columns: StateColumns | None
 ) -> EventFunction:
     def parts(node: Node) -> dict[str, Any]:
-        around = None if _computed(node) else around_of(node, n)
-        made = {"values": _vectorised(node, n, columns), "noise": bound_of(node, n, columns)}
-        return {**made, "around": around}
+        return {"values": _vectorised(node, n, columns), "noise": bound_of(node, n, columns)}
 
     cuts = tuple(Part(**parts(x)) for x in switches(tree))
     return EventFunction(
@@ -329,14 +325,12 @@ def _positive(x: Any) -> Any:
 
 def bound_of(
     tree: Node, n: int, columns: StateColumns | None = None
-) -> Callable[[Array, Array], Array]:
-    """The bound (..., k or 1) on the rounding of an expression's values along a step.
+) -> Callable[[Array, Array, Array], Array]:
+    """The bound (m, k or 1) on the rounding of an expression's values along boxes: see `Part`."""
 
-    Those are at its times (..., k), of its states (..., k, 2n or more).
-    """
-
-    def bound(t: Array, y: Array) -> Array:
+    def bound(t: Array, y: Array, large: Array) -> Array:
         off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)
+        np.maximum(off, large[:, None, : 2 * n], out=off)
         for part in (off[..., :n], off[..., n:]) if n > 1 else ():
             part[:] = np.maximum.reduce(part, axis=-1, keepdims=True)
         off *= STATE
@@ -351,18 +345,6 @@ def bound_of(
         return np.atleast_1d(_bounded(tree, each)[1])
 
     return bound
-
-
-def around_of(tree: Node, n: int) -> Callable[[Array, Array, Array, Array], Bounded]:
-    """An expression's values (k,) in the middle of boxes, and how far they go from there.
-
-    Those are times from begin (k,) to end, and states as far as dy (k, 2n..) from y.
-    """
-
-    def around(begin: Array, end: Array, y: Array, dy: Array) -> Bounded:
-        return _bounded(tree, _known(begin, end, y, dy, n))
-
-    return around
 
 
 def _known(begin: Array, end: Array, y: Array, dy: Array, n: int) -> Callable[[str], Bounded]:

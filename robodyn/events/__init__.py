@@ -1,1 +1,0 @@
-"""Events of a run: where functions of the motion change sign, none missed."""

@@ -1,0 +1,443 @@
+"""A run: legs one after another, each a smooth motion in one mode, and their segments.
+
+Steps come from one of scipy's solvers, made to project after every step (`solvers.py`), or from the
+Taylor series (`series_steps.py`), which needs no scipy.  What is told of a run reads its segments:
+events and the guards of modes, which cut them (`watch.py`), rows and statistics (`readers.py`).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Callable, Generator, Iterator
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from robodyn.dynamics import dense_dynamics
+from robodyn.dynamics.dynamics import RobodynWarning
+from robodyn.dynamics.friction_rounds import NotSettledError
+from robodyn.engines.coupling_laws import check_laws
+from robodyn.engines.row_values import near_table_end, rows_of
+from robodyn.errors import LawError, RobodynError, SingularError
+from robodyn.loops import loop_rates
+from robodyn.loops.misses import Misses
+from robodyn.loops.projection import Projection, best_closing
+from robodyn.mechanics import parts
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import in_mode
+from robodyn.runs.motion_columns import (
+    TOO_FAST,
+    applied_torques,
+    check_span,
+    check_start,
+    no_hold,
+    over_run,
+)
+from robodyn.runs.phases import Phases
+from robodyn.runs.readers import STEPS_AT_ONCE, Rows, RunStatistics, Sink
+from robodyn.runs.report import InterruptedRun, Outcome, Report
+from robodyn.runs.right_hand_side import RightHandSide, right_hand_side
+from robodyn.runs.segments import Segment
+from robodyn.runs.series_engine import SeriesEngine, check_served
+from robodyn.runs.series_steps import SeriesSteps
+from robodyn.runs.settings import EvenTimes, Settings, check_run
+from robodyn.runs.watch import Cut, Event, EventWatch
+from robodyn.tables.arrays import Array
+
+NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
+BEYOND = 1e-9  # s, or of the time: a state so near the end of a run is why it ended
+MOST_AT_ONCE = 100  # legs in a row that take no time, after which none will
+MOST_STEPS = 1e13  # that take months
+FAR_END = 1e9  # s; where the end is nearer it is a force that makes the steps too short
+NEVER = 1e4  # times the steps that a run may take: even if they grew as much it would not end
+
+LED = "a law of the time leads the joint there, and no stop throws it back"
+
+Due = Callable[[float], Array]  # of a time: output times still to come up to it
+
+
+class Steps(Protocol):
+    """What takes the steps of a leg."""
+
+    outcome: Outcome | None  # why there are no more
+
+    @property
+    def evaluations(self) -> int:
+        """Of the rates, or of series, until now."""
+
+    def advance(self, left: float) -> Segment | None:
+        """The next steps, but that more than `left` evaluations end them; None: no more come."""
+
+    def leave(self, t: float, y: Array) -> None:
+        """The run has left these steps in the state y at t."""
+
+
+def _nothing_due(bound: float) -> Array:
+    return np.zeros(0)
+
+
+class Run:
+    """A motion from `state` (2n,) at t = 0 to t_end, as segments; its report and what was met.
+
+    `events` finds events, and may end it.  Raises RobodynError where no motion is defined.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        state: Array,
+        t_end: float,
+        actuation: Actuation,
+        settings: Settings,
+        events: EventWatch | None = None,
+    ) -> None:
+        actuation = over_run(mechanism, actuation, state, t_end, settings.atol)
+        report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
+        if not actuation.told_by_leaves:
+            report.hint = TOO_FAST
+            warnings.warn(TOO_FAST, RobodynWarning, stacklevel=3)
+        report.stabilize = settings.stabilize if mechanism.rows else "none"
+        self.mechanism, self.actuation, self.settings = mechanism, actuation, settings
+        self.t_end, self.report = t_end, report
+        work = actuation.active or mechanism.changes_energy or mechanism.switches
+        self.work = bool(work or mechanism.driven)
+        y = np.array([*state.tolist(), *[0.0] * (actuation.states + self.work)])
+        y = self._begun(y)
+        self.phases: Phases | None = None
+        self.moving = mechanism  # what moves now: the mechanism, or one of its modes
+        if mechanism.switches:
+            events = events or EventWatch([], t_end, width=2 * mechanism.n)
+            self.phases = Phases(mechanism, actuation, y, t_end, settings.atol)
+            y, self.moving = self.phases.y, self.phases.moving
+        self.t, self.y, self.events = 0.0, y, events
+        self.outcome = Outcome.FINISHED
+        self._sides: dict[Mechanism, RightHandSide] = {}
+        self._engines: dict[Mechanism, SeriesEngine | None] = {}
+        self._misses: dict[Mechanism, Misses] = {}
+        self._recent: list[Array] = []  # times of steps not yet looked at for an end
+        self._longest = 0.0  # of the steps before them, s
+        self._check_start()
+        if settings.method == "taylor":
+            check_served(mechanism, actuation)
+        if events is not None and events.columns is not None:
+            torques = partial(applied_torques, mechanism, actuation)
+            events.columns.enter(self.moving, torques)
+
+    def _begun(self, y: Array) -> Array:
+        """The state y from which the run starts, closed where it projects; torques are told."""
+        mechanism, n = self.mechanism, self.mechanism.n
+        check_laws(mechanism, y[:n], y[n : 2 * n], 0.0)
+        if self.t_end != 0.0 and mechanism.rows:
+            loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
+        if self.report.stabilize == "projection":
+            y = Projection(mechanism, best_closing(mechanism))(0.0, y)
+        if self.actuation.told is not None:
+            self.actuation.told.begin(y.tolist(), float(self.t_end))
+        if mechanism.signals:
+            rows_of(parts.acting, mechanism).check_signals(y[:n], y[n : 2 * n])
+        return y
+
+    def _check_start(self) -> None:
+        """Raise RobodynError, now, where no motion is defined."""
+        mechanism, y, n = self.moving, self.y, self.mechanism.n
+        by_series = self.settings.method == "taylor"
+        if by_series:
+            self.report.evaluator = "compiled"
+        if by_series and not mechanism.parted and dense_dynamics.elimination_is_safe(mechanism):
+            return
+        with np.errstate(all="ignore"):  # rates that leave the floats end the run
+            if by_series:
+                dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
+                return
+            side = self._side(mechanism)
+            self.report.evaluator = side.kind
+            if not np.isfinite(side.rates(0.0, y)).all():
+                check_start(mechanism, self.actuation, 0.0, y)
+                if side.refused is not None and side.refused.error is not None:
+                    raise side.refused.error
+                limit = "the acceleration is not finite there"
+                raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+
+    def _met(self, mechanism: Mechanism) -> Misses | None:
+        """The change points of the mechanism that the run has met; None: it has no closures."""
+        if mechanism.rows and mechanism not in self._misses:
+            self._misses[mechanism] = Misses(mechanism)
+        return self._misses.get(mechanism)
+
+    def _side(self, mechanism: Mechanism) -> RightHandSide:
+        """The rates of the mechanism."""
+        if mechanism not in self._sides:
+            baumgarte = self.settings.stabilize == "baumgarte" and mechanism.rows
+            self._sides[mechanism] = right_hand_side(
+                mechanism,
+                self.actuation,
+                work=self.work,
+                baumgarte=self.settings.baumgarte if baumgarte else 0.0,
+                misses=self._met(mechanism),
+            )
+        return self._sides[mechanism]
+
+    def _steps(self, mechanism: Mechanism, due: Due, keeps: bool) -> Steps:
+        """What takes the steps of a leg that begins now."""
+        settings, events = self.settings, self.events
+        projects = settings.stabilize == "projection" and bool(mechanism.rows)
+        keeps = keeps or events is not None
+        may_end = events is not None and events.may_end
+        if settings.method == "taylor":
+            return SeriesSteps(
+                mechanism,
+                self.actuation,
+                self.t,
+                self.y,
+                self.t_end,
+                settings,
+                projects,
+                partial(self._side, mechanism),
+                self._engines,
+                self._met(mechanism),
+                due,
+                keeps,
+                may_end,
+            )
+        from robodyn.runs.solvers import SolverSteps
+
+        return SolverSteps(
+            settings.method,
+            self._side(mechanism),
+            mechanism,
+            (self.t, self.y, self.t_end),
+            (settings.rtol, settings.atol),
+            self.actuation,
+            projects=projects,
+            max_step=settings.max_step,
+            single=may_end or self.actuation.told is not None,
+            keeps=keeps,
+        )
+
+    # -- legs and segments -------------------------------------------------------------------------
+
+    def segments(self, due: Due = _nothing_due, keeps: bool = False) -> Iterator[Segment]:
+        """The segments of the run; while one is looked at `moving` is what moves in it.
+
+        What is `due` comes with them (`Segment.rows`) where that is fast.  With `keeps` all states
+        between steps can be asked for.
+        """
+        if self.t_end == 0.0:
+            return
+        try:
+            while True:  # leg by leg
+                cut = yield from self._leg(due, keeps)
+                if cut is None or not self._goes_on(cut):
+                    return
+        except SingularError:
+            self.outcome = Outcome.SINGULAR
+        except (LawError, NotSettledError) as error:
+            self.outcome = Outcome.LAW if isinstance(error, LawError) else Outcome.FRICTION
+            self.report.advice = f"{error.what} = {error.value}: {error.limit}"
+
+    def _leg(self, due: Due, keeps: bool) -> Generator[Segment, None, Cut | None]:
+        """The segments up to the end, or to what cuts the last of them."""
+        events, mechanism = self.events, self.mechanism
+        if self.phases is not None and events is not None:
+            self.moving = self.phases.moving
+            mechanism = in_mode(mechanism, self.phases.integrated)
+            events.guard(self.phases.functions)
+            if events.columns is not None:
+                events.columns.enter(self.moving)
+        steps, report, done = self._steps(mechanism, due, keeps), self.report, 0
+        while True:
+            segment = steps.advance(self.settings.max_evaluations - report.evaluations)
+            report.evaluations += steps.evaluations - done
+            done = steps.evaluations
+            if segment is None:
+                assert steps.outcome is not None
+                self.outcome = steps.outcome
+                if self.outcome is Outcome.STEP_TOO_SMALL and mechanism.rubbing:
+                    self._check_friction(mechanism)
+                return None
+            cut = None if events is None else events.look(segment)
+            if cut is not None:
+                segment = segment.until(cut.t)
+            report.steps += len(segment)
+            self.t, self.y = segment.end, segment.y[-1]
+            report.t_reached = self.t
+            yield segment
+            if cut is not None:
+                steps.leave(self.t, self.y)
+                return cut
+            if self.t != self.t_end and self._hopeless(segment):
+                return None
+
+    def _check_friction(self, mechanism: Mechanism) -> None:
+        """Raise NotSettledError where friction by forces has no solution just beyond."""
+        side, n, whole = self._side(mechanism), mechanism.n, max(1.0, abs(self.t))
+        refused = side.refused
+        assert refused is not None
+        # as steps shrink before a state without a solution none may have met it
+        for k in range(-12, -4):
+            if refused.error is not None and abs(refused.t - self.t) <= BEYOND * whole:
+                raise refused.error
+            now, ahead = self.t + math.copysign(10.0**k * whole, self.t_end), self.y.copy()
+            ahead[:n] += (now - self.t) * self.y[n : 2 * n]
+            side.rates(now, ahead)
+            if refused.error is not None and refused.t == now:
+                raise refused.error
+
+    def _goes_on(self, cut: Cut) -> bool:
+        """Enter the leg that follows a cut; whether there is one."""
+        assert self.events is not None
+        place = cut.place - len(self.events.functions)
+        if place < 0 or self.phases is None:
+            self.outcome = Outcome.EVENT
+            self.report.ended_by = self.events.functions[cut.place].name
+            return False
+        if why := self.phases.ends_run(place):
+            self.outcome, self.report.ended_by = Outcome.LIMIT, why
+            return False
+        self.y = self.phases.next(self.t, self.y, place)
+        if self.phases.idle == MOST_AT_ONCE:
+            self.outcome = Outcome.CHATTERING
+            return False
+        return self.t != self.t_end
+
+    def _hopeless(self, segment: Segment) -> bool:
+        """Whether the run has taken more than it may, or would by steps of this length."""
+        self._recent.append(segment.t[1:])
+        if sum(map(len, self._recent)) >= STEPS_AT_ONCE:
+            times, self._recent = np.concatenate(self._recent), []
+            outcome = self._endless(times)
+            if outcome is not None:
+                self.outcome = outcome
+                return True
+        if self.report.evaluations > self.settings.max_evaluations:
+            self.outcome = Outcome.TOO_MANY_EVALUATIONS
+            return True
+        return False
+
+    def _endless(self, t: Array) -> Outcome | None:
+        """How a run ends that by much longer steps would not; steps that grow may do so."""
+        early, late = (float(x.max()) for x in np.array_split(np.abs(np.diff(t)), 2))
+        before = max(self._longest, early)
+        self._longest = max(before, late)
+        left = abs(self.t_end - float(t[-1]))
+        most = max(MOST_STEPS, NEVER * self.settings.max_evaluations)
+        most = min(most, 1.0 / np.finfo(float).eps)  # floats tell no more apart
+        if abs(self.t_end) <= FAR_END:
+            return Outcome.STEP_TOO_SMALL if left > most * late and late <= 2.0 * early else None
+        return Outcome.ENDLESS if left > most * self._longest <= 2.0 * most * before else None
+
+    @property
+    def contacts(self) -> list[Event]:
+        """What joints met, and left."""
+        return [] if self.phases is None else self.phases.found
+
+
+class Record:
+    """What is told of a run that has ended: its report, once it is settled, and its contacts."""
+
+    def __init__(self, run: Run, statistics: RunStatistics) -> None:
+        self._run, self._statistics = run, statistics
+
+    @property
+    def contacts(self) -> list[Event]:
+        """What joints met, and left."""
+        return self._run.contacts
+
+    def settle(self) -> Report:
+        """The report, with the statistics of all steps."""
+        run, report = self._run, self._run.report
+        self._statistics.flush()
+        if run.actuation.control is not None:
+            report.tracking = run.actuation.control.tracking()
+        if run.events is not None:
+            report.events = run.events.counts(self.contacts)
+            report.remarks = run.events.remarks()
+        return report
+
+
+def run(
+    mechanism: Mechanism,
+    state: Array,
+    t_end: float,
+    actuation: Actuation,
+    settings: Settings,
+    sink: Sink,
+    times: Array | EvenTimes | None = None,
+    watch: Callable[[float], bool] | None = None,
+    events: EventWatch | None = None,
+) -> tuple[Outcome, Record]:
+    """Integrate from `state` (2n,); rows (t (k,), y (k, 2n or more)) go to `sink` as they come.
+
+    Rows are at `times`, or at the accepted steps.  `watch`, called with t after some steps, ends
+    the run as interrupted when it returns True; `events` finds events, and may end it as well.
+    """
+    check_run(settings, t_end, times)
+    check_span(actuation, t_end)
+    run = Run(mechanism, state, t_end, actuation, settings, events)
+    report = run.report
+
+    def look(t: float) -> None:
+        report.t_reached = t
+        if watch is not None and watch(t):
+            raise InterruptedRun
+
+    statistics = RunStatistics(report, run.actuation, mechanism.n, bool(mechanism.rows))
+    rows = Rows(sink, times, 2 * mechanism.n + run.actuation.states, look)
+    rows.begin(run.moving, run.y)
+    statistics.take(run.moving, np.zeros(1), run.y[None])
+    begun = time.perf_counter()
+    try:
+        for segment in run.segments(rows.due):
+            rows.take(run.moving, segment)
+            statistics.take(run.moving, segment.t[1:], segment.y[1:])
+            look(segment.end)
+    except InterruptedRun:
+        run.outcome = Outcome.INTERRUPTED
+    if run.outcome in (Outcome.EVENT, Outcome.LIMIT):
+        rows.end(run.t, run.y)
+    rows.flush()
+    if run.outcome is Outcome.STEP_TOO_SMALL and settings.method != "taylor":
+        statistics.flush()
+        near = statistics.last_singular
+        if near is not None and near < NEARLY_SINGULAR:
+            run.outcome = Outcome.SINGULAR
+    record = Record(run, statistics)
+    if run.actuation.control is not None:  # it may follow another run before it is asked
+        record.settle()
+    report.seconds = time.perf_counter() - begun
+    report.outcome = run.outcome.label
+    report.advice = _advice(run) or run.outcome.advice
+    return run.outcome, record
+
+
+def _advice(run: Run) -> str:
+    """What to do about a run that ended before its time, where more is known than its outcome."""
+    mechanism, outcome, control = run.mechanism, run.outcome, run.actuation.control
+    told, lost = "", outcome in (Outcome.STEP_TOO_SMALL, Outcome.SINGULAR)
+    if run.phases is not None and run.phases.led_on:
+        told = LED
+    if not told and control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
+        told = no_hold(mechanism, control)
+    if not told and mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL:
+        told = near_table_end(mechanism, run.t, run.y)
+    if not told and mechanism.laws and lost:
+        law = undefined_beyond(mechanism, run.t, run.y, run.t_end)
+        told = "" if law is None else f"{law.what} = {law.value}: {law.limit}"
+    return told or run.report.advice
+
+
+def undefined_beyond(mechanism: Mechanism, t: float, y: Array, t_end: float) -> LawError | None:
+    """The error of a law that has no value, or no derivative, just beyond the state y at t."""
+    n = mechanism.n
+    for ahead in (0.0, *(10.0**k for k in range(-12, -4))):
+        now = t + math.copysign(ahead * max(1.0, abs(t)), t_end)
+        q, qd = y[:n] + (now - t) * y[n : 2 * n], y[n : 2 * n]
+        try:
+            check_laws(mechanism, q, qd, now)
+        except LawError as error:
+            return error
+    return None

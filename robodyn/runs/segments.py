@@ -1,0 +1,195 @@
+"""Segments of a run: accepted steps, and the states between them.
+
+All that is asked of a run beyond its steps (rows, events, statistics) reads these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.runs.roots import NODES, node_times
+from robodyn.tables.arrays import Array
+
+Places = NDArray[np.int64]
+Inside = Callable[[Places, Array], Array]  # states (k, N) at a time of each of some steps
+
+
+class Segment:
+    """Steps from t[j] to t[j + 1], t (m + 1,), with the states y (m + 1, N) at these times.
+
+    `inside` has, of steps by their places (k,), the states at a time (k,) within each, such as
+    close.  `sampled` has those (m, nodes, N) at Chebyshev's points of all steps, which need not
+    close: at the ends of steps it tells how far they miss.  None: as `inside` has them.  Where
+    these have the first `width` numbers of a state only, or there are none, `whole` has states
+    (k, N) at times (k,) of one step by its place.  `rows` are times that were asked for, and the
+    states there.
+    """
+
+    def __init__(
+        self,
+        t: Array,
+        y: Array,
+        inside: Inside | None = None,
+        sampled: Callable[[], Array] | None = None,
+        width: int | None = None,
+        whole: Callable[[int, Array], Array] | None = None,
+        rows: tuple[Array, Array] | None = None,
+    ) -> None:
+        self.t, self.y, self.width, self._whole = t, y, width or y.shape[1], whole
+        self.rows = rows
+        self.forward = 1.0 if t[-1] >= t[0] else -1.0
+        self._inside, self._sampled = inside, sampled
+
+    def __len__(self) -> int:
+        return len(self.t) - 1
+
+    @property
+    def begin(self) -> float:
+        return float(self.t[0])
+
+    @property
+    def end(self) -> float:
+        return float(self.t[-1])
+
+    def within(self, places: Places, times: Array) -> Array:
+        """States (k, N) at a time (k,) of each of the steps at some places (k,)."""
+        states = np.empty((len(times), self.width))
+        at_begin, at_end = times == self.t[places], times == self.t[places + 1]
+        between = ~(at_begin | at_end)
+        if between.any():
+            assert self._inside is not None
+            states[between] = self._inside(places[between], times[between])
+        states[at_begin] = self.y[places[at_begin], : self.width]
+        states[at_end] = self.y[places[at_end] + 1, : self.width]
+        return states
+
+    def places(self, times: Array) -> Places:
+        """The places of the steps that end at times (k,), or after them."""
+        found = np.searchsorted(self.t * self.forward, times * self.forward) - 1
+        return np.minimum(np.maximum(found, 0), len(self) - 1)
+
+    def at(self, times: Array) -> Array:
+        """States (k, N) at times (k,) of any of the steps."""
+        return self.within(self.places(times), times)
+
+    def largest(self, places: Places) -> Array:
+        """How large the numbers (k, N) of states are at the ends of some steps."""
+        sizes = np.abs(self.y[:, : self.width])
+        return np.maximum(sizes[places], sizes[places + 1])
+
+    def states(self, times: Array) -> Array:
+        """Whole states (k, N) at increasing times (k,), or decreasing ones where it runs back."""
+        if self._whole is None:
+            return self.at(times)
+        places, found = self.places(times), np.empty((len(times), self.y.shape[1]))
+        for j in np.unique(places).tolist():
+            here = places == j
+            found[here] = self._whole(j, times[here])
+            found[here & (times == self.t[j + 1])] = self.y[j + 1]
+        found[times == self.t[0]] = self.y[0]
+        return found
+
+    def until(self, t: float) -> Segment:
+        """The part up to a time t, with the same states between."""
+        y = self.states(np.array([t]))
+        count = int(np.searchsorted(self.t * self.forward, t * self.forward))
+        times, states = np.append(self.t[:count], t), np.concatenate([self.y[:count], y])
+        rows = self.rows
+        if rows is not None:
+            kept = rows[0] * self.forward <= t * self.forward
+            rows = rows[0][kept], rows[1][kept]
+        return Segment(times, states, self._inside, None, self.width, self._whole, rows)
+
+    @cached_property
+    def nodes(self) -> tuple[Array, Array]:
+        """States (m, nodes, N) at Chebyshev's points of the steps, and their times (m, nodes)."""
+        times = node_times(self.t[:-1], self.t[1:])
+        if self._sampled is not None:
+            return self._sampled(), times
+        places = np.repeat(np.arange(len(self)), len(NODES))
+        return self.within(places, times.ravel()).reshape(*times.shape, -1), times
+
+
+MOVED = ("t", "t_old", "y", "y_old", "f", "h_previous")  # of an explicit solver, by a step
+
+
+class KeptStep:
+    """A step of one of scipy's solvers, whose states between its ends can be asked for later."""
+
+    __slots__ = ("K", "dense", "f", "h_previous", "solver", "t", "t_old", "y", "y_old")
+
+    def __init__(self, solver: Any) -> None:
+        # one by one: there are as many of these as steps
+        self.solver, self.t, self.t_old, self.y = solver, solver.t, solver.t_old, solver.y
+        self.dense: Any = None
+        self.K = getattr(solver, "K", None)
+        if self.K is None:  # of an implicit method the step's polynomial is there
+            self.dense = solver.dense_output()
+            return
+        self.K, self.f, self.h_previous = self.K.copy(), solver.f, solver.h_previous
+        self.y_old = solver.y_old
+
+    def dense_output(self) -> Any:
+        """The solver's own, of this step: it goes back to the step for that, if it has gone on."""
+        if self.dense is None:
+            solver: Any = self.solver
+            now = {name: getattr(solver, name) for name in MOVED}
+            stages = solver.K.copy()
+            try:
+                for name in MOVED:
+                    setattr(solver, name, getattr(self, name))
+                solver.K[:] = self.K
+                self.dense = solver.dense_output()
+            finally:
+                for name, value in now.items():
+                    setattr(solver, name, value)
+                solver.K[:] = stages
+        return self.dense
+
+
+def solver_segment(begun: Array, steps: Sequence[KeptStep]) -> Segment:
+    """Steps of a solver from the state `begun` (N,), with its dense outputs."""
+    close = steps[0].solver.projection
+    t = np.array([steps[0].t_old, *(step.t for step in steps)])
+    y = np.array([begun, *(step.y for step in steps)])
+
+    @cache
+    def outputs() -> list[Any]:
+        return [getattr(x, "_dense", x) for x in (step.dense_output() for step in steps)]
+
+    @cache
+    def powers() -> tuple[Array, Array]:
+        """Of DOP853: what its polynomials are made of."""
+        each = outputs()
+        return np.array([one.F for one in each]), np.array([one.y_old for one in each])
+
+    def plain(places: Places, times: Array) -> Array:
+        """States that the method has, not closed."""
+        each = outputs()
+        if type(each[0]).__name__ != "Dop853DenseOutput":
+            states = [each[j](at) for j, at in zip(places.tolist(), times.tolist(), strict=True)]
+            return np.array(states)
+        F, begun = powers()
+        some, x = F[places], ((times - t[places]) / (t[places + 1] - t[places]))[:, None]
+        found = some[:, -1] * x
+        for i in range(1, some.shape[1]):  # as each of them does by itself
+            found = (found + some[:, -1 - i]) * (1.0 - x if i % 2 else x)
+        return np.asarray(found + begun[places])
+
+    def inside(places: Places, times: Array) -> Array:
+        states = plain(places, times)
+        if close is None:
+            return states
+        return np.stack([close(at, row) for at, row in zip(times.tolist(), states, strict=True)])
+
+    def sampled() -> Array:
+        times = node_times(t[:-1], t[1:])
+        places = np.repeat(np.arange(len(steps)), len(NODES))
+        return plain(places, times.ravel()).reshape(*times.shape, -1)
+
+    return Segment(t, y, inside, sampled)

@@ -1,0 +1,247 @@
+"""Runs the Taylor integrator: steps onto kinks, crosses what is singular.
+
+A series that starts close to a singular configuration drowns in rounding.  Steps land elsewhere if
+they can; if they cannot, or a run starts there, DOP853, whose stages `change_points.py` serves,
+leads across.  So it does past a change point that the loops miss, from where a torque has no
+series, sqrt(t) at 0, and through a phase of contacts that machine code does not serve.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from robodyn.loops.change_points import suspect_quality
+from robodyn.loops.misses import FAR, Misses
+from robodyn.loops.projection import float_closing
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.kinks import kink_at, next_stop
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs.machine_motion import Status
+from robodyn.runs.motion_columns import check_start
+from robodyn.runs.report import Outcome
+from robodyn.runs.roots import NODES
+from robodyn.runs.segments import Places, Segment
+from robodyn.runs.series_engine import Chunk, NoCodeError, SeriesEngine, states_along, states_at
+from robodyn.runs.settings import SCIPY_RTOL, Settings
+from robodyn.tables.arrays import Array
+
+if TYPE_CHECKING:
+    from robodyn.runs.right_hand_side import RightHandSide
+    from robodyn.runs.solvers import SolverSteps
+
+KEPT = 32768  # steps whose series are kept at a time, of one link
+MOST_LOOKED_AT = (
+    1024  # steps that events are looked for in at a time: a run can be interrupted between
+)
+AHEAD = 4  # where an event ends the run, or a phase of it, at first
+MOST_IDLE = 8  # rounds without a step, after which there is none
+LEAD = 8  # steps of DOP853 away from where a torque has no series
+
+
+@dataclass(eq=False)
+class SeriesSteps:
+    """Steps of the Taylor series from (t, y) to t_end, as segments.
+
+    `side` makes what DOP853 needs, where it is needed.  `engines` keeps the engines of phases
+    (None: machine code does not serve the phase) for the next one.  `met` are the change points
+    that the run has met so far.  `due` has the output times still to come up to a time.
+    `keeps`: states between steps are asked for; `may_end`: what is beyond a step may be lost.
+    """
+
+    mechanism: Mechanism
+    actuation: Actuation
+    t: float
+    y: Array
+    t_end: float
+    settings: Settings
+    project: bool
+    side: Callable[[], RightHandSide]
+    engines: dict[Mechanism, SeriesEngine | None]
+    met: Misses | None
+    due: Callable[[float], Array]
+    keeps: bool = False
+    may_end: bool = False
+
+    def __post_init__(self) -> None:
+        mechanism = self.mechanism
+        self.closing, self.misses, self.regular, self.far = None, None, 0.0, 0.0
+        if self.project and mechanism.rows:
+            self.closing, self.misses = float_closing(mechanism), self.met
+            self.regular, self.far = 2.0 * suspect_quality(mechanism), FAR
+        self.outcome: Outcome | None = None
+        self.evaluations = 0
+        self.reached: tuple[float, Array] | None = None  # of which torques are not told yet
+        self.idle = 0  # times in a row that nothing led on
+        self.most_ahead = max(1, min(MOST_LOOKED_AT, KEPT // mechanism.n))
+        # of steps at a time, those beyond the end are lost
+        self.ahead = AHEAD if self.may_end else self.most_ahead
+        self.leading: SolverSteps | None = None  # across what has no series
+        self.engine = self._engine()
+        self.lead = 0.0 if self.engine else math.inf  # steps of DOP853 that come next, at least
+        check_start(mechanism, self.actuation, self.t, self.y)
+
+    def _engine(self) -> SeriesEngine | None:
+        mechanism = self.mechanism
+        if mechanism not in self.engines:
+            try:
+                self.engines[mechanism] = SeriesEngine(
+                    mechanism,
+                    self.actuation,
+                    rtol=float(self.settings.rtol),
+                    atol=float(self.settings.atol),
+                    order=self.settings.order,
+                    project=self.project,
+                    work=len(self.y) > 2 * mechanism.n,
+                )
+            except NoCodeError:
+                self.engines[mechanism] = None
+        return self.engines[mechanism]
+
+    def advance(self, left: float) -> Segment | None:
+        """The next steps; some more than `left` evaluations end them.
+
+        None where there are none, and the outcome tells why.
+        """
+        if self.reached is not None:
+            self.leave(*self.reached)
+        segment: Segment | None = None
+        while segment is None and self.outcome is None:
+            before, bound, status = self.t, self._bound(), Status.FULL
+            if self.leading or self.lead or self.engine is None:
+                segment = self._by_dop853(bound, left)
+            else:
+                try:
+                    segment, status = self._by_series(self.engine, bound, left)
+                except NoCodeError:  # of other torques than those at the start
+                    status = Status.STUCK
+            if self.outcome is None and self.leading is None:
+                self.outcome = self._way_on(before, status)
+        return segment
+
+    def leave(self, t: float, y: Array) -> None:
+        """Go on from the state y at t: torques are told of it if it is a kink."""
+        self.reached = None
+        reach(self.actuation, t, y)
+
+    def _bound(self) -> float:
+        """Where the next steps end at the latest."""
+        actuation = self.actuation
+        if self.t_end < 0.0 and kink_at(actuation.jumps, self.t) is not None:
+            self.t = math.nextafter(self.t, -math.inf)  # what is at a jump is what follows it
+        bound = next_stop(actuation.stops, actuation.leaves, self.t, self.t_end)
+        if abs(bound - self.t) > (longest := float(self.settings.max_step)):
+            bound = self.t + math.copysign(longest, self.t_end)
+        return bound
+
+    def _leads_on(self, t: float, y: Array) -> bool:
+        """Whether the Taylor series may go on from t, y: closures are regular, no miss is near."""
+        if self.closing is None:
+            return True
+        if self.closing(t, y.tolist())[1] < self.regular:
+            return False
+        return self.misses is None or self.misses.distance(y[: self.mechanism.n]) >= self.far
+
+    @np.errstate(all="ignore")  # as of a run by it alone
+    def _by_dop853(self, bound: float, left: float) -> Segment | None:
+        """Go on by DOP853 to where a series leads on, or the bound; the outcome if that fails."""
+        from robodyn.runs.solvers import SolverSteps
+
+        if self.leading is None:
+            given = self.side(), self.mechanism, (self.t, self.y, bound)
+            tolerances = max(self.settings.rtol, SCIPY_RTOL), self.settings.atol
+            single = self.may_end or self.actuation.told is not None
+            self.leading = SolverSteps("DOP853", *given, tolerances, self.actuation, single=single)
+        leading, done = self.leading, self.leading.evaluations
+
+        def enough(solver: Any) -> bool:
+            self.lead -= 1
+            return self.lead <= 0 and self._leads_on(float(solver.t), solver.y)
+
+        segment = leading.advance(left, enough)
+        self.evaluations += leading.evaluations - done
+        solver = leading.solver
+        self.t, self.y = float(solver.t), np.array(solver.y)
+        led = self.lead <= 0 and self._leads_on(self.t, self.y)
+        if segment is not None and solver.status == "running" and not led:
+            return segment
+        self.leading = None
+        if leading.outcome is Outcome.STIFF:
+            self.outcome = leading.outcome
+        elif segment is None:
+            lost = self.closing and self.closing(self.t, self.y.tolist())[1] < self.regular
+            self.outcome = Outcome.SINGULAR if lost else Outcome.STEP_TOO_SMALL
+        return segment
+
+    def _by_series(
+        self, engine: SeriesEngine, bound: float, left: float
+    ) -> tuple[Segment | None, Status]:
+        """Some steps, and how they ended."""
+        free = self.settings.max_step == math.inf
+        steps = int(max(1, min(engine.most, left + 1))) if free else 1
+        engine.keeps = self.keeps
+        steps = min(steps, self.ahead) if self.keeps else steps
+        t, y = self.t, self.y
+        chunk = engine.advance(t, y, bound, self.due(bound), steps)
+        self.evaluations += len(chunk.t)
+        self.ahead = min(2 * self.ahead, self.most_ahead)
+        if not len(chunk.t):
+            return None, chunk.status
+        self.t, self.y = self.reached = float(chunk.t[-1]), chunk.y[-1]
+        return series_segment(self.mechanism, engine, t, y, chunk), chunk.status
+
+    def _way_on(self, before: float, status: Status) -> Outcome | None:
+        """How it goes on after steps from `before`; the outcome where it does not."""
+        if self.t == self.t_end:
+            return Outcome.FINISHED
+        self.idle = self.idle + 1 if self.t == before else 0
+        stuck = status in (Status.STUCK, Status.NOT_FINITE)
+        # a spring whose ends meet has no series there, and a motion that leads across
+        steady = self.actuation.constants is not None and not self.mechanism.parted
+        if self.idle == MOST_IDLE or (stuck and self.closing is None and steady):
+            return Outcome.STEP_TOO_SMALL
+        self.lead = LEAD if stuck else 0.0
+        if status is Status.SINGULAR:
+            self.lead = 1.0
+            if self.misses is not None:
+                self.misses.nearest(self.y[: self.mechanism.n])  # from here on it is known
+        elif self.engine is None:
+            self.lead = math.inf
+        return None
+
+
+def reach(actuation: Actuation, t: float, y: Array) -> None:
+    """Tell a torque that depends on the run's steps that one of them ended on a kink."""
+    if actuation.told is not None and (kink := kink_at(actuation.kinks, t)) is not None:
+        actuation.told.reach(kink, y.tolist())
+
+
+def series_segment(
+    mechanism: Mechanism, engine: SeriesEngine, t: float, y: Array, chunk: Chunk
+) -> Segment:
+    """The steps of a chunk from the state y at t; where it has their terms, all states between."""
+    terms, count = chunk.terms, len(chunk.t)
+    times, states = np.empty(count + 1), np.empty((count + 1, len(y)))
+    times[0], times[1:], states[0], states[1:] = t, chunk.t, y, chunk.y
+
+    def whole(j: int, at: Array) -> Array:
+        return engine.dense(float(times[j]), states[j], float(times[j + 1]))(at)
+
+    rows = chunk.row_t, chunk.row_y
+    if terms is None:
+        return Segment(times, states, whole=whole, rows=rows)
+    before, h = states[:-1], np.diff(times)
+
+    def inside(places: Places, at: Array) -> Array:
+        x = at - times[places]
+        some = before[places], terms[..., places], x, x / h[places]
+        return engine.closed(states_at(mechanism, *some), at)
+
+    def sampled() -> Array:
+        return states_along(mechanism, before, terms, h, NODES)
+
+    return Segment(times, states, inside, sampled, 2 * mechanism.n, whole, rows)

@@ -1,0 +1,298 @@
+"""`simulate`: forward simulation, and the motion that comes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robodyn.dynamics import dynamics
+from robodyn.dynamics.placed import as_states
+from robodyn.errors import InputError, printable
+from robodyn.loops import loop_rates
+from robodyn.mechanics.actuation import Actuation, CallerError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs.differences import Numbers, columns, sensitivities, tell
+from robodyn.runs.event_functions import event_function, event_functions, must_be_text
+from robodyn.runs.march import Run, run
+from robodyn.runs.motion_columns import (
+    applied_torques,
+    as_actuation,
+    motion_columns,
+    motion_values,
+    over_run,
+)
+from robodyn.runs.readers import joined
+from robodyn.runs.report import Outcome, Report
+from robodyn.runs.segments import Segment
+from robodyn.runs.settings import (
+    BAUMGARTE,
+    MAX_EVALUATIONS,
+    NO_ENGINE,
+    Settings,
+)
+from robodyn.runs.state_columns import StateColumns
+from robodyn.runs.watch import Event, EventWatch
+from robodyn.tables.arrays import Array
+from robodyn.tables.named_columns import Columns
+
+UNTIL = "until"  # the name of the event that ends a run
+NONE: frozenset[int] = frozenset()
+
+
+@dataclass(eq=False, repr=False)
+class Motion:
+    """A simulated motion: t (T,) s, q, qd, tau (T, n); how it ended, its events, and the report.
+
+    With sensitivities d(q, qd) by each of k names, (T, 2n, k).  `errors` are those of a controller,
+    q_ref - q of the actuated joints (T, m).
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    tau: Array
+    outcome: Outcome
+    mechanism: Mechanism
+    phases: list[tuple[int, Mechanism]]  # rows, and what moves
+    events: Sequence[Event]  # in the order of time
+    _settle: Callable[[], Report]
+    _again: Callable[[], Run] | None  # makes the same run once more
+    sensitivity: Array | None = None
+    errors: Array | None = None
+    _further: Columns = field(default_factory=Columns)
+
+    @cached_property
+    def report(self) -> Report:
+        """What the run did; its statistics are taken when they are asked for."""
+        return self._settle()
+
+    def __getstate__(self) -> dict[str, object]:
+        made = {"report": self.report, "events": list(self.events)}
+        kept = {name: value for name, value in vars(self).items() if name != "_segments"}
+        return {**kept, **made, "_settle": None, "_again": None}
+
+    def at(self, t: ArrayLike) -> tuple[Array, Array]:
+        """q and qd (..., n) at any times t (...) within the run, s; rad and rad/s, m and m/s.
+
+        The first call takes the run's steps once more and keeps them, with all states between.
+        At an impact the rates are those before it.  Raises InputError for a time outside, and of a
+        motion that was pickled.
+        """
+        times = np.asarray(t, float)
+        first, last = self._segments[0].t[0], self._segments[-1].t[-1]
+        low, high = min(first, last), max(first, last)
+        inside = (times >= low) & (times <= high)
+        if not inside.all():
+            outside = float(times[~inside].flat[0])
+            limit = f"must be within the run, {low:.9g} to {high:.9g} s"
+            raise InputError("t", value=outside, limit=limit)
+        forward, n = self._segments[0].forward, self.mechanism.n
+        ends = np.array([segment.end for segment in self._segments]) * forward
+        place = np.minimum(np.searchsorted(ends, times.ravel() * forward), len(ends) - 1)
+        states = np.empty((times.size, 2 * n))
+        for k in np.unique(place).tolist():
+            here = place == k
+            states[here] = self._segments[k].at(times.ravel()[here])[:, : 2 * n]
+        states = states.reshape(*times.shape, 2 * n)
+        return states[..., :n], states[..., n:]
+
+    @cached_property
+    def _segments(self) -> list[Segment]:
+        """Those of the run, each with the states between its steps."""
+        if self._again is None:
+            raise InputError("at", limit="a motion that was pickled has its rows alone")
+        run, found = self._again(), []
+        begun = Segment(np.array([0.0, 0.0]), np.stack([run.y, run.y]))
+        for segment in run.segments(keeps=True):
+            segment.at(segment.t[:1] + 0.5 * (segment.t[1] - segment.t[0]))  # by today's torques
+            found.append(segment)
+        return found or [begun]
+
+    @cached_property
+    def qdd(self) -> Array:
+        """The accelerations (T, n), rad/s^2, computed when they are asked for."""
+        states = self.in_phases(self.q, self.qd, self.tau, self.t)
+        return np.concatenate([dynamics.motion_dynamics(moving, *x).qdd for moving, *x in states])
+
+    def in_phases(self, *values: Array) -> Iterator[tuple[Any, ...]]:
+        """What moves in each phase, and these values there."""
+        if not self.mechanism.switches or not self.phases:
+            yield self.mechanism, *values
+            return
+        ends = np.cumsum([count for count, _ in self.phases])[:-1]
+        parts = (np.split(x, ends) for x in values)
+        yield from zip((moving for _, moving in self.phases), *parts, strict=True)
+
+    def to_dict(self) -> Columns:
+        """The columns (T,) by their names, as `robodyn simulate` writes them.
+
+        A dict that pandas.DataFrame and polars.DataFrame take as it is.
+        """
+        states = self.in_phases(self.t, self.q, self.qd, self.tau)
+        with np.errstate(all="ignore"):
+            parts = [motion_values(self.mechanism, moving, *x) for moving, *x in states]
+        values = [*np.concatenate(parts).T, *(() if self.errors is None else self.errors.T)]
+        names = motion_columns(self.mechanism, self.errors is not None)
+        return Columns({**dict(zip(names, values, strict=True)), **self._further})
+
+    def __repr__(self) -> str:
+        span = f", t = {self.t[0]:.6g} to {self.t[-1]:.6g} s" if len(self.t) else ""
+        events = f", {len(self.events)} events" if self.events else ""
+        what = f"{printable(self.mechanism.name)}: {len(self.t)} rows{span}, {self.outcome.label}"
+        return f"<Motion of {what}{events}>"
+
+    def _repr_html_(self) -> str:
+        from robodyn.notebook.inline import motion_html
+
+        return motion_html(self)
+
+
+def simulate(
+    mechanism: Mechanism,
+    q: ArrayLike,
+    qd: ArrayLike,
+    t_end: float,
+    tau: Sequence[float]
+    | str
+    | Callable[[float, list[float], list[float]], Sequence[float]]
+    | Actuation
+    | None = None,
+    method: str = "DOP853",
+    rtol: float = 1e-9,
+    atol: float = 1e-9,
+    t_eval: ArrayLike | None = None,
+    stabilize: str = "projection",
+    max_evals: float = MAX_EVALUATIONS,
+    order: int | None = None,
+    max_step: float = np.inf,
+    events: Mapping[str, str] | None = None,
+    until: str | None = None,
+    sensitivity: Sequence[str] | None = None,
+    engine: object = None,
+) -> Motion:
+    """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
+
+    tau: constants, an expression such as "2*sin(3*t)", a function tau(t, q, qd), or None; values
+    are those of all joints or of the actuated ones.  An exception of the function ends the run and
+    is raised as it is; where it returns nan a shorter step is tried.  The motion is given at
+    `t_eval`, or at the accepted steps where that is None.  Otherwise a run that does not finish is
+    no exception: `motion.outcome` tells, and the motion holds what was computed.
+    `method` is one of scipy's, or "taylor", machine code with the extra `fast`, whose `order`
+    follows from the tolerance unless given.
+    `events` are expressions by name, {"apex": "qd1", "high": "q1 > 90deg"}: `motion.events` tells
+    when each passes zero, or becomes true; the run ends where `until` does.  `sensitivity` names
+    numbers of the scene and start values, ["links.forearm.m", "q1"]: `motion.sensitivity` has the
+    derivatives by them, nan where they are withheld, `motion.report` their errors.
+    Raises InputError for arguments that do not fit, a state that does not close among them.
+    """
+    if engine is not None:
+        raise InputError("engine", value=engine, limit=NO_ENGINE)
+    q = as_states(mechanism, "q", q)
+    qd = as_states(mechanism, "qd", qd)
+    if q.ndim != 1 or qd.ndim != 1:
+        shapes = f"{q.shape} and {qd.shape}"
+        raise InputError("shapes of q and qd", value=shapes, limit="must be those of one state")
+    if mechanism.rows:
+        fault = loop_rates.check_closed(mechanism, q, qd, t=0.0)
+        if fault is not None:
+            raise fault[1]
+    state = np.concatenate([q, qd])
+    actuation = over_run(mechanism, as_actuation(mechanism, tau), state, t_end, atol)
+    times = None if t_eval is None else np.asarray(t_eval, float)
+    watch = watched_events(mechanism, events or {}, until, float(t_end))
+    numbers = None
+    if sensitivity:
+        numbers = Numbers(mechanism, sensitivity, state)
+    most: Any = max_evals  # which settings make whole
+    settings = Settings(method, rtol, atol, stabilize, BAUMGARTE, most, order, max_step)
+
+    def again() -> Run:
+        until_alone = watched_events(mechanism, {}, until, float(t_end))
+        return Run(mechanism, state, float(t_end), actuation, settings, until_alone)
+
+    try:
+        motion = _motion(mechanism, state, float(t_end), actuation, settings, times, watch, again)
+        if numbers is not None:
+            _differentiate(motion, numbers, actuation, settings, watch)
+        return motion
+    except CallerError as failed:
+        error = failed.error
+    raise error
+
+
+def _motion(
+    mechanism: Mechanism,
+    state: Array,
+    t_end: float,
+    actuation: Actuation,
+    settings: Settings,
+    times: Array | None,
+    watch: EventWatch | None,
+    again: Callable[[], Run],
+) -> Motion:
+    """Run from `state` (2n,) to t_end and gather the rows."""
+    rows: list[tuple[Array, Array, Mechanism]] = []
+    outcome, record = run(
+        mechanism,
+        state,
+        t_end,
+        actuation,
+        settings,
+        lambda *row: rows.append(row),
+        times,
+        events=watch,
+    )
+    n = mechanism.n
+    happened: Sequence[Event] = [] if watch is None else watch.found
+    if record.contacts:
+        happened = sorted([*happened, *record.contacts], key=lambda event: abs(event.t))
+    phases = [(len(t), moving) for t, _, moving in rows]
+    none = np.zeros(0), np.zeros((0, len(state)))
+    t, y = joined([(t, y) for t, y, _ in rows] or [none])
+    torques = applied_torques(mechanism, actuation, t, y)
+    q, qd = y[:, :n], y[:, n : 2 * n]
+    errors = None if actuation.control is None else actuation.control.errors(t, y)
+    facts = outcome, mechanism, phases, happened, record.settle, again, None, errors
+    return Motion(t, q, qd, torques, *facts)
+
+
+def _differentiate(
+    motion: Motion,
+    numbers: Numbers,
+    actuation: Actuation,
+    settings: Settings,
+    watch: EventWatch | None,
+) -> None:
+    """Give a motion its derivatives by the numbers, and its report what is told of them."""
+    report = motion.report  # of a controller before it leads other runs
+    found = sensitivities(numbers, actuation, settings, motion.t)
+    motion.sensitivity = found.values
+    names_of = columns(motion.mechanism.n, found.names)
+    motion._further.update(zip(names_of, found.flat.T, strict=True))
+    moving = motion.phases[-1][1] if motion.phases else motion.mechanism
+    y = np.hstack([motion.q, motion.qd])
+    tell(report, found, watch, moving, motion.t, y, motion.tau)
+
+
+def watched_events(
+    mechanism: Mechanism, events: Mapping[str, str], until: str | None, t_end: float
+) -> EventWatch | None:
+    """What watches a run for events, and ends it at that of `until`; None where there are none.
+
+    Raises InputError for what is no event.
+    """
+    if not events and until is None:
+        return None
+    own = StateColumns(mechanism)
+    functions, stops = event_functions(mechanism, events, own), NONE
+    if until is not None:
+        must_be_text(UNTIL, until)
+        stops = frozenset([len(functions)])
+        functions = *functions, event_function(mechanism, UNTIL, until, UNTIL, own)
+    computed = own if any(x.computed for x in functions) else None
+    return EventWatch(functions, t_end, stops, 2 * mechanism.n, computed)

@@ -1,1 +1,0 @@
-"""A run: its settings and record, scipy's solvers, its accuracy and its reference."""
