@@ -275,7 +275,7 @@ class TestStates:
         [
             ["linearize"], ["equilibrium"], ["export", "--format", "mjcf"],
             ["export", "--format", "urdf"],
-            ["trajectory", "--from", "0", "--to", "1", "--time", "1"],
+            ["trajectory", "--from", "0", "--to", "1", "--time", "min", "--max-qd", "1"],
             ["assemble", "--range"],
         ],
     )  # fmt: skip

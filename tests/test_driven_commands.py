@@ -48,18 +48,18 @@ RUN = {  # further commands that are right, with what they need
     "animate": ["motion.csv", "-o", "out.html"],
 }
 NAMED = {  # refused, by the law
-    "trajectory": ["--from", "0", "--to", "1", "--time", "1"],
     "equilibrium": [],
     "linearize": [],
     "export": ["--format", "mjcf"],
 }
+PATH = ["--from", "0", "--to", "1", "--time", "1", "--points", "3"]
 DATA = {"fit": ["--vary", "links[1].m=0.2:3", "--match"], "identify": [], "regressor": []}
 SCENELESS = {"init", "schema", "guide", "plot", "summary"}
 POSED = {"simulate", "sweep", "bench", "assemble", "linearize"}  # which need the free joint
 
 
 def test_no_command_is_left_out():
-    assert {*STATES, *RUN, *NAMED, *DATA, *SCENELESS} == COMMANDS
+    assert {*STATES, *RUN, *NAMED, *DATA, *SCENELESS, "trajectory"} == COMMANDS
 
 
 def state(kind, t=AT):
@@ -149,6 +149,21 @@ class TestRight:
         assert given.code == 2, given.out
         assert "couplings[0] = " in given.err
         assert "law" in given.err.split("couplings[0] = ")[1]
+
+    def test_a_trajectory(self, robodyn, scene, kind):
+        given = robodyn("trajectory", scene(SCENES[kind]), *PATH)
+        if kind == "wholly":
+            assert given.code == 2
+            assert "couplings[0] = " in given.err
+            return
+        assert given.code == 0, given.err
+        rows = [*csv.DictReader(given.out.splitlines())]
+        told = [[float(x[name]) for name in ("t", "q1", "qd1", "qdd1", "q2")] for x in rows]
+        exact = [
+            (t, 0.02 * np.sin(30 * t), 0.6 * np.cos(30 * t), -18 * np.sin(30 * t), q2)
+            for t, q2 in ((0.0, 0.0), (0.5, 0.5), (1.0, 1.0))
+        ]
+        np.testing.assert_allclose(told, exact, atol=1e-12)
 
     @pytest.mark.parametrize("command", DATA)
     def test_data_need_their_times(self, robodyn, scene, kind, command):

@@ -32,7 +32,7 @@ from robodyn.dynamics.state import State, find
 from robodyn.dynamics.sticking import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError, at_place, named_options, overflow
 from robodyn.mechanics.actuation import for_each_actuated
-from robodyn.mechanics.driven import refuse_driven
+from robodyn.mechanics.driven import check_torques
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs.settings import EvenTimes
 from robodyn.scene.quantities import parse_vector, value_from
@@ -469,7 +469,7 @@ def trajectory(
         --frequencies 0.2,5 --time 20 | robodyn torque 2r -
     """
     mechanism = model.load()
-    refuse_driven(mechanism, "a trajectory")
+    check_torques(mechanism)
     duration = given.duration()
     with named(given):
         limits = given.limits(mechanism)

@@ -62,7 +62,9 @@ def check_times(mechanism: Mechanism, timed: bool, source: str = "") -> None:
 def check_torques(mechanism: Mechanism) -> None:
     """Raise InputError if laws of the time lead all joints: none has a torque of its own."""
     if mechanism.driven and not mechanism.actuated:
-        limit = "none: laws of the time lead the mechanism, and no joint is actuated"
+        place, law = next(_laws_of_time(mechanism))
+        limit = "none: laws of the time lead the mechanism, and no joint is actuated "
+        limit += f"({place} = {law} is a law of the time)"
         raise InputError("torques", where=mechanism.source, limit=limit)
 
 

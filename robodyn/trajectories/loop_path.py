@@ -25,9 +25,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import closure_bias, closure_gap, scaled_jacobian
+from robodyn.dynamics.closed_form import (
+    closure_bias,
+    closure_drift,
+    closure_gap,
+    scaled_jacobian,
+)
 from robodyn.engines.factors import svd
 from robodyn.errors import AssemblyError, InputError
 from robodyn.loops.assembly import CLOSED
@@ -86,6 +91,17 @@ class TravelError(InputError):
         super().__init__("the path", where=mechanism.source, value=value, limit=limit)
 
 
+class Clock(NamedTuple):
+    """The times t = begin + u duration (s) of a path; those of laws of the time."""
+
+    begin: float = 0.0
+    duration: float = 1.0
+
+    def at(self, u: Array | float) -> Array:
+        """The times (...) at u (...)."""
+        return np.asarray(self.begin + np.asarray(u) * self.duration)
+
+
 @dataclass(frozen=True, slots=True)
 class Nodes:
     """Closed states along a path, N intervals between N + 1 nodes; n joints.
@@ -112,10 +128,13 @@ class _Node(NamedTuple):
     sign: float  # of det Psi_p; 0 where that is none
 
 
-def corrected(mechanism: Mechanism, q: Array) -> tuple[Array, Truth]:
-    """q (T, n) closed by Newton's method with the actuated joints held, and which close, (T,)."""
-    q = close_positions(mechanism, q, mechanism.actuated, t=0.0)
-    gap = np.abs(closure_gap(mechanism, q, 0.0)).max(axis=-1, initial=0.0)
+def corrected(mechanism: Mechanism, q: Array, t: ArrayLike) -> tuple[Array, Truth]:
+    """q (T, n) closed by Newton's method with the actuated joints held, and which close, (T,).
+
+    At times t (T,).
+    """
+    q = close_positions(mechanism, q, mechanism.actuated, t=t)
+    gap = np.abs(closure_gap(mechanism, q, t)).max(axis=-1, initial=0.0)
     turns = np.abs(q).max(axis=-1, initial=1.0)  # couplings count them
     return q, gap <= 1e-3 * CLOSED * loop_size(mechanism) * turns
 
@@ -130,14 +149,17 @@ def hermite(x: Array, h: Array, begin: Array, begin1: Array, end: Array, end1: A
 class Follower:
     """Finds the nodes of one path; `watch` is told how far it is."""
 
-    def __init__(self, mechanism: Mechanism, path: JointPath, watch: Watch) -> None:
-        self.mechanism, self.path, self.watch = mechanism, path, watch
+    def __init__(
+        self, mechanism: Mechanism, path: JointPath, watch: Watch, clock: Clock = Clock()
+    ) -> None:
+        self.mechanism, self.path, self.watch, self.clock = mechanism, path, watch, clock
         self._actuated, self._passive = list(mechanism.actuated), list(mechanism.passive)
         self._square = len(self._passive) == len(mechanism.rows)
         self._units = np.maximum(1.0, mechanism.arrays.units / LARGE)
         self._unit = float(self._units[self._actuated].max(initial=1.0))
         self._crossings: list[tuple[float, float]] = []
-        self._returns: list[float] = path.returns().tolist()
+        # laws of the time need not repeat themselves
+        self._returns: list[float] = [] if mechanism.driven else path.returns().tolist()
         self._least_nodes = np.zeros(1)  # up to each break, as the actuated joints move
 
     def nodes(self, start: Array) -> Nodes:
@@ -146,7 +168,7 @@ class Follower:
         Raises PathEndError where the loops cannot be closed all the way, or the actuated joints do
         not determine the others, TravelError for a path that takes too many nodes.
         """
-        here, closed = corrected(self.mechanism, start[None])
+        here, closed = corrected(self.mechanism, start[None], self.clock.begin)
         first, q, u = here[0], here[0], 0.0
         if not closed[0]:
             raise self._ends(u, q, "the start does not close")
@@ -159,7 +181,7 @@ class Follower:
         for piece, end in stops:
             node = self._node(u, q, piece, self._held(u, piece))
             if node is None or (self._square and not node.sign):
-                kind = self._kind(q, DEAD)
+                kind = self._kind(u, q, DEAD)
                 reason = f"a {kind}, from which the passive joints can go on in two ways"
                 raise self._ends(u, q, reason)
             h, moved = FIRST_STEP * (end - u), 0.0
@@ -170,7 +192,7 @@ class Follower:
                 if found is None:
                     h = 0.4 * step
                     if h < least:
-                        raise self._ends(node.u, node.q, STUCK[self._kind(node.q, NEAR)])
+                        raise self._ends(node.u, node.q, STUCK[self._kind(node.u, node.q, NEAR)])
                     continue
                 easy, following = found
                 taken.append((node, following, piece))
@@ -242,7 +264,7 @@ class Follower:
         guess[self._actuated] = held[0]
         if self._largest(guess - node.q) > TRAVEL:
             return None
-        (q,), closed = corrected(self.mechanism, guess[None])
+        (q,), closed = corrected(self.mechanism, guess[None], self.clock.at(there))
         miss = self._largest(q - guess)
         if not closed[0] or miss > CORRECTION or self._largest(q - node.q) > TRAVEL:
             return None
@@ -262,7 +284,8 @@ class Follower:
         q1[self._actuated], q2[self._actuated] = held[1], held[2]
         if not self._passive:
             return _Node(u, q, q1, q2, 0.0)
-        Psi = scaled_jacobian(self.mechanism, q, 0.0)
+        t, T = float(self.clock.at(u)), self.clock.duration
+        Psi = scaled_jacobian(self.mechanism, q, t)
         columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
         units = self.mechanism.arrays.units
         driving = driving / units[self._actuated]
@@ -270,8 +293,11 @@ class Follower:
         if s[-1] <= DEAD * loop_size(self.mechanism) and not self._misses(q):
             return None
         inverse = units[self._passive, None] * ((Vt.T / s) @ U.T)
-        q1[self._passive] = -inverse @ (driving @ held[1])
-        bias = closure_bias(self.mechanism, q, q1, 0.0)
+        opening = driving @ held[1]
+        if self.mechanism.driven:
+            opening += T * closure_drift(self.mechanism, q, t)
+        q1[self._passive] = -inverse @ opening
+        bias = T * T * closure_bias(self.mechanism, q, q1 / T, t)
         q2[self._passive] = -inverse @ (driving @ held[2] + bias)
         return _Node(u, q, q1, q2, self._sign(columns))
 
@@ -284,10 +310,11 @@ class Follower:
             x, length = np.array((middle - one.u) / h), np.array(h)
             guess = hermite(x, length, one.q, one.q1, other.q, other.q1)
             guess[self._actuated] = self._held(middle, piece)[0]
-            found, closed = corrected(self.mechanism, guess[None])
+            found, closed = corrected(self.mechanism, guess[None], self.clock.at(middle))
             if not closed[0]:
                 return False
-            columns = scaled_jacobian(self.mechanism, found[0], 0.0)[:, self._passive]
+            t = float(self.clock.at(middle))
+            columns = scaled_jacobian(self.mechanism, found[0], t)[:, self._passive]
             before = self._sign(columns) == one.sign
             low, high = ((middle, found[0]), high) if before else (low, (middle, found[0]))
         if self._largest(high[1] - low[1]) > TOGETHER or self._misses(low[1]):
@@ -305,9 +332,10 @@ class Follower:
         near = nearest_singular(self.mechanism, q)
         return near is not None and not near.crosses
 
-    def _kind(self, q: Array, near: float) -> str:
+    def _kind(self, u: float, q: Array, near: float) -> str:
         """What ends a path at q; Psi is singular below the part `near` of the loop's size."""
-        s = np.linalg.svd(scaled_jacobian(self.mechanism, q, 0.0), compute_uv=False)
+        t = float(self.clock.at(u))
+        s = np.linalg.svd(scaled_jacobian(self.mechanism, q, t), compute_uv=False)
         return "dead centre" if s[-1] / loop_size(self.mechanism) > near else "change point"
 
     def _sign(self, columns: Array) -> float:
@@ -322,7 +350,7 @@ class Follower:
         if driven > freedoms:
             reason = f"{driven} joints are actuated, more than the freedoms ({freedoms}), so "
             reason += "their angles depend on one another"
-        return PathEndError(self.mechanism, u, q, reason, self._kind(q, NEAR))
+        return PathEndError(self.mechanism, u, q, reason, self._kind(u, q, NEAR))
 
 
 Columns = Callable[[Array, Pieces], Array]  # values (T, columns) at u (T,) of these pieces
@@ -392,10 +420,16 @@ class LoopPath(WholePath):
     """
 
     def __init__(
-        self, mechanism: Mechanism, path: JointPath, start: Array, watch: Watch = lambda u: None
+        self,
+        mechanism: Mechanism,
+        path: JointPath,
+        start: Array,
+        watch: Watch = lambda u: None,
+        clock: Clock = Clock(),
     ) -> None:
         super().__init__(mechanism, path)
-        self._nodes = Follower(mechanism, path, watch).nodes(start)
+        self.clock = clock
+        self._nodes = Follower(mechanism, path, watch, clock).nodes(start)
 
     @property
     def remark(self) -> str:
@@ -451,13 +485,14 @@ class LoopPath(WholePath):
         q = hermite(x, h, nodes.q[k], nodes.begins[k], nodes.q[k + 1], nodes.ends[k])
         q += turn[:, None] * nodes.rise
         q[:, self.mechanism.actuated] = p
-        q, closed = corrected(self.mechanism, q)
+        t, T = self.clock.at(u), self.clock.duration
+        q, closed = corrected(self.mechanism, q, t)
         if not closed.all():
             worst = int(np.argmin(closed))
             reason = f"they are open at u = {u[worst]:.9g} between two closed states"
             raise PathEndError(self.mechanism, float(u[worst]), q[worst], reason)
-        q1 = loop_velocities(self.mechanism, q, p1, 0.0)
-        return q, q1, loop_accelerations(self.mechanism, q, q1, p2, 0.0)
+        qd = loop_velocities(self.mechanism, q, p1 / T, t)
+        return q, T * qd, T * T * loop_accelerations(self.mechanism, q, qd, p2 / (T * T), t)
 
 
 def _beside(at: float, step: float, begin: float, end: float) -> tuple[Array, float]:

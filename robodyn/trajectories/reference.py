@@ -19,12 +19,12 @@ from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.closing import wrapped
-from robodyn.mechanics.driven import refuse_driven
+from robodyn.mechanics.driven import check_torques
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 from robodyn.trajectories.joint_paths import ACCELERATION, JointPath, Legs, Spline, path_through
-from robodyn.trajectories.loop_path import LoopPath, PathEndError, Watch, WholePath
+from robodyn.trajectories.loop_path import Clock, LoopPath, PathEndError, Watch, WholePath
 
 LONGEST = 1e100  # s
 SAME = 1e-4  # rad, by which a passive angle that is given may miss the one that is reached
@@ -94,7 +94,6 @@ def reference_motion(
     the way, SingularError where the actuated joints do not determine the others.  Warns
     (RobodynWarning) of a change point that the loops just miss.
     """
-    refuse_driven(mechanism, "a trajectory")
     full = all_joints(mechanism, points)
     if (duration is None) == (times is None):
         raise InputError("duration and times", limit="give one of them")
@@ -119,10 +118,10 @@ def motion_along(
     Passive angles that are not NaN must be those that the motion reaches.  `watch` is told how far
     (0 to 1) the loops are followed.
     """
-    refuse_driven(mechanism, "a trajectory")
     check_duration(duration)
+    clock = Clock(begin, duration) if mechanism.driven else Clock()
     try:
-        whole = whole_path(mechanism, path, points, watch)
+        whole = whole_path(mechanism, path, points, watch, clock)
     except PathEndError as error:
         error.what = f"t = {begin + error.u * duration:.6g} s: {error.what}"
         raise
@@ -130,17 +129,21 @@ def motion_along(
 
 
 def whole_path(
-    mechanism: Mechanism, path: JointPath, points: Array, watch: Watch = lambda u: None
+    mechanism: Mechanism,
+    path: JointPath,
+    points: Array,
+    watch: Watch = lambda u: None,
+    clock: Clock = Clock(),
 ) -> WholePath:
-    """The path of all joints; `points` (K, n) as for `motion_along`."""
+    """The path of all joints; `points` (K, n) as for `motion_along`, the `clock` that of laws."""
     if not mechanism.passive and not mechanism.rows:
         return WholePath(mechanism, path)
     driven, passive = list(mechanism.actuated), list(mechanism.passive)
     check_driven(mechanism)
     first = path.evaluate(np.zeros(1))[0][0]
-    start = started(mechanism, points[0], first)
+    start = started(mechanism, points[0], first, clock.begin)
     start[driven] = first
-    whole = LoopPath(mechanism, path, start, watch)
+    whole = LoopPath(mechanism, path, start, watch, clock)
     if remark := whole.remark:
         warnings.warn(remark, RobodynWarning, stacklevel=2)
     given = ~np.isnan(points).any(axis=1)
@@ -167,8 +170,8 @@ def check_duration(duration: float) -> None:
 
 
 def check_driven(mechanism: Mechanism) -> None:
-    """Raise InputError where there are fewer actuated joints than freedoms."""
-    refuse_driven(mechanism, "a trajectory")
+    """Raise InputError where there are fewer actuated joints than freedoms, or laws lead all."""
+    check_torques(mechanism)
     driven, freedoms = len(mechanism.actuated), mechanism.n - len(mechanism.rows)
     if driven < freedoms:
         names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.passive)
@@ -177,11 +180,11 @@ def check_driven(mechanism: Mechanism) -> None:
         raise InputError(what, where=mechanism.source, limit=limit)
 
 
-def started(mechanism: Mechanism, pose: Array, driven: Array) -> Array:
-    """The closed state (n,) of a pose (n,), assembled from its actuated joints if it has NaN."""
+def started(mechanism: Mechanism, pose: Array, driven: Array, t: float = 0.0) -> Array:
+    """The closed state (n,) of a pose (n,) at t, assembled from actuated joints if it has NaN."""
     if np.isnan(pose).any():
-        return assembly.assemble(mechanism, driven, t=0.0)
-    fault = loop_rates.check_closed(mechanism, pose, t=0.0)
+        return assembly.assemble(mechanism, driven, t=t)
+    fault = loop_rates.check_closed(mechanism, pose, t=t)
     if fault is not None:
         raise fault[1]
     return pose.copy()

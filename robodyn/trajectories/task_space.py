@@ -270,7 +270,7 @@ class RedundantPath(WholePath):
         return q
 
     def _closed(self, u: Array, piece: Pieces, y: Array) -> tuple[Array, Truth]:
-        return corrected(self.mechanism, self._whole(u, piece, y))
+        return corrected(self.mechanism, self._whole(u, piece, y), 0.0)
 
     def _rates(self, q: Array, u: Array, piece: Pieces, second: bool = True) -> tuple[Array, Array]:
         """q' and, if it is wanted, q'' at states q (T, n)."""

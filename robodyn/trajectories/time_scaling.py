@@ -29,6 +29,7 @@ from robodyn.elements.contacts import NEAR
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.loop_rates import loop_accelerations
 from robodyn.mechanics.actuation import for_each_actuated
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import end_word
 from robodyn.mechanics.motors import rate_limits, torque_limits
@@ -147,15 +148,15 @@ def check_starts(motion: ReferenceMotion, limits: Limits) -> None:
             middle = 0.5 * (low + high)
             past = motion.path.evaluate(middle, after)[1][:, joint] * way[:, joint] > 0.0
             low, high = np.where(past, low, middle), np.where(past, middle, high)
+        t = motion.begin + high * motion.duration
         q, q1, q2 = motion.path.evaluate(high, after)
         still = np.abs(q1) <= STILL * fastest
         still[:, joint] = True
         qd, qdd = np.where(still, FIRST * way, x * q1), x * x * q2
         qdd[:, joint] = 0.0
         if mechanism.rows:
-            qdd = loop_accelerations(mechanism, q, qd, qdd[:, driven], 0.0)
+            qdd = loop_accelerations(mechanism, q, qd, qdd[:, driven], t)
         held = replace(mechanism, elements=tuple(x.gradual(FALLS) for x in mechanism.elements))
-        t = motion.begin + high * motion.duration
         tau = inverse_dynamics(held, q, qd, qdd, t)[:, joint]
         worst = int(np.argmax(way[:, joint] * tau))
         if way[worst, joint] * tau[worst] > (1.0 + ROUNDING) * most[place]:
@@ -276,6 +277,7 @@ def shortest_through(
     watch: Watch = lambda u: None,
 ) -> Shortest:
     """`shortest_motion` through points (K, n), of which passive angles may be NaN."""
+    refuse_driven(mechanism, "a shortest time")
     driven = points[:, list(mechanism.actuated)]
     path = path_through(driven, times, profile, acceleration, natural)
     begin = 0.0 if times is None else float(np.asarray(times, float)[0])
@@ -307,6 +309,7 @@ def shortest_along(
     watch: Watch = lambda u: None,
 ) -> Shortest:
     """The shortest motion along a path; `points` as for `reference.motion_along`."""
+    refuse_driven(mechanism, "a shortest time")
     if not path.scalable:
         raise InputError("duration", value="min", limit="a sweep is another path in another time")
     limits = with_motors(mechanism, limits)
