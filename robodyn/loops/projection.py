@@ -162,13 +162,16 @@ def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
         _check_steep(mechanism, q, t, Psi)
         why = "the loops are at a singular configuration there, or laws repeat one another"
     if why:
-        first = len(mechanism.rows) - len(mechanism.description.couplings)
-        worst = max(mechanism.driven, key=lambda r: gap[r])
-        law = mechanism.rows[worst].law
-        assert law is not None
-        what = f"couplings[{worst - first}]"
-        limit = f"cannot be kept at t = {t:.9g} s: {why}"
-        raise LawError(what, where=mechanism.source, value=law.text, limit=limit)
+        raise _not_kept(mechanism, max(mechanism.driven, key=lambda r: gap[r]), t, why)
+
+
+def _not_kept(mechanism: Mechanism, row: int, t: float, why: str) -> LawError:
+    """Return the error of the law of a row of Psi that cannot be kept at t."""
+    law = mechanism.rows[row].law
+    assert law is not None
+    what = f"couplings[{row - len(mechanism.rows) + len(mechanism.description.couplings)}]"
+    limit = f"cannot be kept at t = {t:.9g} s: {why}"
+    return LawError(what, where=mechanism.source, value=law.text, limit=limit)
 
 
 def _check_steep(mechanism: Mechanism, q: Array, t: float, Psi: Array) -> None:
@@ -193,6 +196,16 @@ def _check_steep(mechanism: Mechanism, q: Array, t: float, Psi: Array) -> None:
     raise LawError(what, where=mechanism.source, value=law.text, limit=limit)
 
 
+def _check_domain(mechanism: Mechanism, q: Array, qd: Array, t: float) -> None:
+    """Raise LawError: no closed state near (q, qd), (n,) each, is within the domain of its laws."""
+    check_laws(mechanism, q, qd, t)
+    gap = np.abs(closed_form.closure_gap(mechanism, q, t))
+    rows = [r for r, row in enumerate(mechanism.rows) if row.law is not None]
+    worst = max(rows, key=lambda r: gap[r])
+    why = "no state within its domain is near enough"
+    raise _not_kept(mechanism, worst, t, why)
+
+
 class Projection:
     """The nearest closed state; next to a change point that of the branch which leads across.
 
@@ -213,10 +226,9 @@ class Projection:
             return closed
         if quality > SUSPECT:
             return closed
-        if self.mechanism.laws and not np.isfinite(closed).all():
-            check_laws(
-                self.mechanism, y[: self.mechanism.n], y[self.mechanism.n :][: self.mechanism.n], t
-            )
+        if self.mechanism.laws and not np.isfinite(closed).all() and np.isfinite(y).all():
+            n = self.mechanism.n
+            _check_domain(self.mechanism, y[:n], y[n : 2 * n], t)
         q = y[: self.mechanism.n]
         if self.misses.near(q):
             return closed
