@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import json
 import math
 import re
@@ -61,7 +62,7 @@ class Oracle:
                 angle = angle + math.atan2(link.axis.imag, link.axis.real)
                 origin = origin + turned(angle, self.q[k], 0)
             else:
-                angle = angle + self.q[k]
+                angle = angle + self.q[k] + cmath.phase(link.turn)
             self.angles.append(angle)
             self.origins.append(origin)
 
@@ -147,11 +148,11 @@ class Oracle:
 
     def acting_at(self, load):
         """Where a load acts on the ground; what varies along its link by its name."""
-        at, i = [load.point.at.real, load.point.at.imag], self.scene.loads.index(load) + 1
-        for k, axis in enumerate("xy"):
-            if load.moving[k] is not None:
-                at[k] = self.values[f"c{i}{axis}"]
-        return self.place(load.point.link, complex(*at))
+        at, i = load.point.at, self.scene.loads.index(load) + 1
+        for axis, law, way in zip("xy", load.moving, (1, 1j), strict=True):
+            if law is not None:
+                at += self.values[f"c{i}{axis}"] * way * load.turn
+        return self.place(load.point.link, at)
 
     def angle_moves(self, k) -> bool:
         return bool(sp.sympify(self.angles[k]).free_symbols)
@@ -165,7 +166,8 @@ class Oracle:
                 given if law is None else self.values[f"F{i}{axis}"]
                 for given, law, axis in zip((x, y), load.varying, "xy", strict=True)
             )
-        return turned(self.angles[load.point.link], x, y) if load.turns else sp.Matrix([x, y])
+        way = self.angles[load.point.link] + cmath.phase(load.turn)
+        return turned(way, x, y) if load.turns else sp.Matrix([x, y])
 
     def between(self, spring):
         ends = (self.place(x.link, x.at) for x in (spring.first, spring.second))

@@ -9,6 +9,7 @@ import numpy as np
 from conftest import FRESH, ROOT
 from known_terms import DIGITS, Known
 from mpmath import mp
+from unwritten import MASSLESS
 from varied_scenes import AT, varied
 
 from random_mechanisms import (
@@ -94,6 +95,7 @@ KINDS = ("tree", *LOOPS, *SLIDERS, "geared tree", "geared five-bar", *MOTORED, *
 # a joint without an actuator, a zero along a weld, constants, friction by the forces in pins, the
 # law of a coupling: the oracle does not know them
 UNLIKE = ("cart-pole", "bell-crank", "weather-vane", "shaper", "disc-cam", "shaken-pendulum")
+UNLIKE += ("recovery-truck", *MASSLESS)
 ROBOTS = sorted(x for x in (ROOT / "robots").glob("*.yaml") if x.stem not in UNLIKE)
 
 

@@ -38,6 +38,8 @@ def test_the_scene_is_the_file_of_robots(robodyn: Run, tmp_path: Path, name: str
     given = robodyn("init", name, "-o", path)
     assert (given.code, given.out) == (0, "")
     assert path.read_bytes() == (ROOT / "robots" / f"{name}.yaml").read_bytes()
+    tables = [x.name for x in (ROOT / "robots").glob(f"{name}.csv")]
+    assert [x.name for x in tmp_path.glob("*.csv")] == tables
     read(path)
     told = given.err.partition("try: robodyn ")[2]
     assert robodyn(*shlex.split(told)).code == 0
@@ -90,7 +92,7 @@ def test_the_package_takes_its_scenes_from_robots() -> None:
     tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     assert tool["package-dir"] == {"robodyn.robots": "robots"}
     assert "robodyn.robots" in tool["packages"]
-    assert tool["package-data"]["robodyn.robots"] == ["*.yaml"]
+    assert tool["package-data"]["robodyn.robots"] == ["*.yaml", "*.csv"]
     assert example_scenes._PLACES[0] == ROOT / "robodyn" / "robots"
 
 

@@ -93,7 +93,7 @@ def test_which_joints_of_a_loop_stick_against_all_choices(
         found = robodyn.forward_dynamics(mechanism, q, 0 * q, tau)
         np.testing.assert_allclose(found, qdd, atol=1e-9 * max(1.0, np.abs(qdd).max()))
         rests = list(mechanism.dry)
-        standing = mode_at(mechanism, q, 0 * q, tau, rests)
+        standing = mode_at(mechanism, q, 0 * q, tau, rests, t=0.0)
         slips = dict(zip(rests, ways, strict=True))
         assert dict(standing.mode.slips) == {j: way for j, way in slips.items() if way}
         assert standing.still == tuple(j for j, way in slips.items() if not way)

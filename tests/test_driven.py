@@ -422,11 +422,6 @@ class TestFaults:
         assert motion.outcome is Outcome.LIMIT
         assert motion.t[-1] == pytest.approx(2 / 3, abs=1e-12)
 
-    def test_friction_that_sticks_is_refused_beside_a_law_of_the_time(self):
-        text = ROD.replace("m: 0.5,", "m: 0.5, friction: {force: 2, static: 3},")
-        with pytest.raises(InputError, match="couplings"):
-            mechanism(text)
-
 
 def test_steps_do_not_depend_on_rows():
     mech = mechanism(RELATIVE)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from contact_scenes import scene
 from scipy.integrate import solve_ivp
 
@@ -14,7 +16,7 @@ from robodyn.control.laws import controller
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.actuation import table
-from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.mechanics.mechanism import Mechanism, build, load
 from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
 
@@ -180,3 +182,32 @@ def test_faults_of_torques_are_named(times: list[float], told: str) -> None:
     with pytest.raises(InputError) as error:
         table(block(), times, [[1.0]] * len(times), until=2.0, hold=True)
     assert told in str(error.value)
+
+
+@EACH
+def test_the_bed_of_a_recovery_truck(method: str) -> None:
+    """Two axles that move along it, held torques and friction by direction, by its equation."""
+    folder = ROOT / "robots"
+    rows = np.genfromtxt(folder / "recovery-truck.csv", delimiter=",", skip_header=1)
+    mech = load(folder / "recovery-truck.yaml")
+
+    def motion(held: float) -> Callable[[float, list[float]], list[float]]:
+        def rates(t: float, y: list[float]) -> list[float]:
+            places = 900 * 9.81 * 1.6 + 7e3 * (0.5 + 0.2 * t) + 7e3 * (0.5 - 2.5 + 0.2 * t)
+            way = np.tanh(y[1] / 2e-3)
+            rubs = (900 * (1 + way) + 600 * (1 - way)) / 2 * way
+            acts = held - places * np.cos(y[0]) - 2e5 * y[1] - rubs
+            return [y[1], acts / (3800 + 900 * 1.6**2)]
+
+        return rates
+
+    y = [0.05, -0.02]  # it sinks at first
+    ends = [y]
+    for (a, held), (b, _) in pairwise(rows):
+        found = solve_ivp(motion(held), (a, b), y, method="DOP853", rtol=1e-12, atol=1e-14)
+        y = found.y[:, -1].tolist()
+        ends.append(y)
+    rtol, bound = (1e-7, 1e-6) if method in ("RK45", "Radau") else (1e-11, 1e-9)
+    start, times = ([0.05], [-0.02]), rows[:, 0]
+    run = simulate(mech, *start, 10.0, method=method, t_eval=times, rtol=rtol, atol=rtol)
+    assert np.abs(np.column_stack([run.q[:, 0], run.qd[:, 0]]) - ends).max() < bound

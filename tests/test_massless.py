@@ -140,6 +140,21 @@ def test_some_of_the_three_are_not_enough(robodyn, tmp_path: Path) -> None:
         assert schema.is_valid(scene) is fits, given
 
 
+def test_peaucelliers_linkage_draws_a_straight_line() -> None:
+    """C on a circle through O, and OC OP = 0.5^2 - 0.25^2: P is at 0.625 (1, tan(q1/2))."""
+    mech = api.load("peaucellier")
+    for q1 in np.radians([-67, -40, -10, 0, 25, 60, 67]):
+        q = api.assemble(mech, [q1])
+        qd = api.loop_velocities(mech, q, [1.5])
+        qdd = api.loop_accelerations(mech, q, qd, [0.0])
+        (_, p, v, a) = api.points(mech, q, qd, qdd, of="P")
+        rate = 0.75 / np.cos(q1 / 2) ** 2  # of tan(q1/2)
+        assert p[..., 0, :] == pytest.approx(0.625 * np.array([1, np.tan(q1 / 2)]), abs=1e-12)
+        assert v[..., 0, :] == pytest.approx(0.625 * np.array([0, rate]), abs=1e-11)
+        bent = 1.5 * rate * np.tan(q1 / 2)
+        assert a[..., 0, :] == pytest.approx(0.625 * np.array([0, bent]), abs=1e-9)
+
+
 STILL = {
     "a post that a coupling keeps": """\
 links:

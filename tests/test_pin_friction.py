@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import Outcome as Given
 from contact_scenes import scene
-from scipy.integrate import solve_ivp
+from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.optimize import brentq
 
 import robodyn
-from robodyn.dynamics.closed_form import energies
+from robodyn.dynamics.closed_form import energies, other_forces
 from robodyn.dynamics.dynamics import RobodynWarning
-from robodyn.dynamics.friction_rounds import NotSettledError
+from robodyn.dynamics.friction_rounds import NotSettledError, load_of
 from robodyn.dynamics.identities import BALANCE, POWER, identities, sample_states
 from robodyn.dynamics.reaction_forces import reactions
 from robodyn.engines import rounds
@@ -29,6 +32,7 @@ from robodyn.runs.simulation import simulate
 from robodyn.scene.description import from_text
 from robodyn.scene.plain_scene import plain_scene
 
+Run = Callable[..., Given]
 G = 9.81
 CRANK, ROD = 0.1, 0.35
 RADII = 0.02, 0.015, 0.012  # of the pins of the crank, the crank pin, the gudgeon pin
@@ -372,6 +376,47 @@ def test_runs_take_written_out_rates() -> None:
     assert run.report.evaluator == "straight-line"
 
 
+METHODS = pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
+
+
+@METHODS
+@pytest.mark.parametrize("text", [ARM, FOUR, SLOT, CAM])
+def test_the_energy_balance_counts_what_friction_takes(text: str, method: str) -> None:
+    """To the tolerance; and the energy is less by the integral of forces times slips."""
+    mechanism, tol = scene(text), 1e-9
+    actuated = len(mechanism.actuated)
+    q = robodyn.assemble(mechanism, [0.7] * actuated)
+    qd = robodyn.loop_velocities(mechanism, q, [6.0, -3.0, 0.5][:actuated])
+    tau = [0.3] * actuated
+    run = simulate(mechanism, q, qd, 0.2, tau, method, tol, tol, t_eval=np.linspace(0, 0.2, 2001))
+    assert run.outcome is Outcome.FINISHED
+    assert run.report.energy_drift < 30.0 * tol
+    motion = robodyn.forward_dynamics_and_forces(mechanism, run.q, run.qd, run.tau, run.t)
+    load = load_of(mechanism, run.q, run.qd, motion.qdd, motion.multipliers, run.t)
+    lost = (load * run.qd).sum(axis=-1)
+    assert (lost <= 0.0).all()
+    assert lost.min() < -0.1
+    forces = other_forces(mechanism, run.q, run.qd, run.t)  # spring dampers, forces that turn
+    power = ((run.tau + forces) * run.qd).sum(axis=-1) + lost
+    work = cumulative_simpson(power, x=run.t, initial=0.0)
+    energy = run.to_dict()["energy"]
+    size = run.report.energy_in_motion
+    assert np.abs(energy - energy[0] - work).max() < 1e-6 * size
+    assert abs(run.report.work - work[-1]) < 1e-6 * size
+
+
+@METHODS
+def test_the_energy_balance_of_the_example_holds_until_it_locks(method: str) -> None:
+    mechanism = robodyn.load("robots/shaper.yaml")
+    q = robodyn.assemble(mechanism, [0.4])
+    qd = robodyn.loop_velocities(mechanism, q, [20.0])
+    tol = 1e-6 if method == "Radau" else 1e-8
+    run = simulate(mechanism, q, qd, 0.5, None, method, tol, tol)
+    assert run.outcome is Outcome.FRICTION
+    assert run.report.energy_drift < 30.0 * tol
+    assert run.report.t_reached == pytest.approx(0.127237, abs=1e-5)
+
+
 def rod_on_a_line(mu: float, speed: float) -> Mechanism:
     """A uniform rod of 1 m whose end is kept on a rough line."""
     return scene(f"""gravity: {G}
@@ -393,7 +438,7 @@ def thrown(angle: float, slip: float, turning: float) -> tuple[np.ndarray, np.nd
     return q, qd
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
+@METHODS
 @OF_WAY
 def test_a_run_ends_where_friction_has_no_solution(method: str, way: float) -> None:
     """Painleve: of a uniform rod mu sin cos reaches 1/3 + cos^2 (k^2 = a^2/3)."""
@@ -464,6 +509,23 @@ def test_identities_leave_out_states_without_a_solution() -> None:
     assert not {BALANCE, POWER} & {x.name for x in found}
 
 
+def test_friction_by_forces_that_are_not_unique_says_so() -> None:
+    """A parallelogram with a third crank."""
+    mechanism = scene(f"""gravity: {G}
+links:
+  - {{name: a, m: 0.6, l: 0.35, r: 0.15, I: 0.008, {PIN}}}
+  - {{name: b, m: 1.3, l: 1.0, r: 0.45, I: 0.102}}
+  - {{name: c, m: 0.6, l: 0.35, r: 0.15, I: 0.008, from: [1.0, 0]}}
+  - {{name: d, m: 0.6, l: 0.35, r: 0.15, I: 0.008, from: [0.5, 0]}}
+closures: [[b, c], [{{link: b, at: [0.5, 0]}}, d]]
+start: {{a: 0.7, b: -0.7, c: 0.7, d: 0.7}}
+actuated: [a]
+""")
+    q, qd = np.array([0.7, -0.7, 0.7, 0.7]), np.array([4.0, -4.0, 4.0, 4.0])
+    with pytest.warns(RobodynWarning, match="not unique .*; friction by them is not either"):
+        robodyn.forward_dynamics(mechanism, q, qd, np.zeros(4))
+
+
 # -- what does not serve ---------------------------------------------------------------------------
 
 
@@ -479,8 +541,83 @@ def test_what_has_no_such_friction_refuses_it_by_name() -> None:
     ):
         with pytest.raises(InputError, match=f"{place}: .* {what} have no such friction"):
             call()
-    with pytest.raises(InputError, match="slides has no series: take DOP853"):
+    with pytest.raises(InputError, match=r"as links\[0\] \(crank\)\.friction is, has no"):
         simulate(mechanism, q, zero, 1.0, method="taylor")
+
+
+SHAPER = "robots/shaper.yaml"
+
+
+@pytest.mark.parametrize(
+    ("command", "what"),
+    [
+        ("linearize SHAPER --q 60deg", "linear models"),
+        ("equations SHAPER", "equations"),
+        ("regressor SHAPER --q 60deg --qd 3 --qdd 0", "regressors"),
+        ("terms SHAPER --q 60deg --qd 3 --derivatives", "derivatives"),
+        ("bench SHAPER --q 60deg --qd 3", "series of many digits"),
+        ("bench SHAPER --evaluators", "evaluators of many digits"),
+        ("fit SHAPER --match TABLE --vary links.lever.m=1:3", "fits"),
+        ("fit SHAPER --simulate --match TABLE --tau 3 --vary links.lever.m=1:3", "fits"),
+        ("identify SHAPER TABLE --of links.crank.m", "regressors"),
+        ("identify SHAPER TABLE", "regressors"),
+        ("trajectory SHAPER --from 0 --to 1 --time min --max-tau 40", "shortest times by torque"),
+    ],
+)
+def test_commands_that_lack_it_refuse_it_by_name(
+    robodyn: Run, tmp_path: Path, command: str, what: str
+) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text("t,q1,qd1,qdd1,tau1\n0,0,1,0,1\n0.1,0.1,1,0,1\n0.2,0.2,1,0,1\n")
+    given = robodyn(*command.replace("SHAPER", SHAPER).replace("TABLE", str(table)).split())
+    assert given.code == 2
+    told = f"{SHAPER}: links[0] (crank).friction.coefficient = 0.08: is of the force in a pin or"
+    assert told in given.err
+    assert f"{what}" in given.err
+    assert "have no such friction" in given.err
+
+
+def test_sweeps_control_and_trajectories_have_it(robodyn: Run, tmp_path: Path) -> None:
+    """As single commands have it for the same numbers."""
+    alone = robodyn("torque", SHAPER, "--q", "1", "--qd", "5", "--qdd", "0").rows[0]
+    swept = robodyn("sweep", SHAPER, "--kind", "torque", "--qd", "5", "--vary", "q1=1,2").rows[0]
+    assert swept["tau1"] == alone["tau1"]
+    ref = tmp_path / "ref.csv"
+    led = robodyn("trajectory", SHAPER, "--speed", "5", "--time", "0.1", "--from", "1",
+                  "--points", "3", "--columns", "t,q,qd,qdd,tau1")  # fmt: skip
+    assert float(led.rows[0]["tau1"]) == pytest.approx(float(alone["tau1"]), rel=1e-12)
+    ref.write_text(led.out)
+    start = SHAPER, "--q", "1", "--qd", "5", "--time", "0.05"
+    pd = "--track", ref, "--control", "pd", "--kp", "200", "--kd", "20"
+    run = robodyn("simulate", *start, *pd, "--points", "3")
+    assert run.code == 0
+    assert run.rows[-1]["tau1"] != run.rows[0]["tau1"]
+    again = robodyn("accel", SHAPER, "-", "--columns", "qdd1", stdin=run.out)
+    for one, other in zip(run.rows, again.rows, strict=True):
+        assert float(one["qdd1"]) == pytest.approx(float(other["qdd1"]), rel=1e-10)
+    swept = robodyn("sweep", *start[:1], "--vary", "q1=1,1.2", *start[3:], *pd)
+    assert float(swept.rows[0]["q1_end"]) == pytest.approx(float(run.rows[-1]["q1"]), abs=1e-8)
+
+
+def test_derivatives_of_runs_have_it() -> None:
+    q = robodyn.assemble(scene(SLOT), [0.7])
+    qd = robodyn.loop_velocities(scene(SLOT), q, [5.0])
+    ends = [
+        simulate(
+            scene(SLOT.replace("0.1, radius: 0.02", f"{x}, radius: 0.02")),
+            q,
+            qd,
+            0.1,
+            [3.0],
+            "DOP853",
+            1e-12,
+            1e-12,
+        ).q[-1]
+        for x in (0.1 - 1e-4, 0.1 + 1e-4)
+    ]
+    name = "links.crank.friction.coefficient"
+    run = simulate(scene(SLOT), q, qd, 0.1, [3.0], sensitivity=[name])
+    assert run.sensitivity[-1, :2, 0] == pytest.approx((ends[1] - ends[0]) / 2e-4, rel=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,7 @@ from reference_motions import (
     slope,
 )
 from scipy.integrate import solve_ivp
+from unwritten import MASSLESS
 
 import oracles
 from random_mechanisms import mechanism
@@ -78,7 +79,7 @@ class TestReferenceDigits:
         # a hard case, and scenes whose mechanics others of their kind have
         others = {"parallelogram", "cart-pole", "scotch-yoke", "hydraulic-boom", "toggle-press"}
         others |= {"rack-gripper", "jansen-leg", "drawn-six-bar", "bell-crank", "weather-vane"}
-        others |= {"disc-cam", "shaper", "shaken-pendulum"}
+        others |= {"disc-cam", "shaper", "shaken-pendulum", "recovery-truck", *MASSLESS}
         assert examples - scenes == {f"robots/{x}.yaml" for x in others}
         assert set(SENSITIVITY) == {path.stem for path in REFERENCES.glob("*.json")}
 

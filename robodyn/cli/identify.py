@@ -13,7 +13,7 @@ from robodyn.cli.motion_files import MotionFile, read_motion
 from robodyn.cli.options import Model, Number, OutputStructured, Text, Unwrap, option, switch
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.states import remarks
-from robodyn.dynamics.columns import scene_units
+from robodyn.dynamics.columns import column_names, scene_units
 from robodyn.dynamics.free_joints import balanced_joints
 from robodyn.errors import InputError, RobodynError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
@@ -82,7 +82,7 @@ def identify(
     linear, values = numbers(mechanism.description), model.values()
     for name in names:
         if name in values and name not in linear:
-            torques = ",".join(f"tau{k + 1}" for k in mechanism.actuated)
+            torques = ",".join(column_names(mechanism, ["tau"]))
             way = f"robodyn fit {model.model} --vary '{name}=LOW:HIGH' --match {data}"
             limit = "torques are not linear in it, as in masses, moments, friction and stiffness"
             limit += f"; find it by {way} --columns {torques} (the file needs qd and qdd)"

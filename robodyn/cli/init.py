@@ -12,7 +12,13 @@ from robodyn.cli.files import output_file
 from robodyn.cli.options import OutputFormat, Text, option, refuse, switch
 from robodyn.cli.output import note, row_writer
 from robodyn.errors import InputError
-from robodyn.scene.example_scenes import example_options, scene_names, scene_text, summary
+from robodyn.scene.example_scenes import (
+    example_options,
+    scene_names,
+    scene_table,
+    scene_text,
+    summary,
+)
 from robodyn.tables.output_file import write_text
 
 _NAME = "Of the scene, such as four-bar."
@@ -31,7 +37,8 @@ def init(
     """Write a commented scene to start from.
 
     Without NAME the scenes are listed: an arm, a four-bar, a slider-crank and others.  A file
-    that exists is replaced with --force only.  A mechanism of PMKS+ becomes a scene as drawn; its
+    that exists is replaced with --force only, and a table that the scene reads is written beside
+    it.  A mechanism of PMKS+ becomes a scene as drawn; its
     address holds all of it, and nothing is fetched.
 
     \b
@@ -56,8 +63,14 @@ def init(
     refuse("is for the list", format=format)
     text = scene_text(name)
     path = f"{name}.yaml" if out is None else out
-    _check_new(path, force)
+    table = scene_table(name)
+    beside = "" if table is None else os.path.join(os.path.dirname(path), table[0])
+    for each in (path, beside):
+        _check_new(each, force)
     write_text(text, path)
+    if table is not None and path != "-":
+        write_text(table[1], beside)
+        note(f"wrote {beside}, the table of the scene")
     if path != "-":
         note(f"wrote {path}; try: robodyn terms {shlex.quote(path)} {example_options(text)}")
 

@@ -239,7 +239,7 @@ def torque_source(
         return voltages(mechanism, options.volt, "--volt"), end
     if options.tau_from is None:
         return Actuation((0.0,) * mechanism.n), end
-    names = ["t", *(f"tau{k + 1}" for k in mechanism.actuated)]
+    names = column_names(mechanism, ["t", "tau"])
     values, _, name, _ = read_columns(options.tau_from, lambda *_: names)
     times, torques = values[:, 0].tolist(), values[:, 1:].tolist()
     made = actuation.table(mechanism, times, torques, where=name, until=end, hold=options.tau_hold)
@@ -663,7 +663,7 @@ def _told(
 def _write_events(stream: BinaryIO, mechanism: Mechanism, found: Sequence[Event]) -> None:
     """Each event: its name, its time and the state there."""
     n = mechanism.n
-    columns = ["t", *(f"{name}{k}" for name in ("q", "qd") for k in range(1, n + 1))]
+    columns = column_names(mechanism, ["t", "q", "qd"])
     writer = Writer(stream, columns, ["event"])
     for i in range(0, len(found), EVENTS_AT_ONCE):
         some = found[i : i + EVENTS_AT_ONCE]

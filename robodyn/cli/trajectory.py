@@ -25,7 +25,7 @@ from robodyn.cli.states import (
     table_source,
 )
 from robodyn.cli.times import Points, output_times
-from robodyn.dynamics.columns import column_names, scene_units
+from robodyn.dynamics.columns import column_names, of_joints, scene_units
 from robodyn.dynamics.joint_vectors import driver_of, joint_values
 from robodyn.dynamics.named_points import named_point, named_points
 from robodyn.dynamics.state import State, find
@@ -172,13 +172,13 @@ def _points_from(mechanism: Mechanism, given: TrajectoryOptions) -> _Through:
         values, names, source, lines = read_columns(given.via, columns, scene_units(mechanism))
         timed = names[-1] == "t"
         column = dict(zip(names, values.T, strict=True))
-        driven = [f"q{k + 1}" for k in mechanism.actuated]
+        driven = of_joints("q", mechanism.actuated)
         known = mechanism, column, lines, source, given.unwrap, driven
         column = without_jumps(*known, refuse=False)
         rows = np.full((len(values), mechanism.n), np.nan)
         whole = len(names) - timed == mechanism.n
         for joint in range(mechanism.n) if whole else mechanism.actuated:
-            rows[:, joint] = column[f"q{joint + 1}"]
+            rows[:, joint] = column[of_joints("q", [joint])[0]]
         if timed:
             refuse(f"does not go with the times (t) in {source}", **ends)
             times = values[:, -1]

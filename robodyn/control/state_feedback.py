@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from robodyn.dynamics.columns import column_names
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.short_repr import short_repr
@@ -48,7 +49,7 @@ def read_feedback(mechanism: Mechanism, text: bytes, where: str) -> StateFeedbac
         if key not in given:
             raise InputError(key, where=where, limit=f"is missing; needed are {', '.join(keys)}")
     names = _list(given["coordinates"], "coordinates", None, where)
-    columns = [f"q{k + 1}" for k in range(mechanism.n)]
+    columns = column_names(mechanism, ["q"])
     for k, name in enumerate(names):
         if name not in columns or name in names[:k]:
             limit = f"must be of {', '.join(columns)}, each once"

@@ -540,6 +540,12 @@ def column_names(
     return [name for x in families for name in names_of(FAMILIES[x], mechanism, points)]
 
 
+def of_joints(family: str, joints: Iterable[int]) -> list[str]:
+    """The columns of some joints, counted from 0, of a family that has one a joint."""
+    stem = FAMILIES[family].columns.partition("{")[0]
+    return [f"{stem}{number}" for number in _numbers(joints)]
+
+
 def declared(name: str) -> tuple[Family, str] | None:
     """The family of a column by its name alone, and its unit where nothing slides.
 

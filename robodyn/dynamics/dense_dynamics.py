@@ -53,6 +53,7 @@ GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 SURE = 1e-6  # such a matrix whose pivots are larger is none
 LIGHTEST = 1e-15  # an inertia below this part of the inertias that it is summed of is none
 SPREAD = 1e5  # ratio of link inertias up to which eliminating M before Psi keeps its digits
+DEPENDENT = "the closures depend on one another: the pin forces are not unique (least norm given)"
 BALANCE = 1e-7  # part of the load that torques may miss by before the motion is impossible
 
 
@@ -406,7 +407,7 @@ def _parted(N: Array) -> Array:
 def _dependence(mechanism: Mechanism, rank: NDArray[np.int64]) -> list[str]:
     if np.all(rank == len(mechanism.rows)):
         return []
-    return ["the closures depend on one another: the pin forces are not unique (least norm given)"]
+    return [DEPENDENT]
 
 
 def _free_joint(mechanism: Mechanism, q: Array, t: float) -> str:

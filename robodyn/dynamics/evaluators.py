@@ -37,6 +37,7 @@ def measure_evaluators(mechanism: Mechanism) -> Iterator[list[float | str]]:
     if find_spec("mpmath") is None:
         limit = "needs mpmath, of the extra `dev`: pip install mpmath"
         raise RobodynError("bench --evaluators", limit=limit)
+    mechanism.check_rubbing("evaluators of many digits")
     sample = identities.sample_states(mechanism, CHECKED)
     q, qd = sample.q, sample.qd
     if not len(q):

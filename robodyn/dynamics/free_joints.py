@@ -149,7 +149,7 @@ def _held(
     slack = (NONE if still else ROUNDING) * sum(np.abs(x[joint]) @ y for x, y in parts)
     low = high = 0.0
     if not (qd[joint] or qdd[joint]):
-        sides = [side for k, side in touching(mechanism, q, qd) if k == joint]
+        sides = [side for k, side in touching(mechanism, q, qd, t) if k == joint]
         if sides or joint in resting(mechanism, qd):
             low, high = bounds(mechanism, joint, sides)
     return bool(low - slack <= residual <= high + slack)

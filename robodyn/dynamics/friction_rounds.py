@@ -57,6 +57,8 @@ def by_rounds(
     flat = {name: array.reshape(-1, n) for name, array in states.items()}
     at = np.broadcast_to(times.ravel(), len(flat["q"])) if mechanism.timed else times
     joints, forces, remark = smooth(plain, kind, 2, flat, at)
+    if dense_dynamics.DEPENDENT in remark:
+        remark += "; friction by them is not either, nor the motion under it"
     found = settled(mechanism, kind, tuple(flat.values()), at, joints, forces)
     return found.joints.reshape(shape), found.multipliers.reshape(*shape[:-1], -1), remark
 

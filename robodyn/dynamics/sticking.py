@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics
-from robodyn.dynamics.closed_form import energies, scaled_jacobian
+from robodyn.dynamics.closed_form import closure_drift, energies, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import joint_loads, responses
 from robodyn.dynamics.placed import finite
 from robodyn.elements.contacts import NEAR, Mode
@@ -68,14 +68,31 @@ def resting(mechanism: Mechanism, qd: ArrayLike) -> list[int]:
     return [joint for joint in mechanism.dry if rates[joint] <= least]
 
 
-def touching(mechanism: Mechanism, q: Array, qd: Array) -> list[tuple[int, int]]:
-    """The hard stops, joints and sides, that a state touches without leaving them."""
+def touching(mechanism: Mechanism, q: Array, qd: Array, t: float) -> list[tuple[int, int]]:
+    """The hard stops, joints and sides, that a state at t touches without leaving them.
+
+    Not those of joints that laws of the time lead.
+    """
     least = AT_REST * float(np.abs(qd).max(initial=0.0))
-    return [
+    found = [
         (joint, side)
         for joint, side, end, _ in mechanism.of(HardStop)
         if abs(q[joint] - end) <= NEAR * max(1.0, abs(end)) and side * qd[joint] >= -least
     ]
+    led = led_joints(mechanism, q, t) if found else ()
+    return [end for end in found if end[0] not in led]
+
+
+def led_joints(mechanism: Mechanism, q: Array, t: float) -> tuple[int, ...]:
+    """The joints whose rates follow from laws of the time and closures alone, at q (n) and t.
+
+    No force between bounds holds them, and no impulse changes their rates.
+    """
+    if not mechanism.driven:
+        return ()
+    _, s, Vt = np.linalg.svd(scaled_jacobian(mechanism, q, t))
+    free = Vt[int((s > TOGETHER * s[0]).sum()) :]
+    return tuple(k for k in range(mechanism.n) if np.abs(free[:, k]).max(initial=0.0) <= TOGETHER)
 
 
 def modes_of(
@@ -88,7 +105,7 @@ def modes_of(
             mode = moving_mode(mechanism, q.tolist(), qd.tolist(), third.tolist())
         else:
             rests, least = resting(mechanism, qd), AT_REST * float(np.abs(qd).max(initial=0.0))
-            touches = [x for x in touching(mechanism, q, qd) if abs(qd[x[0]]) <= least]
+            touches = [x for x in touching(mechanism, q, qd, t) if abs(qd[x[0]]) <= least]
             mode = mode_at(mechanism, q, qd, third, rests, touches, t=t).mode
         found.setdefault(mode, []).append(k)
     return found
@@ -103,19 +120,22 @@ def mode_at(
     touches: Sequence[tuple[int, int]] = (),
     pushing: tuple[tuple[int, int], ...] | None = None,
     starting: Mapping[int, int] = MappingProxyType({}),
-    t: float = 0.0,
+    paused: Sequence[int] = (),
+    *,
+    t: float,
 ) -> Standing:
     """The mode in which a state goes on under the torques tau (n) at t, and what stands still.
 
     The joints of `rests` stand still so far; `touches` are hard stops, joints and sides, at which
     joints stand still as well; `pushing` compliant ones that push, None: as the state tells.
-    `starting` are joints that are held no longer, and which way they start.
+    `starting` are joints that are held no longer, and which way they start; `paused` joints that
+    laws of the time lead, and that slip no way.
     """
     sides: dict[int, list[int]] = {}
     for joint, side in touches:
         sides.setdefault(joint, []).append(side)
     still = sorted({*rests, *sides})
-    slips = {j: int(math.copysign(1.0, qd[j])) for j in mechanism.dry if j not in still}
+    slips = {j: int(math.copysign(1.0, qd[j])) for j in mechanism.dry if j not in {*still, *paused}}
     if pushing is None:
         pushing = pressed(mechanism, q.tolist(), qd.tolist())
     starts = dict(starting)
@@ -129,7 +149,7 @@ def mode_at(
     slips |= {joint: way for joint, way in starts.items() if joint in mechanism.dry}
     own = tuple(joint for joint in still if joint not in starts)
     mode = Mode(own, tuple(sorted(slips.items())), pushing)
-    return Standing(mode._replace(held=independent(mechanism, own, q)), own)
+    return Standing(mode._replace(held=independent(mechanism, own, q, t)), own)
 
 
 def load_sizes(moving: Mechanism, q: Array, qd: Array, tau: Array, t: ArrayLike = 0.0) -> Array:
@@ -228,19 +248,24 @@ def forces_between(a0: Array, W: Array, low: Array, high: Array) -> Array:
 
 
 def stopped(
-    mechanism: Mechanism, q: Array, qd: Array, joints: Sequence[int]
+    mechanism: Mechanism, q: Array, qd: Array, joints: Sequence[int], t: float
 ) -> tuple[Array, list[int]]:
     """The rates (n) next to qd with which these joints stand still; those that then do so too.
+
+    Laws of the time are kept: Psi qd + d gap/dt = 0.
 
     Those are joints with dry friction that the closures stop together with the others.
     """
     after = qd.copy()
     if mechanism.rows:
         units, n = mechanism.arrays.units, mechanism.n
-        rows = np.concatenate([scaled_jacobian(mechanism, q, 0.0), np.eye(n)[list(joints)]])
-        _, s, Vt = np.linalg.svd(rows, full_matrices=False)
-        kept = Vt[s > TOGETHER * s[0]]
-        after -= units * (kept.T @ (kept @ (qd / units)))
+        rows = np.concatenate([scaled_jacobian(mechanism, q, t), np.eye(n)[list(joints)]])
+        U, s, Vt = np.linalg.svd(rows, full_matrices=False)
+        r, held = len(mechanism.rows), s > TOGETHER * s[0]
+        along = Vt[held] @ (qd / units)
+        if mechanism.driven:
+            along += U[:r, held].T @ closure_drift(mechanism, q, t) / s[held]
+        after -= units * (Vt[held].T @ along)
     after[list(joints)] = 0.0
     none = AT_REST * np.abs(qd).max(initial=0.0)
     after[np.abs(after) <= none] = 0.0  # what rounding leaves
@@ -256,12 +281,12 @@ def held_forces(moving: Mechanism, multipliers: Array) -> Array:
     return np.asarray(multipliers[..., list(moving.held)] * np.array(arms))
 
 
-def independent(mechanism: Mechanism, joints: Sequence[int], q: Array) -> tuple[int, ...]:
-    """Return as many of these joints as the closures let be held independently at q (n)."""
+def independent(mechanism: Mechanism, joints: Sequence[int], q: Array, t: float) -> tuple[int, ...]:
+    """Return as many of these joints as the closures let be held independently at q (n) and t."""
     if not mechanism.rows or not joints:
         return tuple(joints)
     kept: list[int] = []
-    rows = scaled_jacobian(mechanism, q, 0.0)
+    rows = scaled_jacobian(mechanism, q, t)
     each = float(np.abs(rows).max()) * np.eye(mechanism.n)  # the rows of what is held
     rank = _rank(rows)
     for joint in joints:
@@ -271,10 +296,10 @@ def independent(mechanism: Mechanism, joints: Sequence[int], q: Array) -> tuple[
     return tuple(kept)
 
 
-def stands(moving: Mechanism, q: Array) -> bool:
+def stands(moving: Mechanism, q: Array, t: float) -> bool:
     """Whether what a mode holds leaves nothing that can move."""
     least = len(moving.rows) >= moving.n and bool(moving.held)
-    return least and _rank(scaled_jacobian(moving, q, 0.0)) == moving.n
+    return least and _rank(scaled_jacobian(moving, q, t)) == moving.n
 
 
 def _rank(rows: Array) -> int:
@@ -289,8 +314,9 @@ def margins(
     q: Array,
     forces: Array,
     limits: Mapping[int, Bounds],
+    t: Array,
 ) -> Array:
-    """How far what holds is from its bounds, (k, m) at q (k, n); below zero it does not hold.
+    """How far what holds is from its bounds, (k, m) at q (k, n), t (k,); below zero it fails.
 
     `forces` (k, held) hold the joints that the mode holds; the joints of `still` that it does not
     hold stand still with them, and help.  N m, or N.
@@ -301,7 +327,8 @@ def margins(
     low, high = (np.array([getattr(limits[j], x) for j in mode.held]) for x in ("low", "high"))
     if helpers:
         bounded = [limits[joint] for joint in helpers]
-        shares = [_shares(mechanism, mode, helpers, each) for each in q]
+        states = zip(q, t.tolist(), strict=True)
+        shares = [_shares(mechanism, mode, helpers, *each) for each in states]
         if len(mode.held) > 1:
             left = [_shared(x, low, high, s, bounded) for x, s in zip(forces, shares, strict=True)]
             return -np.array([missed for missed, _ in left])[:, None]
@@ -312,9 +339,9 @@ def margins(
     return np.concatenate([forces - low, high - forces], axis=1)
 
 
-def _shares(mechanism: Mechanism, mode: Mode, helpers: Sequence[int], q: Array) -> Array:
+def _shares(mechanism: Mechanism, mode: Mode, helpers: Sequence[int], q: Array, t: float) -> Array:
     """The rate of each helper as those of held joints are 1, (helpers, held)."""
-    rows = scaled_jacobian(mechanism, q, 0.0) / mechanism.arrays.units
+    rows = scaled_jacobian(mechanism, q, t) / mechanism.arrays.units
     held = list(mode.held)
     others = [k for k in range(mechanism.n) if k not in mode.held]
     rates = -np.linalg.lstsq(rows[:, others], rows[:, held], rcond=TOGETHER)[0]
@@ -353,6 +380,7 @@ def starting_at(
     forces: Array,
     limits: Mapping[int, Bounds],
     place: int,
+    t: float,
 ) -> dict[int, float]:
     """The joints that are held no longer where a margin passes zero, and how fast they start.
 
@@ -363,7 +391,7 @@ def starting_at(
     count = len(mode.held)
     rates = np.zeros(count)
     rates[place % count] = 1.0 if place < count else -1.0  # it needs less than low, or more
-    shares = _shares(mechanism, mode, helpers, q) if helpers else np.zeros((0, count))
+    shares = _shares(mechanism, mode, helpers, q, t) if helpers else np.zeros((0, count))
     if helpers and count > 1:
         low, high = (np.array([getattr(limits[j], x) for j in mode.held]) for x in ("low", "high"))
         _, rates = _shared(forces, low, high, shares, [limits[joint] for joint in helpers])

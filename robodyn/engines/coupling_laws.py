@@ -218,7 +218,7 @@ def check_laws(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike | None, t: Arra
         q, qd = np.broadcast_arrays(q, np.asarray(qd, float))
         each["no derivative"] = laws.slopes(q, t).sum(axis=-1) + laws.drifts(q, t)
         each["no second derivative"] = laws.bends(q, qd, t)
-    first = len(mechanism.rows) - len(mechanism.description.couplings)
+    first = mechanism.first_coupling
     for what, values in each.items():
         lost = np.argwhere(~np.isfinite(values))
         if len(lost):

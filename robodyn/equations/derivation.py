@@ -94,8 +94,8 @@ class Vector(NamedTuple):
 class Carried(NamedTuple):
     """How the velocity of the joint of link k follows from link `above` (None: the ground).
 
-    R^T (v + omega x arm) [+ omega x (q, 0) + (qd, 0)]: R turns by the angle of joint k, or of one
-    that slides by its axis `along`, None where that is the x axis.
+    R^T (v + omega x arm) [+ omega x (q, 0) + (qd, 0)]: R turns by the angle of joint k, which
+    counts from `along`, or of one that slides by its axis `along`; None where that is the x axis.
     """
 
     k: int
@@ -107,7 +107,7 @@ class Carried(NamedTuple):
 
 
 class Turned(NamedTuple):
-    """A vector of the frame of the link above in that of link k: R^T times it."""
+    """A vector of the frame of the link above in that of link k, which turns: R^T times it."""
 
     k: int
     vector: Vector
@@ -164,19 +164,12 @@ Parts = tuple[Part, ...]
 
 
 def check_size(mechanism: Mechanism) -> None:
-    """Raise InputError for more links than a derivation is written of, and for turned zeros."""
+    """Raise InputError for more links than a derivation is written of, or without masses."""
     if mechanism.n > MOST_LINKS:
         limit = f"at most {MOST_LINKS} links; the equations without --steps have no limit"
         value = f"{mechanism.n} links"
         raise InputError("--steps", where=mechanism.source, value=value, limit=limit)
     mechanism.check_masses(still=True)
-    for k, link in enumerate(mechanism.description.links):
-        if link.turn != 1.0:
-            limit = (
-                f"link {link.name} hangs from a weld whose x axis is not its carrier's: q{k + 1}"
-            )
-            limit += " then counts from there, which no step writes; leave out --steps"
-            raise InputError("--steps", where=mechanism.source, limit=limit)
 
 
 def check_potentials(mechanism: Mechanism) -> None:
@@ -329,8 +322,11 @@ class Derivation:
         place = (*place, Part(unit * at, path)) if at else place
         moved = self.point_velocity(above, at) if above is not None else ()
         if not link.slides:
-            self.paths[k], self.units[k] = tuple(sorted((*path, k))), unit
-            self.moved[k] = tuple(x._replace(turn=tuple(sorted((*x.turn, k)))) for x in moved)
+            turn = planar(link.turn)
+            self.paths[k], self.units[k] = tuple(sorted((*path, k))), unit * turn
+            self.moved[k] = tuple(
+                Part(c * turn.conjugate(), tuple(sorted((*x, k))), rate) for c, x, rate in moved
+            )
         else:
             axis, q = planar(link.axis), of(Atom(Role.angle, (k,)))
             self.paths[k], self.units[k] = path, unit * axis
@@ -468,7 +464,7 @@ class Derivation:
                     yield name, (bracketed(self.put(summed(load.torque)), turned, -1),)
             elif isinstance(load, Force) and self._constant(load):
                 force, k = planar(load.force), load.point.link
-                force = force * self.units[k] if load.turns else force
+                force = force * planar(load.turn) * self.units[k] if load.turns else force
                 x, y = self.components(self.point_place(load.point), 1)
                 energy = -(self.put(force.real) * x + self.put(force.imag) * y)
                 if energy:
@@ -586,6 +582,9 @@ class Derivation:
                 told += [f"slides by q{k + 1} along ", self.vector(link.axis)]
             else:
                 turned = f"turned by q{k + 1}"
+                if link.turn != 1.0:
+                    told += [f"{turned} from ", self.vector(link.turn)]
+                    turned = ""
                 straight = self.units[k] == self.units[None]
                 if len(self.paths[k]) > 1 and straight:
                     turned += f", by {' + '.join(f'q{j + 1}' for j in self.paths[k])} from +X"
@@ -615,13 +614,13 @@ class Derivation:
         link, found = self.links[k], self.velocity(self.moved[k])
         right: list[Right] = []
         if above is not None and (self.moved[above] or self.paths[above] or link.slides):
-            arm, along = self.vector(planar(link.hangs_from.at)), None
-            if link.slides and self.vector(link.axis) != Vector(ONE, ZERO):
-                along = self.vector(link.axis)
+            arm = self.vector(planar(link.hangs_from.at))
+            from_x = self.vector(link.axis if link.slides else planar(link.turn))
+            along = None if from_x == Vector(ONE, ZERO) else from_x
             right.append(Carried(k, above, arm, link.slides, along, bool(self.paths[above])))
             there = self.velocity(self.point_velocity(above, planar(link.hangs_from.at)))
             if not link.slides and there != Vector(ZERO, ZERO):
-                right.append(Turned(k, there))
+                right.append(Turned(k, there, along))
         name = Name(f"v{k + 1}", rf"{{}}^{{{k + 1}}}v_{{{k + 1}}}")
         return Line(name, (*right, found))
 
@@ -795,7 +794,8 @@ class Derivation:
                     for k, axis in enumerate("xy"):  # along the link, by a name
                         if load.moving[k] is not None:
                             c = of(Atom(Role.stretch, (i, axis), f"c{i + 1}{axis}"))
-                            at = at + (Planar(ZERO, c) if k else Planar(c, ZERO))
+                            way = Planar(ZERO, c) if k else Planar(c, ZERO)
+                            at = at + planar(load.turn) * way
                     where = self.components(self._place_on(load.point.link, at), 1)
                     name = Name(f"r{i + 1}", rf"r_{{F_{{{i + 1}}}}}", f"rF{i + 1}")
                     lines.append(

@@ -134,7 +134,7 @@ def _vector(notation: Notation, right: Right) -> str:
                 found += f" + {omega}{_vector(notation, arm)}"
             if not slides or along is not None:
                 found = rf"\left({found}\right)" if several else found
-                found = _turn(notation, k, along) + found
+                found = _turn(notation, None if slides else k, along) + found
             if slides:
                 q = rf"\begin{{pmatrix}} q_{{{k + 1}}} \\ 0 \end{{pmatrix}}"
                 found += f" + {omega}{q}" if turning else ""
@@ -152,10 +152,11 @@ def _row(text: str) -> str:
     return rf"\begin{{aligned}} {lines} \end{{aligned}}"
 
 
-def _turn(notation: Notation, k: int, along: Vector | None) -> str:
+def _turn(notation: Notation, k: int | None, along: Vector | None) -> str:
+    turned = "" if k is None else rf"R(q_{{{k + 1}}})^{{T}}"
     if along is None:
-        return rf"R(q_{{{k + 1}}})^{{T}}"
-    return rf"R({notation.text(along.x)}, {notation.text(along.y)})^{{T}}"
+        return turned
+    return turned + rf"R({notation.text(along.x)}, {notation.text(along.y)})^{{T}}"
 
 
 def _of(frame: int, what: str) -> str:

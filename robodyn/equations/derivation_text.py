@@ -114,7 +114,7 @@ def _text(notation: Notation, right: Right) -> str:
             found = " + ".join(inner)
             if not slides or along is not None:
                 found = f"({found})" if len(inner) > 1 else found
-                found = f"{_turn(notation, k, along)} {found}"
+                found = f"{_turn(notation, None if slides else k, along)} {found}"
             if slides:
                 found += f" + omega{above + 1} x (q{k + 1}, 0)" if turning else ""
                 found += f" + (qd{k + 1}, 0)"
@@ -122,8 +122,10 @@ def _text(notation: Notation, right: Right) -> str:
     return notation.text(right)
 
 
-def _turn(notation: Notation, k: int, along: Vector | None) -> str:
-    return f"R(q{k + 1})^T" if along is None else f"R{_pair(notation, along)}^T"
+def _turn(notation: Notation, k: int | None, along: Vector | None) -> str:
+    """R^T of the angle of joint k, if it turns, and of a direction that it counts from."""
+    turns = [] if k is None else [f"R(q{k + 1})^T"]
+    return GLUE.join(turns + ([] if along is None else [f"R{_pair(notation, along)}^T"]))
 
 
 def _pair(notation: Notation, vector: Vector) -> str:

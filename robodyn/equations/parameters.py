@@ -6,7 +6,7 @@ Letters and meaning of plain numbers are declared by keys: m1, l1, I1, r1 (or r1
     p4x, p4y           where link 4 hangs from its link, if not from the tip
     a1x, b1x, ..       points that closure 1 joins; ends e1x, h1x of spring 1; c1x of load 1
     n1x, n1y           normal of the line of closure 1
-    u2x, u2y           axis of joint 2, which slides
+    u2x, u2y           axis of joint 2, which slides; where it is zero, on a turned weld
     N1, J1, b1         ratio of the motor at joint 1, inertia and damping of its rotor
     i1 (or i1_2, ..)   ratio of coupling 1 (to joint 2, of several); its angle psi1, its length R1
     beta1x, beta1y     cosine and sine of the angle that closure 1 keeps; its length L1
@@ -161,6 +161,10 @@ class Parameters:
             meaning = f"axis that {link.name} slides on, its cosine with {{}}"
             u = f"u{k + 1}"
             numbers["axis"] = self._direction(u, k, link.axis, meaning, above, Role.direction)
+        elif link.turn != 1.0:
+            meaning = f"direction of {link.name} at q{k + 1} = 0, its cosine with {{}}"
+            turn = complex(*(_whole(x) for x in (link.turn.real, link.turn.imag)))
+            numbers["turn"] = self._direction(f"u{k + 1}", k, turn, meaning, above, Role.direction)
         return link._replace(**numbers, friction=None, limits=None)
 
     def _at_joint(self, k: int, item: Any) -> Any:
@@ -191,9 +195,8 @@ class Parameters:
         angle = (1j * off / row.arm).conjugate()  # exp(i angle)
         cosines = []
         for axis, value, of_it in (("x", angle.real, "cosine"), ("y", angle.imag, "sine")):
-            near = round(value) if abs(value - round(value)) < 1e-15 else value
             name, place, meaning = f"beta{c + 1}{axis}", (c, f"b{axis}"), f"{told}, its {of_it}"
-            cosines.append(self._cosine(name, place, near, meaning, Role.direction))
+            cosines.append(self._cosine(name, place, _whole(value), meaning, Role.direction))
         x, y = cosines
         turned: Any = -1j * (size * Planar(x, -y))
         P = tuple((k, turned) for k, _ in row.P)
@@ -369,3 +372,8 @@ class Parameters:
             for axis, amount in (("x", value.real), ("y", value.imag))
         ]
         return Planar(*parts)
+
+
+def _whole(value: float) -> float:
+    """A cosine as 0, 1 or -1 if it is that within rounding."""
+    return float(round(value)) if abs(value - round(value)) < 1e-15 else value

@@ -162,15 +162,15 @@ def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
         _check_steep(mechanism, q, t, Psi)
         why = "the loops are at a singular configuration there, or laws repeat one another"
     if why:
-        raise _not_kept(mechanism, max(mechanism.driven, key=lambda r: gap[r]), t, why)
+        worst = max(mechanism.driven, key=lambda r: gap[r])
+        raise law_error(mechanism, worst, f"cannot be kept at t = {t:.9g} s: {why}")
 
 
-def _not_kept(mechanism: Mechanism, row: int, t: float, why: str) -> LawError:
-    """Return the error of the law of a row of Psi that cannot be kept at t."""
+def law_error(mechanism: Mechanism, row: int, limit: str) -> LawError:
+    """Return the error of the law in a row, which it names."""
     law = mechanism.rows[row].law
     assert law is not None
-    what = f"couplings[{row - len(mechanism.rows) + len(mechanism.description.couplings)}]"
-    limit = f"cannot be kept at t = {t:.9g} s: {why}"
+    what = f"couplings[{row - mechanism.first_coupling}]"
     return LawError(what, where=mechanism.source, value=law.text, limit=limit)
 
 
@@ -188,12 +188,9 @@ def _check_steep(mechanism: Mechanism, q: Array, t: float, Psi: Array) -> None:
         return
     slopes = laws.slopes(q, t)[steepest]
     joint = int(np.argmax(np.abs(slopes)))
-    law = mechanism.rows[row].law
-    assert law is not None
-    what = f"couplings[{row - len(mechanism.rows) + len(mechanism.description.couplings)}]"
     at = f"q{joint + 1} = {q[joint]:.9g}, t = {t:.9g} s"
     limit = f"has the derivative {slopes[joint]:.3g} by q{joint + 1} at {at}: too steep to follow"
-    raise LawError(what, where=mechanism.source, value=law.text, limit=limit)
+    raise law_error(mechanism, row, limit)
 
 
 def _check_domain(mechanism: Mechanism, q: Array, qd: Array, t: float) -> None:
@@ -203,7 +200,7 @@ def _check_domain(mechanism: Mechanism, q: Array, qd: Array, t: float) -> None:
     rows = [r for r, row in enumerate(mechanism.rows) if row.law is not None]
     worst = max(rows, key=lambda r: gap[r])
     why = "no state within its domain is near enough"
-    raise _not_kept(mechanism, worst, t, why)
+    raise law_error(mechanism, worst, f"cannot be kept at t = {t:.9g} s: {why}")
 
 
 class Projection:

@@ -36,7 +36,7 @@ from robodyn.elements.joints import Range, Rotor
 from robodyn.elements.kinds import place_of
 from robodyn.elements.springs import JointDamper
 from robodyn.errors import InputError
-from robodyn.mechanics.driven import driven_joints, refuse_driven
+from robodyn.mechanics.driven import driven_joints
 from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest, places_of
 from robodyn.mechanics.link_tree import bodies as bodies_of
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
@@ -75,8 +75,6 @@ def build(description: Description) -> Mechanism:
         if description.couplings:
             rows = mechanism.rows + tuple(coupling_rows(description))
             mechanism = replace(mechanism, rows=rows)
-            if mechanism.contacts:
-                refuse_driven(mechanism, "a scene with friction that sticks, or with stops,")
         numbers = [*mechanism.B, *mechanism.weights, *largest(Tree(description.links))]
         numbers += [mechanism.energy_offset, *(row.offset for row in mechanism.rows)]
         numbers += mechanism.damping

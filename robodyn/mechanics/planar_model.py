@@ -223,6 +223,11 @@ class Mechanism:
         return tuple(r for r, row in enumerate(self.rows) if row.held)
 
     @cached_property
+    def first_coupling(self) -> int:
+        """The row of the first coupling: those of closures stand before, of what is held behind."""
+        return len(self.rows) - len(self.held) - len(self.description.couplings)
+
+    @cached_property
     def laws(self) -> tuple[int, ...]:
         """The rows of couplings that have a law."""
         return tuple(r for r, row in enumerate(self.rows) if row.law is not None)

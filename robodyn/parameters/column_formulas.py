@@ -67,6 +67,7 @@ class ColumnFormulas:
     """The formulas of a mechanism whose numbers `names` change by p0, p1, ..."""
 
     def __init__(self, mechanism: Mechanism, names: Sequence[str], of: Sequence[str] = ()) -> None:
+        mechanism.check_rubbing("fits")
         self.mechanism, self.names = mechanism, tuple(names)
         self.graph = graph = Graph()
         self.p = [graph.variable(f"p{k}") for k in range(len(names))]

@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn.dynamics.columns import column_names, of_joints
 from robodyn.dynamics.named_numbers import named_values
 from robodyn.dynamics.placed import matvec
 from robodyn.engines.expression import Value, tangents
@@ -366,8 +367,8 @@ def fit(
                 limit += " links and of joints that follow, or motions (--simulate)"
                 raise InputError("column", value=shown(name), where=mechanism.source, limit=limit)
     states = LaneStates(formulas, wanted.nodes, rows)
-    turns = {f"q{k + 1}" for k in range(mechanism.n) if k not in mechanism.slides}
-    turns |= {f"angle{k + 1}" for k in range(mechanism.n)}
+    slides = of_joints("q", mechanism.slides)
+    turns = {*column_names(mechanism, ["q"]), *of_joints("links", range(mechanism.n))} - {*slides}
     turning = [name in turns for name in columns]
     to = as_target(target, len(rows.t), len(columns))
     own = np.array([wanted.numbers[name] for name in vary])

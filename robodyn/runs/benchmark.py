@@ -66,6 +66,7 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
 
     Raises InputError if a torque has no series, RobodynError if the motion cannot be followed.
     """
+    mechanism.check_rubbing("series of many digits, which errors are measured against,")
     if mechanism.switches:
         raise _lost(mechanism, "has joints that stick or end: the reference is of smooth motions")
     if actuation.states:

@@ -55,6 +55,8 @@ MOST_STEPS = 1e13  # that take months
 FAR_END = 1e9  # s; where the end is nearer it is a force that makes the steps too short
 NEVER = 1e4  # times the steps that a run may take: even if they grew as much it would not end
 
+LED = "a law of the time leads the joint there, and no stop throws it back"
+
 Due = Callable[[float], Array]  # of a time: output times still to come up to it
 
 
@@ -276,9 +278,18 @@ class Run:
 
     def _check_friction(self, mechanism: Mechanism) -> None:
         """Raise NotSettledError where friction by forces has no solution just beyond."""
-        refused, near = self._side(mechanism).refused, BEYOND * max(1.0, abs(self.t))
-        if refused is not None and refused.error is not None and abs(refused.t - self.t) <= near:
-            raise refused.error
+        side, n, whole = self._side(mechanism), mechanism.n, max(1.0, abs(self.t))
+        refused = side.refused
+        assert refused is not None
+        # as steps shrink before a state without a solution none may have met it
+        for k in range(-12, -4):
+            if refused.error is not None and abs(refused.t - self.t) <= BEYOND * whole:
+                raise refused.error
+            now, ahead = self.t + math.copysign(10.0**k * whole, self.t_end), self.y.copy()
+            ahead[:n] += (now - self.t) * self.y[n : 2 * n]
+            side.rates(now, ahead)
+            if refused.error is not None and refused.t == now:
+                raise refused.error
 
     def _goes_on(self, cut: Cut) -> bool:
         """Enter the leg that follows a cut; whether there is one."""
@@ -415,7 +426,9 @@ def _advice(run: Run) -> str:
     """What to do about a run that ended before its time, where more is known than its outcome."""
     mechanism, outcome, control = run.mechanism, run.outcome, run.actuation.control
     told = ""
-    if control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
+    if run.phases is not None and run.phases.led_on:
+        told = LED
+    if not told and control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
         told = no_hold(mechanism, control)
     if not told and mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL:
         told = near_table_end(mechanism, run.t, run.y)

@@ -10,7 +10,11 @@ v the rates at which touched stops are left (below zero: run into) and R v's row
 
     v+ = v + R K^-1 R^T p,      v+ + e v >= 0,      p . (v+ + e v) = 0,
 
-e the restitution of each: of one stop p = -(1 + e) v / (R K^-1 R^T).
+e the restitution of each: of one stop p = -(1 + e) v / (R K^-1 R^T).  Psi is that of the instant,
+and the jump of qd is in its null space: laws of the time are kept, Psi qd + d gap/dt = 0.
+
+Joints whose rates follow from such laws alone are led: nothing holds them, no impulse throws them
+back, and their ends end a run.
 """
 
 from __future__ import annotations
@@ -30,6 +34,7 @@ from robodyn.elements.contacts import NEAR, End, Guard, Mode
 from robodyn.elements.joints import HardStop
 from robodyn.errors import InputError, SingularError
 from robodyn.loops.closing import close_positions
+from robodyn.loops.projection import law_error
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism
@@ -73,6 +78,7 @@ class Phases:
         self.bounces = Bounces(mechanism, t_end, small)
         self.hits: list[End]  # the ends met as the phase began
         self.turns: list[list[End]] = []  # those met before, in turn, without time passing
+        self.led_on = False  # whether a law leads a joint beyond the end that ends the run
         self.doubts = 0  # times in a row that a joint which leaves its end was to meet it
         q, qd = self._split(y)
         for joint, side, end in beyond(mechanism, q.tolist()):
@@ -82,12 +88,12 @@ class Phases:
                 value=float(q[joint]),
                 limit=f"is beyond the joint's {end_word(side)}, {end:.9g}",
             )
-        touches = set(sticking.touching(mechanism, q, qd))
+        touches = set(sticking.touching(mechanism, q, qd, 0.0))
         self.given, self.hits = y, self._run_into(touches, qd)  # before an impact
         self.y = self._impact(0.0, y, self.hits, touches) if self.hits else y
         q, qd = self._split(self.y)
         pushing = pressed(mechanism, q.tolist(), qd.tolist())
-        touches = set(sticking.touching(mechanism, q, qd))
+        touches = set(sticking.touching(mechanism, q, qd, 0.0))
         touches -= set(self._run_into(touches, qd))  # an impact may drive a joint to its end
         self._enter(0.0, set(sticking.resting(mechanism, qd)), touches, set(pushing))
 
@@ -122,14 +128,24 @@ class Phases:
         touches: set[End],
         pushing: set[End],
         starting: Mapping[int, int] = MappingProxyType({}),
+        released: int | None = None,
     ) -> None:
-        """The mode in which the state goes on, and what ends it."""
+        """The mode in which the state goes on, and what ends it; a joint `released` pauses not."""
         self._reach(t)
         q, qd = self._split(self.y)
+        self.led = sticking.led_joints(self.mechanism, q, t)
+        self.slow = max(self.small, SLOW * float(np.abs(qd).max(initial=0.0)))
+        self.paused = [
+            joint
+            for joint in self.led
+            if joint in self.dry and joint != released and abs(qd[joint]) < self.slow
+        ]
+        rests = rests - set(self.led)
         tau, sorts = self._torque(t, self.y), (sorted(rests), sorted(touches))
         loaded = float(self._loaded(np.array(t)))
+        stops, paused = tuple(sorted(pushing)), self.paused
         self.mode, self.still = sticking.mode_at(
-            self.mechanism, q, qd, tau, *sorts, tuple(sorted(pushing)), starting, loaded
+            self.mechanism, q, qd, tau, *sorts, stops, starting, paused, t=loaded
         )
         self.started = (rests | {joint for joint, _ in touches}) - set(self.still)
         self.touches = {end for end in touches if end[0] in self.still}
@@ -137,7 +153,7 @@ class Phases:
         self.bounds = {j: sticking.bounds(self.mechanism, j, sides[j]) for j in self.still}
         self.moving, self.integrated = in_mode(self.mechanism, self.mode), self.mode
         # what varies with the time may end, or have no value: that is seen where it is integrated
-        if not self.mechanism.timed and sticking.stands(self.moving, q):
+        if not self.mechanism.timed and sticking.stands(self.moving, q, t):
             qd[:], self.integrated = 0.0, self.mode._replace(stands=True)
         self._watch(t)
 
@@ -149,7 +165,23 @@ class Phases:
         self.guards = sorted(found, key=lambda x: (x.kind != "slips", x.joint, x.side))
         left = self._margins(np.array([t]), self.y[None])[0] if self.still else []
         self.guards += [Guard("holds", k, 0) for k, x in enumerate(left) if math.isfinite(x)]
+        self.guards += [self._pause(j) for j in self._released()]
         self.functions = [self._function(guard, t) for guard in self.guards]
+
+    def _released(self) -> list[int]:
+        """The joints at rest that nothing holds, and that laws of the time may move."""
+        if not self.mechanism.driven:
+            return []
+        return [*self.paused, *(joint for joint in self.still if joint not in self.mode.held)]
+
+    def _pause(self, joint: int) -> Guard:
+        """It lasts until the joint moves faster than steps may miss."""
+        slow = self.slow
+
+        def left(q: Array, qd: Array) -> Array:
+            return slow - np.abs(qd[:, joint])
+
+        return Guard("pauses", joint, 0, left, lambda q, qd: slow + np.abs(qd[:, joint]))
 
     def _function(self, guard: Guard, t: float) -> EventFunction:
         values = partial(self._value, guard)
@@ -185,7 +217,7 @@ class Phases:
 
         Those of a stop only as long as the joint does not turn back: it is met where it stands.
         """
-        if not missed or guard.kind in ("slips", "holds"):
+        if not missed or guard.kind in ("slips", "holds", "pauses"):
             return values + missed
         way = guard.side if guard.kind == "presses" else -guard.side
         onward = way * y[:, self.mechanism.n + guard.joint] + ONWARD * missed
@@ -216,16 +248,19 @@ class Phases:
     def _margins(self, t: Array, y: Array) -> Array:
         q = y[:, : self.mechanism.n]
         forces = self._forces(t, y)
-        return sticking.margins(self.mechanism, self.mode, self.still, q, forces, self.bounds)
+        standing = self.mode, self.still
+        return sticking.margins(self.mechanism, *standing, q, forces, self.bounds, t)
 
     # -- from one to the next ----------------------------------------------------------------------
 
     def ends_run(self, place: int) -> str:
         """What ends the run where the guard at a place does; nothing where the run goes on."""
         kind, joint, side, *_ = self.guards[place]
-        if kind != "inside" or (joint, side) in self.restitutions:
+        thrown = (joint, side) in self.restitutions and joint not in self.led
+        if kind != "inside" or thrown:
             return ""
         name, end = self.mechanism.link_names[joint], self.ends[joint, side]
+        self.led_on = joint in self.led
         return f"q{joint + 1} ({name}) passes its {end_word(side)}, {end:.9g}"
 
     def next(self, t: float, y: Array, place: int) -> Array:
@@ -237,6 +272,10 @@ class Phases:
         guard, q, qd = self.guards[place], *self._split(y)
         rests = {joint for joint in self.still if joint in self.dry}
         touches, pushing = set(self.touches), set(self.mode.pressed)
+        released = guard.joint if guard.kind == "pauses" else None
+        if released is not None:
+            rests.discard(released)
+            touches = {end for end in touches if end[0] != released}
         if guard.kind == "presses":
             pushing.remove((guard.joint, guard.side))
         if guard.kind == "apart":
@@ -248,7 +287,7 @@ class Phases:
         # a joint that starts from rest slips at least until its rate is more than is missed
         begins = guard.kind == "slips" and bool(self.idle) and guard.joint in self.started
         self.doubts = self.doubts + 1 if begins or (inside and not meets) else 0
-        ends = set(sticking.touching(self.mechanism, q, qd)) - touches
+        ends = set(sticking.touching(self.mechanism, q, qd, t)) - touches
         hits = self._run_into(ends, qd)
         if meets:
             hits = sorted({*hits, (guard.joint, guard.side)})
@@ -263,12 +302,12 @@ class Phases:
             q[joint] = self.ends[joint, side]
         if hits and self.mechanism.rows:
             # closures may tie some of these joints to one another
-            fixed = sticking.independent(self.mechanism, [joint for joint, _ in hits], q)
+            fixed = sticking.independent(self.mechanism, [joint for joint, _ in hits], q, t)
             q[:] = close_positions(self.mechanism, q, fixed, t=t)
-            ends = set(sticking.touching(self.mechanism, q, qd)) - touches
+            ends = set(sticking.touching(self.mechanism, q, qd, t)) - touches
             hits = sorted({*hits, *self._run_into(ends, qd)})
-        if standing := sorted(rests | {joint for joint, _ in touches}):
-            qd[:], also = sticking.stopped(self.mechanism, q, qd, standing)
+        if standing := sorted((rests | {joint for joint, _ in touches}) - set(self.led)):
+            qd[:], also = sticking.stopped(self.mechanism, q, qd, standing, t)
             rests |= set(also)
         self.y, self.hits = y, hits
         if hits:
@@ -280,15 +319,15 @@ class Phases:
         if hits:
             met = touches | stands | set(hits)
             rests, touches = rest & set(self.dry), {x for x in met if x[0] in rest}
-        was, stood, rates = self.mode, set(self.still), self.letting_go(guard, t, y)
+        was, stood, rates = self.mode, {*self.still, *self.paused}, self.letting_go(guard, t, y)
         starting = {joint: 1 if rate > 0.0 else -1 for joint, rate in rates.items()}
         begun = self.started if self.idle and not hits else set()  # and have not moved since
-        touches |= {x for x in sticking.touching(self.mechanism, q, qd) if x[0] in rest - begun}
+        touches |= {x for x in sticking.touching(self.mechanism, q, qd, t) if x[0] in rest - begun}
         starting |= {j: way for j, way in self.mode.slips if j in (begun & rest) - rests}
         rests |= set(starting) & set(self.dry)
         if begins and self.doubts < DOUBTS:
             starting = {guard.joint: guard.side}
-        self._enter(t, rests, touches, pushing, starting)
+        self._enter(t, rests, touches, pushing, starting, released)
         self._note(t, was, stood)
         if len(y) > 2 * self.mechanism.n:  # what is lost at once is work as well
             self.y[-1] += self._energy(self.moving, self.y) - before
@@ -300,7 +339,8 @@ class Phases:
             return {}
         forces, q = self._forces(np.array([t]), y[None])[0], self._split(y)[0]
         standing = sticking.Standing(self.mode, self.still)
-        return sticking.starting_at(self.mechanism, standing, q, forces, self.bounds, guard.joint)
+        place = guard.joint
+        return sticking.starting_at(self.mechanism, standing, q, forces, self.bounds, place, t)
 
     def _run_into(self, touches: set[End], qd: Array) -> list[End]:
         """Return the ends of `touches` that the rates qd (n) run into."""
@@ -333,7 +373,7 @@ class Phases:
         for joint, side in set(was.pressed) - set(self.mode.pressed):
             self._tell(t, self.y, joint, f"leaves its {end_word(side)}")
         for joint in self.dry:
-            if (joint in stood) != (joint in self.still):
+            if (joint in stood) != (joint in self.still or joint in self.paused):
                 self._tell(t, self.y, joint, "starts" if joint in stood else "stops")
 
     def _tell(self, t: float, y: Array, joint: int, what: str) -> None:
@@ -342,6 +382,7 @@ class Phases:
 
 
 SLACK = 1e-10  # part of the rates by which a condition may be missed
+SLOW = 1e-11  # part of the fastest joint's rate below which a joint that is led has none
 INSTANT = 8.0  # roundings of the time that are none
 LOW = 4.0 * ROUNDING  # part of where its end is: so low a bounce rounding does not show
 BLUR = 0.1  # part of its rate that a joint thrown back so little may lose or gain
@@ -367,7 +408,7 @@ class Bounces:
         """
         ends, every = sorted(touches), restitutions(self.mechanism)
         own = [every[end] for end in ends]
-        p, jumps = impulses(self.mechanism, q, qd, ends, own)
+        p, jumps = impulses(self.mechanism, q, qd, ends, own, t)
         after = _settled(qd, jumps @ p)
         leaving = [-side * float(after[joint]) for joint, side in ends]
         tied = [
@@ -397,7 +438,7 @@ class Bounces:
         if changed:
             least = None if any(kept[k] is None for k in changed) else 0.0
             kept = [least if _tied(jumps, changed, k) else part for k, part in enumerate(kept)]
-            after = rates_after(self.mechanism, q, qd, ends, kept)
+            after = rates_after(self.mechanism, q, qd, ends, kept, t)
         return after
 
     def _resolves(self, joint: int, v: float, back: float) -> bool:
@@ -421,16 +462,18 @@ def rates_after(
     qd: Array,
     touches: Sequence[End],
     parts: Sequence[float | None],
+    t: float,
 ) -> Array:
-    """qd (n) after an impact at q; `touches` are joints and the sides of their stops.
+    """qd (n) after an impact at q and t; `touches` are joints and the sides of their stops.
 
     `parts` are their restitutions.  Those whose restitution is None are at rest from then on: what
     they have left to bounce, others may have thrown them, is over at once, and the impulses of all
     that are one, p of any sign.
 
-    Raises SingularError where no impulses throw all of them back.
+    Raises SingularError where no impulses throw all of them back, LawError where a law of the time
+    does not let them.
     """
-    p, jumps = impulses(mechanism, q, qd, touches, parts)
+    p, jumps = impulses(mechanism, q, qd, touches, parts, t)
     return _settled(qd, jumps @ p)
 
 
@@ -455,11 +498,12 @@ def impulses(
     qd: Array,
     touches: Sequence[End],
     parts: Sequence[float | None],
+    t: float,
 ) -> tuple[Array, Array]:
     """Those of `rates_after`, p (k), and how each makes qd jump, (n, k)."""
     joints = [joint for joint, _ in touches]
     ways = -np.array([side for _, side in touches], float)  # in which stops are left
-    jumps = (ways[:, None] * responses(mechanism, q, joints, 0.0)).T  # of qd (n, k) by each impulse
+    jumps = (ways[:, None] * responses(mechanism, q, joints, t)).T  # of qd (n, k) by each impulse
     W, v = ways[:, None] * jumps[joints], ways * qd[joints]
     bounced = v + np.array([e or 0.0 for e in parts]) * v
     least = np.array([-np.inf if e is None else 0.0 for e in parts])
@@ -468,4 +512,7 @@ def impulses(
         return p, jumps
     names = ", ".join(mechanism.link_names[joint] for joint in joints)
     limit = "no impulses throw all of them back"
+    if mechanism.driven:
+        limit = f"cannot be kept at t = {t:.9g} s: the stops of {names} leave it no way"
+        raise law_error(mechanism, mechanism.driven[0], limit)
     raise SingularError(f"impact of {names}", where=mechanism.source, limit=limit)

@@ -438,7 +438,8 @@ def refused(mechanism: Mechanism) -> str:
     Of a mechanism with contacts, each mode is one for itself.
     """
     if mechanism.rubbing:
-        return "friction by the forces in pins and slides has no series"
+        place = mechanism.rubbing_place(mechanism.rubbing[0])
+        return f"friction by the force in a pin or slide, as {place} is, has no series"
     if mechanism.switches:
         return "contacts change how it moves"
     if loop_terms(mechanism) > LARGEST:

@@ -26,6 +26,12 @@ def scene_text(name: str) -> str:
     return (_directory() / f"{name}.yaml").read_text(encoding="utf-8")
 
 
+def scene_table(name: str) -> tuple[str, str] | None:
+    """The name and the text of the table that a scene reads; None if it has none."""
+    path = _directory() / f"{name}.csv"
+    return (path.name, path.read_text(encoding="utf-8")) if path.is_file() else None
+
+
 def example_file(name: str) -> Path | None:
     """The example that a bare word names, None where it names none: no folder, no suffix."""
     bare = Path(name).name == name and not Path(name).suffix

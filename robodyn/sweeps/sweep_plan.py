@@ -191,15 +191,14 @@ class Plan:
     def columns(self) -> list[str]:
         """The names of the columns; the last, `outcome`, is text."""
         mechanism = self.mechanism
-        joints = range(1, mechanism.n + 1)
+        joints = column_names(mechanism, ["q", "qd"])
         names = [axis.name for axis in self.variation.axes]
         if self.kind == "torque":
             return [*names, *(self.told or column_names(mechanism, TORQUE)), "outcome"]
         if "final" in self.results:
-            names += ["t_end", *(f"{x}{k}_end" for x in ("q", "qd") for k in joints)]
+            names += [f"{x}_end" for x in ("t", *joints)]
         if "extremes" in self.results:
-            names += [f"{x}{k}_{end}" for x in ("q", "qd") for k in joints for end in _ENDS]
-            names += [f"energy_{end}" for end in _ENDS]
+            names += [f"{x}_{end}" for x in (*joints, "energy") for end in _ENDS]
         names += [name for name in ("drift", "flip") if name in self.results]
         names += [f"{name}_{what}" for name, _ in self.events for what in ("count", "first")]
         return [*names, *self.told, "outcome"]
