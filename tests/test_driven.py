@@ -2,12 +2,13 @@
 
 import json
 import math
+import re
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from conftest import ROOT
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 from random_mechanisms import mechanism
 from robodyn import (
@@ -53,6 +54,13 @@ links:
   - {name: rocker,  m: 1.0, l: 0.80, r: 0.36, I: 0.061, from: [1.1, 0.0]}
 closures: [[coupler, rocker]]
 couplings: "q1 = 5 rad/s t + 0.3 sin(2 t)"
+"""
+TWO_SLIDES = """
+links:
+  - {{name: a, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0}}
+  - {{name: b, joint: prismatic, axis: [0, 1], m: 0.5, l: 0, r: 0, I: 0, from: [0.3, 0]}}
+couplings:
+  - "q2 = {law}"
 """
 CAR_AXIS = """
 gravity: 1
@@ -361,9 +369,51 @@ class TestFaults:
     def test_a_law_that_ends_on_the_way(self):
         mech = mechanism(ROD.replace("3 rad/s t", "1 - sqrt(1 - t)"))
         motion = simulate(mech, [0, 0.1], [0.5, 0], 2.0)
-        assert motion.outcome is not Outcome.FINISHED
+        assert motion.outcome is Outcome.LAW
         assert motion.report.t_reached == pytest.approx(1.0, abs=1e-3)
         assert "couplings[0] = 1 - sqrt(1 - t)" in motion.report.advice
+
+    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("law", ["sqrt(q1)", "q1**1.5", "q1**2.5"])
+    def test_a_law_of_joints_that_leaves_its_domain(self, law, method):
+        """The free way s of two masses has s' = v0 (M(s0) / M(s))^(1/2), M = m1 + m2 f'^2."""
+        mech = mechanism(TWO_SLIDES.format(law=law))
+        k = {"sqrt(q1)": 0.5, "q1**1.5": 1.5, "q1**2.5": 2.5}[law]
+
+        def mass(s):
+            return 1.0 + 0.5 * (k * s ** (k - 1.0)) ** 2
+
+        ends = quad(lambda s: (mass(s) / mass(0.5)) ** 0.5, 0.0, 0.5, limit=200)[0]
+        start = [0.5, 0.5**k], [-1.0, -k * 0.5 ** (k - 1.0)]
+        motion = simulate(mech, *start, 2.0, method=method)
+        assert motion.outcome is Outcome.LAW
+        assert motion.report.t_reached == pytest.approx(ends, abs=1e-4)
+        assert np.isfinite(motion.q).all()
+        why = r"(has no value at q1 = -|cannot be kept at t = 0\.)"
+        assert re.match(re.escape(f"couplings[0] = {law}: ") + why, motion.report.advice)
+
+    @pytest.mark.parametrize(
+        ("law", "method"),
+        [
+            ("sqrt(q1)", "RK45"),
+            ("0.1/q1", "DOP853"),
+            ("0.1/q1", "taylor"),
+            *(("q1**2.5", method) for method in METHODS),
+        ],
+    )
+    def test_a_law_that_a_driven_joint_leads_out_of_its_domain(self, law, method):
+        """The law that ends is named, not the one of the time that leads to its end."""
+        mech = mechanism(TWO_SLIDES.format(law=law) + '  - "q1 = 0.5 - t"\n')
+        value, slope = {
+            "sqrt(q1)": (0.5**0.5, 0.5**0.5),
+            "0.1/q1": (0.2, -0.4),
+            "q1**2.5": (0.5**2.5, 2.5 * 0.5**1.5),
+        }[law]
+        motion = simulate(mech, [0.5, value], [-1.0, -slope], 2.0, method=method)
+        assert motion.outcome is Outcome.LAW
+        assert motion.report.t_reached == pytest.approx(0.5, abs=5e-3)
+        assert f"couplings[0] = {law}: has " in motion.report.advice
+        assert "q1 = " in motion.report.advice
 
     @pytest.mark.parametrize("method", ["DOP853", "taylor"])
     def test_the_limit_of_a_driven_joint_ends_a_run(self, method):

@@ -231,7 +231,7 @@ def check_laws(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike | None, t: Arra
             at = {name: at[name] for name in at if f"q{int(name[1:]) - 1}" in law.names}
             if "t" in law.names:
                 at["t"] = now
-            told = ", ".join(f"{name} = {x:.9g}" for name, x in at.items())
+            told = ", ".join(f"{name} = {x:.15g}" for name, x in at.items())
             limit = f"has {what} at {told or 'this state'}"
             place = f"couplings[{row - first}]"
             raise LawError(place, where=mechanism.source, value=law.text, limit=limit)

@@ -17,7 +17,7 @@ import numpy as np
 
 from robodyn.dynamics import closed_form
 from robodyn.engines import straightline
-from robodyn.engines.coupling_laws import check_laws
+from robodyn.engines.coupling_laws import check_laws, laws_of
 from robodyn.engines.factors import svd
 from robodyn.engines.formulas import projection_formula
 from robodyn.errors import LawError
@@ -52,6 +52,7 @@ STRAIGHT, STRAIGHT_OPEN, FEW = 800, 300, 8
 PASSES = 4
 KEPT = 1e-9  # part of the loop's size by which laws of the time may be missed
 LOST = 1e-4  # s/L below which a law of the time leads to a singular configuration
+STEEP = 0.1 / LOST  # times the loop's size: larger derivatives of a law are why a state is near one
 
 
 def dense_closing(mechanism: Mechanism) -> Closing:
@@ -64,6 +65,8 @@ def dense_closing(mechanism: Mechanism) -> Closing:
         closed[:n] = close_positions(mechanism, y[:n], t=t)
         qd = closed[n : 2 * n] / units
         Psi = closed_form.scaled_jacobian(mechanism, closed[:n], t)
+        if not np.isfinite(Psi).all():  # outside the domain of a law
+            return np.full(len(y), np.nan), 0.0
         U, s, Vt = svd(Psi)
         held = s > CUT * s[0]
         opening = Psi @ qd
@@ -156,6 +159,7 @@ def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
     if not gap.max() <= KEPT * size:
         why = f"{gap.max():.3g} m are missing"
     elif nearness(mechanism, Psi) <= LOST:
+        _check_steep(mechanism, q, t, Psi)
         why = "the loops are at a singular configuration there, or laws repeat one another"
     if why:
         worst = max(mechanism.driven, key=lambda r: gap[r])
@@ -168,6 +172,35 @@ def law_error(mechanism: Mechanism, row: int, limit: str) -> LawError:
     assert law is not None
     what = f"couplings[{row - mechanism.first_coupling}]"
     return LawError(what, where=mechanism.source, value=law.text, limit=limit)
+
+
+def _check_steep(mechanism: Mechanism, q: Array, t: float, Psi: Array) -> None:
+    """Raise LawError, which names the law, if a law's derivative by a joint is too large at q (n,).
+
+    Psi is (r, n), scaled.
+    """
+    laws = laws_of(mechanism)
+    if laws is None:
+        return
+    steepest = max(range(laws.count), key=lambda i: np.abs(Psi[laws.places[i]]).max())
+    row = laws.places[steepest]
+    if np.abs(Psi[row]).max() <= STEEP * loop_size(mechanism):
+        return
+    slopes = laws.slopes(q, t)[steepest]
+    joint = int(np.argmax(np.abs(slopes)))
+    at = f"q{joint + 1} = {q[joint]:.9g}, t = {t:.9g} s"
+    limit = f"has the derivative {slopes[joint]:.3g} by q{joint + 1} at {at}: too steep to follow"
+    raise law_error(mechanism, row, limit)
+
+
+def _check_domain(mechanism: Mechanism, q: Array, qd: Array, t: float) -> None:
+    """Raise LawError: no closed state near (q, qd), (n,) each, is within the domain of its laws."""
+    check_laws(mechanism, q, qd, t)
+    gap = np.abs(closed_form.closure_gap(mechanism, q, t))
+    rows = [r for r, row in enumerate(mechanism.rows) if row.law is not None]
+    worst = max(rows, key=lambda r: gap[r])
+    why = "no state within its domain is near enough"
+    raise law_error(mechanism, worst, f"cannot be kept at t = {t:.9g} s: {why}")
 
 
 class Projection:
@@ -190,6 +223,9 @@ class Projection:
             return closed
         if quality > SUSPECT:
             return closed
+        if self.mechanism.laws and not np.isfinite(closed).all() and np.isfinite(y).all():
+            n = self.mechanism.n
+            _check_domain(self.mechanism, y[:n], y[n : 2 * n], t)
         q = y[: self.mechanism.n]
         if self.misses.near(q):
             return closed

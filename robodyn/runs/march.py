@@ -236,8 +236,12 @@ class Run:
         except SingularError:
             self.outcome = Outcome.SINGULAR
         except (LawError, NotSettledError) as error:
-            self.outcome = Outcome.LAW if isinstance(error, LawError) else Outcome.FRICTION
-            self.report.advice = f"{error.what} = {error.value}: {error.limit}"
+            self.end_by(error)
+
+    def end_by(self, error: LawError | NotSettledError) -> None:
+        """Set the outcome, and the advice that names the law, or the friction."""
+        self.outcome = Outcome.LAW if isinstance(error, LawError) else Outcome.FRICTION
+        self.report.advice = f"{error.what} = {error.value}: {error.limit}"
 
     def _leg(self, due: Due, keeps: bool) -> Generator[Segment, None, Cut | None]:
         """The segments up to the end, or to what cuts the last of them."""
@@ -405,6 +409,10 @@ def run(
         near = statistics.last_singular
         if near is not None and near < NEARLY_SINGULAR:
             run.outcome = Outcome.SINGULAR
+    if mechanism.laws and run.outcome in (Outcome.STEP_TOO_SMALL, Outcome.SINGULAR):
+        law = undefined_beyond(mechanism, run.t, run.y, run.t_end)
+        if law is not None:
+            run.end_by(law)
     record = Record(run, statistics)
     if run.actuation.control is not None:  # it may follow another run before it is asked
         record.settle()
@@ -417,16 +425,13 @@ def run(
 def _advice(run: Run) -> str:
     """What to do about a run that ended before its time, where more is known than its outcome."""
     mechanism, outcome, control = run.mechanism, run.outcome, run.actuation.control
-    told, lost = "", outcome in (Outcome.STEP_TOO_SMALL, Outcome.SINGULAR)
+    told = ""
     if run.phases is not None and run.phases.led_on:
         told = LED
     if not told and control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
         told = no_hold(mechanism, control)
     if not told and mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL:
         told = near_table_end(mechanism, run.t, run.y)
-    if not told and mechanism.laws and lost:
-        law = undefined_beyond(mechanism, run.t, run.y, run.t_end)
-        told = "" if law is None else f"{law.what} = {law.value}: {law.limit}"
     return told or run.report.advice
 
 
