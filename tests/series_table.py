@@ -118,7 +118,7 @@ def by_machine_code(name, which, lanes=1):
     """By the code of steps; of one lane it is that which `SeriesEngine` runs."""
     one, actuation, _ = known(name, which)
     if lanes == 1:
-        made, code, _, _ = compiled(name, which)._made(None)
+        (made, code, *_), _ = compiled(name, which)._made(None)
     else:
         made = Scene(one.mech, actuation, ORDER, work=True, closes=False)
         code = machine_motion.compile(made, Observer(), lanes)
