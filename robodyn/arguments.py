@@ -57,7 +57,8 @@ def argument_check(function: FunctionType) -> Callable[[Sequence[Any], Mapping[s
             if not test(value if array is None else array):
                 told = shown(repr(value)) if isinstance(value, _PLAIN) else type(value).__name__
                 raise InputError(name, where=where, value=told, limit=f"must be {words}")
-            if type(value) in _WHOLE or type(value).__module__.startswith("robodyn."):
+            own = type(value) in _WHOLE or type(value).__module__.startswith("robodyn.")
+            if own and not is_array:
                 right.add((name, type(value)))  # what it is tells all
             if array is not None:
                 if not (of_states and name in STATE):  # which such functions look at themselves

@@ -307,8 +307,8 @@ class TestServes:
             )
             for tau in ([1.0, 0.0, 0.0], [2.5, 0.0, 0.0])
         ]
-        assert len({id(x._made(None).code) for x in made}) == 1
-        assert len({x._made(None).block.tobytes() for x in made}) == 4
+        assert len({id(x._made(None)[0].code) for x in made}) == 1
+        assert len({x._made(None)[1].block.tobytes() for x in made}) == 4
 
 
 def test_from_rest_at_right_angles_to_gravity_only_every_fourth_coefficient_is_left():
