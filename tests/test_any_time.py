@@ -66,6 +66,33 @@ class TestAnyTime:
         with pytest.raises(InputError, match=r"t = 0.9: must be within the run, 0 to 0.8 s"):
             jumps.at([0.1, 0.9])
 
+    @pytest.mark.parametrize("method", ["DOP853", "taylor"])
+    def test_a_joint_that_starts_on_its_stop(self, method, tmp_path):
+        """Thrown off its stop at once, the block rises as q = t - g t^2/2."""
+        path = tmp_path / "block.yaml"
+        path.write_text(
+            "gravity: 9.81\nlinks:\n  - {name: block, joint: prismatic, axis: [0, 1], m: 1, "
+            "l: 0.1, r: 0, I: 0, limits: {min: 0, restitution: 0.5}}\n"
+        )
+        motion = simulate(load(path), [0.0], [-2.0], 0.1, method=method)
+        times = np.linspace(1e-3, 0.1, 7)
+        assert motion.at(times)[0][:, 0] == pytest.approx(times - 9.81 * times**2 / 2, abs=1e-9)
+
+    def test_the_same_times_have_the_same_bytes(self):
+        mech = load("robots/2r.yaml")
+        times = np.linspace(0.0, 1.0, 7)
+        one, two = (simulate(mech, [0.3, 0.4], [1.0, 0.0], 1.0) for _ in range(2))
+        two.at(0.77)
+        assert all(np.array_equal(a, b) for a, b in zip(one.at(times), two.at(times), strict=True))
+
+    def test_a_time_that_is_no_number_is_refused(self):
+        motion = simulate(load("robots/2r.yaml"), [0.3, 0.4], [1.0, 0.0], 0.1)
+        for wrong in ("soon", [0.05, "soon"], None, object()):
+            with pytest.raises(InputError, match=r"t = .*must be"):
+                motion.at(wrong)
+        with pytest.raises(InputError, match="must be within the run"):
+            motion.at(math.nan)
+
     def test_what_has_no_steps_has_its_start(self):
         motion = simulate(load("robots/2r.yaml"), [0.3, 0.4], [1.0, 0.0], 0.0)
         assert motion.at(0.0)[0].tolist() == [0.3, 0.4]

@@ -21,7 +21,6 @@ from robodyn.runs.machine_motion import Status
 from robodyn.runs.report import Outcome
 from robodyn.runs.series_engine import SeriesEngine
 from robodyn.runs.simulation import Motion, simulate
-from robodyn.runs.watch import Events
 from robodyn.scene.quantities import parse_vector
 
 METHODS: list[dict[str, Any]] = [
@@ -355,7 +354,9 @@ def test_what_closures_keep_at_zero_is_told_to_be_zero(how: dict[str, Any]) -> N
     qd = loop_rates.loop_velocities(mechanism, q, np.array([6.0]), t=0.0)
     motion = simulate(mechanism, q, qd, 0.5, events={"sum": "q2 + q3"}, max_evals=5000, **how)
     assert motion.events == []
-    assert motion.report.remarks == ["sum is zero to rounding from t = 0 to 0.5 s"]
+    (remark,) = motion.report.remarks
+    assert remark.startswith("sum is zero to rounding from t = 0 to ")
+    assert remark.endswith(" to 0.5 s")  # in parts, where the scatter is seen
 
 
 @pytest.mark.parametrize(
@@ -411,20 +412,16 @@ def test_a_step_next_to_a_change_point_is_made_again(tol: float) -> None:
 
 
 def test_no_more_events_are_held_than_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are made when they are asked for, the first of them; all are counted."""
+    """The first of them are kept; all are counted."""
     monkeypatch.setattr("robodyn.runs.watch.MOST", 100)
     pendulum, *_ = start("pendulum", 0.0)
     named = {"method": "taylor", "rtol": 1e-4, "atol": 1e-4}
     given = pendulum, [0.3], [0.0], 600.0
     motion = simulate(*given, **named, events={"turns": "qd1"})
     events = motion.events
-    assert isinstance(events, Events)
-    assert len(events) == len(events._watch.made()) == 100
+    assert len(events) == 100
     assert motion.report.events["turns"] > 700
     assert "the first 100 events are kept" in motion.report.remarks
-    assert len(list(events)) == len(events) == 100
-    assert events[:3] == list(events)[:3]
-    assert events[-1] is list(events)[-1]
     both = simulate(*given, **named, events={"back": "qd1 < 0", "down": "q1 < -90deg"})
     assert [e.name for e in both.events[:4]] == ["down", "back", "down", "back"]
     assert (np.diff([e.t for e in both.events]) > 0.0).all()

@@ -6,7 +6,7 @@ All that is asked of a run beyond its steps (rows, events, statistics) reads the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -158,28 +158,20 @@ def solver_segment(begun: Array, steps: Sequence[KeptStep]) -> Segment:
     t = np.array([steps[0].t_old, *(step.t for step in steps)])
     y = np.array([begun, *(step.y for step in steps)])
 
-    @cache
-    def outputs() -> list[Any]:
-        return [getattr(x, "_dense", x) for x in (step.dense_output() for step in steps)]
-
-    @cache
-    def powers() -> tuple[Array, Array]:
-        """Of DOP853: what its polynomials are made of."""
-        each = outputs()
-        return np.array([one.F for one in each]), np.array([one.y_old for one in each])
-
     def plain(places: Places, times: Array) -> Array:
         """States that the method has, not closed."""
-        each = outputs()
+        asked, which = np.unique(places, return_inverse=True)
+        each = [steps[j].dense_output() for j in asked.tolist()]
+        each = [getattr(one, "_dense", one) for one in each]
         if type(each[0]).__name__ != "Dop853DenseOutput":
-            states = [each[j](at) for j, at in zip(places.tolist(), times.tolist(), strict=True)]
-            return np.array(states)
-        F, begun = powers()
-        some, x = F[places], ((times - t[places]) / (t[places + 1] - t[places]))[:, None]
+            pairs = zip(which.tolist(), times.tolist(), strict=True)
+            return np.array([each[k](at) for k, at in pairs])
+        F, begun = (np.array([getattr(one, name) for one in each]) for name in ("F", "y_old"))
+        some, x = F[which], ((times - t[places]) / (t[places + 1] - t[places]))[:, None]
         found = some[:, -1] * x
         for i in range(1, some.shape[1]):  # as each of them does by itself
             found = (found + some[:, -1 - i]) * (1.0 - x if i % 2 else x)
-        return np.asarray(found + begun[places])
+        return np.asarray(found + begun[which])
 
     def inside(places: Places, times: Array) -> Array:
         states = plain(places, times)

@@ -111,13 +111,6 @@ class Chunk(NamedTuple):
     status: Status
     terms: Complex | None = None
 
-    def first(self, steps: int, direction: float) -> Chunk:
-        """The first steps, and the rows within them."""
-        t = self.t[:steps]
-        end = t[-1] * direction if steps else -np.inf
-        rows = int(np.searchsorted(self.row_t * direction, end, "right"))
-        return Chunk(t, self.y[:steps], self.row_t[:rows], self.row_y[:rows], Status.FULL)
-
 
 STEPS = 128  # at a time, at first: between them the run can be watched and interrupted
 ROWS = 16384  # of one call: no step begins when there are more

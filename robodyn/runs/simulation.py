@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics import dynamics
+from robodyn.dynamics import dynamics, placed
 from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError, printable
 from robodyn.loops import loop_rates
@@ -81,10 +81,10 @@ class Motion:
         """q and qd (..., n) at any times t (...) within the run, s; rad and rad/s, m and m/s.
 
         The first call takes the run's steps once more and keeps them, with all states between.
-        At an impact the rates are those before it.  Raises InputError for a time outside, and of a
-        motion that was pickled.
+        At an impact the rates are those before it.  Raises InputError for a time outside or that is
+        no number, and of a motion that was pickled.
         """
-        times = np.asarray(t, float)
+        times = placed.numbers("t", t)
         first, last = self._segments[0].t[0], self._segments[-1].t[-1]
         low, high = min(first, last), max(first, last)
         inside = (times >= low) & (times <= high)
@@ -107,11 +107,18 @@ class Motion:
         """Those of the run, each with the states between its steps."""
         if self._again is None:
             raise InputError("at", limit="a motion that was pickled has its rows alone")
-        run, found = self._again(), []
+        run = self._again()
+        found: list[Segment] = []
         begun = Segment(np.array([0.0, 0.0]), np.stack([run.y, run.y]))
-        for segment in run.segments(keeps=True):
-            segment.at(segment.t[:1] + 0.5 * (segment.t[1] - segment.t[0]))  # by today's torques
-            found.append(segment)
+        try:
+            for segment in run.segments(keeps=True):
+                if not len(segment):  # of a leg that takes no time
+                    continue
+                middle = segment.t[:1] + 0.5 * (segment.t[1] - segment.t[0])
+                segment.at(middle)  # by the torques of now, which legs after it may change
+                found.append(segment)
+        except CallerError as failed:
+            raise failed.error from None
         return found or [begun]
 
     @cached_property

@@ -8,9 +8,9 @@ that close.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,34 +50,6 @@ class Event(NamedTuple):
     t: float
     y: Array
     apart: float = 0.0
-
-
-class Events(Sequence[Event]):
-    """The events of a run in their order, the first MOST of them; made when one is asked for."""
-
-    def __init__(self, watch: EventWatch) -> None:
-        self._watch = watch
-
-    def __len__(self) -> int:
-        return min(sum(self._watch.happened), MOST)
-
-    @overload
-    def __getitem__(self, i: int) -> Event: ...
-
-    @overload
-    def __getitem__(self, i: slice) -> list[Event]: ...
-
-    def __getitem__(self, i: int | slice) -> Event | list[Event]:
-        return self._watch.made()[i]
-
-    def __iter__(self) -> Iterator[Event]:
-        return iter(self._watch.made())
-
-    def __eq__(self, other: object) -> bool:
-        return self._watch.made() == (list(other) if isinstance(other, Events) else other)
-
-    def __repr__(self) -> str:
-        return repr(self._watch.made())
 
 
 class Cut(NamedTuple):
@@ -131,7 +103,7 @@ class EventWatch:
     columns: StateColumns | None = None
 
     def __post_init__(self) -> None:
-        self.kept: list[Event] = []
+        self.found: list[Event] = []  # in their order, the first MOST of them
         self.grazes: dict[str, list[float]] = {}
         self.hidden: dict[str, list[tuple[float, float]]] = {}
         self.lost: dict[str, list[float]] = {}
@@ -143,20 +115,6 @@ class EventWatch:
         self.watched = self.functions
         self.may_end = bool(self.stops)  # whether an event may end the run, or a phase of it
         self._touched: list[tuple[float, float] | None] = [None] * len(self.signs)
-        # rows of events not yet among those kept: place, time, apart, state
-        self._waiting: list[tuple[int, float, float, Array]] = []
-
-    @property
-    def found(self) -> Events:
-        """The events in their order, the first MOST of them."""
-        return Events(self)
-
-    def made(self) -> list[Event]:
-        """The events; what was found becomes some now."""
-        waiting, self._waiting = self._waiting, []
-        names = [function.name for function in self.functions]
-        self.kept += [Event(names[i], t, y, apart) for i, t, apart, y in waiting]
-        return self.kept
 
     def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
         """How often each event happened, and each of some others."""
@@ -179,7 +137,7 @@ class EventWatch:
             found.append(f"{name} is zero to rounding from t = {_listed(told)} s")
         for name, times in self.lost.items():
             found.append(f"{name} passes zero too often to be followed, from t = {_listed(times)}")
-        blurred = [event for event in self.made() if event.apart > self.instant]
+        blurred = [event for event in self.found if event.apart > self.instant]
         if blurred:
             worst = max(blurred, key=lambda event: event.apart)
             found.append(
@@ -255,8 +213,9 @@ class EventWatch:
     def _tell(self, one: Passing, y: Array) -> None:
         i = one.place
         self.happened[i] += 1
-        if sum(self.happened) <= MOST:
-            self._waiting.append((i, one.t, one.apart, y[: self.width]))
+        if len(self.found) < MOST:
+            name = self.functions[i].name
+            self.found.append(Event(name, one.t, y[: self.width], one.apart))
 
     def _end_phase(self, cut: Passing, passed: Sequence[Passing]) -> None:
         """Know the signs where the motion goes on in another way than the segment has it.
@@ -488,7 +447,6 @@ def _cut(
     found = stretches(_sampled(switch, segment), begin, end, budget)
     shown = (found.sign != 0) | found.stays  # what rounding hides is passed over
     sign, sure, at = found.sign[shown], found.sure[shown], found.begin[shown]
-    last = found.sure[shown]
     turns = (sign[1:] != sign[:-1]).nonzero()[0]
     if not len(turns):
         return begin, end
@@ -498,7 +456,7 @@ def _cut(
         met: Array = np.sign(values) == to[k]
         return met
 
-    ends = last[turns], sure[turns + 1], at[turns + 1]
+    ends = sure[turns], sure[turns + 1], at[turns + 1]
     low, high, _ = brackets(_along(switch, segment), met, *ends)
     forward = segment.forward
     at = np.searchsorted(begin * forward, low * forward, side="right") - 1
