@@ -1,15 +1,15 @@
-"""The global error of a simulation: estimated, and kept below what is asked for.
+"""The global error of a simulation: its estimate, and runs that keep it below a bound.
 
-A tolerance bounds what one step may miss; how that grows over a run is the motion's own affair
-(of a chaotic one, exponentially).  So the error is measured: two runs of different tolerance differ
-by the error of the looser one.  For an accuracy A the tolerance starts at A/100 and is divided by
-100 until two runs in a row differ by A at most; the last of them is taken, whose own error is
-smaller still.
+A tolerance bounds the error of one step.  How errors grow over a run depends on the motion (in a
+chaotic one, exponentially).  So the error is measured: two runs of different tolerances differ by
+the error of the looser one.  For an accuracy A, the tolerance starts at A/100 and is divided by 100
+until two successive runs differ by at most A. The last run is taken; its own error is smaller
+still.
 
-At a hard stop rates jump, and two runs have the jump at times that differ a little.  There they
-differ by A at most where their rates do so at all times that are more than A (s) from an impact of
-either; their angles do so at all times.  (As motions with jumps are compared: Goebel, Sanfelice,
-Teel, "Hybrid Dynamical Systems", 2012, 4.4.)
+At a hard stop rates jump, and two runs jump at slightly different times.  Their rates are compared
+at times more than A (s) away from an impact of either run; their angles are compared at all times.
+(As motions with jumps are compared: Goebel, Sanfelice, Teel, "Hybrid Dynamical Systems", 2012,
+4.4.)
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ TIGHTER = 100.0  # factor between the tolerances of two runs
 
 
 class AccuracyError(RobodynError):
-    """The accuracy that was asked for is beyond what double precision keeps of this motion."""
+    """The requested accuracy is beyond double precision for this motion."""
 
 
 def error_estimate(
     mechanism: Mechanism, state: Array, t_end: float, actuation: Actuation, settings: Settings
 ) -> float:
-    """About the largest error of q (rad) and qd (rad/s) along a run, by a run 100 times as tight.
+    """Estimate the largest error of q (rad) and qd (rad/s), by a run 100 times as tight.
 
-    They are compared at the ends of the run's steps and between them.  The tighter run errs as
-    well: by a percent of that, with Radau, the worst, by a quarter.  So a third is added.
-    nan where there is no tighter run, or one of the two does not finish.
+    Runs are compared at the ends of steps and between them.  The tighter run has an error too, at
+    most a quarter of the difference (Radau), so a third is added.  Returns nan if no tighter
+    tolerance exists, or if one of the runs does not finish.
     """
     if tighter(settings) is None:
         return np.nan
@@ -67,9 +67,9 @@ def settings_for(
     settings: Settings,
     accuracy: float,
 ) -> tuple[Settings, float]:
-    """Settings whose run errs by `accuracy` (rad, rad/s) at most, and the estimate that says so.
+    """Return settings whose run keeps the error below `accuracy` (rad, rad/s), and the estimate.
 
-    Raises AccuracyError where no tolerance keeps it, InputError for an accuracy that is none.
+    Raises AccuracyError if no tolerance suffices, and InputError for an accuracy outside (0, 1).
     """
     if not (0.0 < accuracy < 1.0):
         raise InputError("accuracy", value=accuracy, limit="must be in (0, 1)")
@@ -117,7 +117,7 @@ def best_method(mechanism: Mechanism, actuation: Actuation) -> str:
 
 
 def tighter(settings: Settings) -> Settings | None:
-    """Settings a hundred times as tight; None where the method takes none three times as tight."""
+    """Return settings 100 times as tight; None if the method cannot be 3 times as tight."""
     least = settings.smallest_rtol
     rtol, atol = (max(x / TIGHTER, least) for x in (settings.rtol, settings.atol))
     if rtol * 3.0 > settings.rtol and atol * 3.0 > settings.atol:
@@ -126,9 +126,9 @@ def tighter(settings: Settings) -> Settings | None:
 
 
 class Sampled(NamedTuple):
-    """The states (T, 2n) of a run, and what work its steps missed, of the energy in motion.
+    """States y (T, 2n) of a run, and the work that its steps missed over the energy in motion.
 
-    `apart` (T,) is how far in time each is from an impact, s.
+    `apart` (T,) is the time between each state and the nearest impact, s.
     """
 
     y: Array
@@ -137,9 +137,9 @@ class Sampled(NamedTuple):
 
 
 class _Motion:
-    """A motion, and the times at which runs of it are compared: where the first run may err most.
+    """A motion with the times at which its runs are compared: `CUTS` times per step.
 
-    An error peaks where the motion is fast, and so are the steps short: `CUTS` times a step.
+    Errors peak while the motion is fast, and there steps are short.
     """
 
     def __init__(self, of: tuple[Mechanism, Array, float, Actuation], settings: Settings) -> None:
@@ -159,9 +159,9 @@ class _Motion:
             self.times = self.times[:-1]
 
     def tighter(self, settings: Settings) -> Settings | None:
-        """Tighter settings, whose steps are shorter too where no tolerance had chosen them.
+        """Return tighter settings; their steps are also shorter if no tolerance limits them.
 
-        The series errs by less without, as its order is higher.
+        The series needs no shorter steps: its order rises with the tolerance.
         """
         tight = tighter(settings)
         if tight is None or settings.method == "taylor":
@@ -169,7 +169,7 @@ class _Motion:
         return replace(tight, max_step=0.5 * min(settings.max_step, self.longest))
 
     def sampled(self, settings: Settings) -> Sampled | None:
-        """A run's states at the times, or None if it, or the first one, cannot go on before."""
+        """Return a run's states at the times; None if it ends otherwise than the first run."""
         if self.outcome not in (Outcome.FINISHED, Outcome.LIMIT):
             return None
         rows: list[Array] = []
@@ -182,7 +182,7 @@ class _Motion:
         return Sampled(y, record.settle().work_missed, self._apart(record))
 
     def _apart(self, record: Record) -> Array:
-        """How far the times are from the contacts of a run, where its rates may jump."""
+        """Return the distance in time (T,) from the nearest hard impact of a run, s."""
         jumps = HARD in self._of[0].contacts
         hits = np.array([event.t for event in record.contacts if jumps])
         if not len(hits):
@@ -193,7 +193,7 @@ class _Motion:
 
 
 def difference(first: Sampled | None, second: Sampled | None) -> float:
-    """About the error of the first run; both err by what work both have missed."""
+    """Estimate the error of the first run, including the work that both runs missed."""
     if first is None or second is None:
         return np.nan
     n = first.y.shape[1] // 2

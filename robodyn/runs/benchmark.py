@@ -1,12 +1,10 @@
-"""Speed against error of every method on one motion, and of the evaluators on single states.
+"""Speed against error of every integration method on one motion.
 
-Errors are measured against motions in extended precision; no error below its uncertainty is
-claimed.  Seconds are those of whole runs, statistics included, taken in turn: the median and the
-least.
-
-Taylor series of two orders and steps run over numpy's longdouble (64 bits of mantissa where the
-platform has them).  What the two differ by is the uncertainty of the reference: no error below it
-can be claimed.  Rounding of the constants themselves, which every run shares, is no part of it.
+Errors are measured against a reference in extended precision.  Two Taylor series of different order
+and step size run over numpy's longdouble (64 bits of mantissa where the platform has them).  Their
+difference is the uncertainty of the reference; no error below it is reported.  Rounding of the
+scene's constants is shared by all runs and is not included.  Times are those of whole runs with
+statistics, repeated in turn: the median and the least.
 """
 
 from __future__ import annotations
@@ -55,16 +53,16 @@ PASSES = 4  # of rates, each of which leaves a part of 1e-8 at most
 
 
 class Reference(NamedTuple):
-    """States (T, 2n) at the times asked for, and what two computations of them differ by."""
+    """Reference states y (T, 2n) at output times, and their uncertainty."""
 
     y: Array
     uncertainty: float
 
 
 def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actuation) -> Reference:
-    """The motion from `state` (2n,) at t = 0, at increasing `times` > 0.
+    """Return the motion from `state` (2n,) at increasing `times` > 0, in extended precision.
 
-    Raises InputError if a torque has no series, RobodynError if the motion cannot be followed.
+    Raises InputError if a torque has no series, and RobodynError if the motion cannot be followed.
     """
     mechanism.check_rubbing("series of many digits, which errors are measured against,")
     if mechanism.switches:
@@ -88,7 +86,7 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
 
 
 class _Task(NamedTuple):
-    """See `reference`."""
+    """Arguments of `reference`."""
 
     mechanism: Mechanism
     state: Array
@@ -97,7 +95,7 @@ class _Task(NamedTuple):
 
 
 def _followed(task: _Task, step: _Series) -> Long:
-    """Return the states (T, 2n) at the times of the task, by steps of a series."""
+    """Return the states (T, 2n) at the times of the task, integrated by a series."""
     mechanism, state, times, actuation = task
     closing = _Closing(mechanism)
     y, t, rows = closing(LONG(0.0), state.astype(LONG)), LONG(0.0), []
@@ -123,7 +121,7 @@ def _lost(mechanism: Mechanism, why: str) -> RobodynError:
 
 
 def _convolve(x: Long, y: Long, m: int, first: int, last: int) -> Any:
-    """Sum of x_j y_{m-j} for j from first to last."""
+    """Return the sum of x_j y_{m-j} for j from first to last."""
     return np.dot(x[first : last + 1], y[m - last : m - first + 1][::-1])
 
 
@@ -138,7 +136,7 @@ LONGS = Arithmetic(
 
 
 class _Series:
-    """The series of a motion in extended precision, by how the switches of its torques stand."""
+    """The series of a motion in extended precision, one program per state of torque switches."""
 
     def __init__(self, task: _Task, order: int, tolerance: float) -> None:
         mechanism, _, _, actuation = task
@@ -150,9 +148,9 @@ class _Series:
         self.lightest = min(mechanism.inertias.values())
 
     def __call__(self, t: Any, y: Long, stop: Any) -> tuple[Any, Long] | None:
-        """Return a step's length from t and y, at most to `stop`, and the state after it.
+        """Take a step from (t, y), at most to `stop`; return its length and the state after it.
 
-        None if no step leads on.
+        Returns None if no step succeeds.
         """
         held = None if self.actuation.pieces is None else self.actuation.pieces.at(float(t))
         if held not in self.made:
@@ -182,10 +180,10 @@ class _Series:
         return motion.expand(LONGS, numbers, order, start), list(start.w), motion.arms
 
     def agrees(self, series: Coefficients, held: Any, x: Any, t: Any, y: Long) -> bool:
-        """Whether what may bend, x after the series began, is at t and y what the series say.
+        """Return whether the series still holds at x after its start, at time t and state y.
 
-        A difference that changes no rate by more than its rounding counts as none; and nothing
-        strays on the way.
+        Torques that may bend are compared with their series there, and no argument may stray on the
+        way.  Differences that change no rate beyond rounding are ignored.
         """
         try:
             found, _, arms = self.expanded(self.made[held], t, y, 1)
@@ -203,7 +201,7 @@ class _Series:
 
 
 def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
-    """The state at h after y, where the series begin."""
+    """Return the state at time h after y, the start of the series."""
     n = mechanism.n
     z = np.array(series.rho, LONG) + 1j * np.array(series.theta, LONG)
     orders = np.arange(z.shape[1]).astype(LONG)
@@ -215,13 +213,13 @@ def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
 
 
 def _constants(mechanism: Mechanism) -> Any:
-    """The arrays of the mechanism in extended precision."""
+    """Return the mechanism's arrays in extended precision."""
     given: Iterable[Any] = mechanism.arrays
     return Arrays(*(x.astype(COMPLEX if np.iscomplexobj(x) else LONG) for x in given))
 
 
 class _Closing:
-    """The nearest closed state, by Newton steps: what a step in floats leaves, the next removes."""
+    """Projects a state onto the closures by Newton steps whose matrix is in double precision."""
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism, self.n, self.x = mechanism, mechanism.n, _constants(mechanism)
@@ -243,14 +241,14 @@ class _Closing:
         return np.concatenate([q, rates * self.x.units])
 
     def _inverse(self, t: Any, q: Long) -> Array:
-        """That of Psi, in floats."""
+        """Return the pseudoinverse of Psi in double precision."""
         U, s, Vt = svd(scaled_jacobian(self.mechanism, q.astype(float), float(t)))
         if s[-1] < TOO_NEAR * loop_size(self.mechanism):
             raise _TooNear
         return np.asarray((Vt.T / s) @ U.T)
 
     def _step(self, t: Any, states: Long, _: Any) -> tuple[Any, Long]:
-        """Whether the one state (1, n) is closed, and its step."""
+        """Return whether the single state (1, n) is closed, and its Newton step."""
         (q,) = states
         step: Long = self.x.units * (self._inverse(t, q) @ exact_gap(self.mechanism, q, t))
         closed = np.abs(step).max() < 10.0 * np.finfo(LONG).eps
@@ -271,7 +269,7 @@ MAX_EVALUATIONS = 1_000_000
 
 @dataclass(slots=True)
 class Measurement:
-    """One method at one tolerance."""
+    """Speed and error of one method at one tolerance."""
 
     method: str
     tolerance: float
@@ -290,7 +288,7 @@ class Measurement:
 
 @dataclass(slots=True)
 class Benchmark:
-    """Measurements of all methods, and how far the reference can be trusted."""
+    """Measurements of all methods, and the reference with its uncertainty."""
 
     reference: Reference
     measurements: list[Measurement]
@@ -308,9 +306,9 @@ def benchmark(
     patience: float = PATIENCE,
     watch: Watch = lambda part: None,
 ) -> Benchmark:
-    """Every method at every tolerance on the motion from `state` (2n,) at t = 0 to t_end > 0.
+    """Measure every method at every tolerance on the motion from `state` (2n,) to t_end > 0.
 
-    Raises RobodynError if the reference cannot be computed, InputError if a torque has no series.
+    Raises RobodynError if no reference can be computed, and InputError if a torque has no series.
     """
     times = np.linspace(0.0, t_end, TIMES + 1)[1:]
     exact = reference(mechanism, state, times, actuation)
@@ -375,7 +373,7 @@ def benchmark(
 def _methods(
     mechanism: Mechanism, actuation: Actuation
 ) -> tuple[list[tuple[str, Settings]], list[str]]:
-    """Names and settings of the methods that serve this motion; which do not, and why."""
+    """Return names and settings of the methods that serve this motion, and why others do not."""
     names = [(method, Settings(method)) for method in METHODS if method != "taylor"]
     left_out = []
     try:
@@ -387,7 +385,10 @@ def _methods(
 
 
 def _mark_front(found: list[Measurement], uncertainty: float) -> None:
-    """Mark those that none is both faster and better than; errors in the noise are equal."""
+    """Mark measurements with no other both faster and more accurate.
+
+    Errors below the uncertainty count as equal.
+    """
     best = np.inf
     for each in sorted(found, key=lambda x: (x.least if x.least == x.least else np.inf, x.error)):
         if each.outcome == Outcome.FINISHED.label and each.error < best:

@@ -1,12 +1,13 @@
 """Derivatives of a motion by numbers of its scene and by start values: differences of runs.
 
-Six runs with x + h in place of the number x give the slope of (q, qd) at x: that of the polynomial
-through them and the run itself.  With h of +-s, +-s/2, +-s/4 it is the central difference,
-extrapolated twice.  A number at its bound is moved to one side alone.  The first runs choose s.
+Up to six runs with x + h in place of the number x give the derivative of (q, qd) by x: the slope at
+x of the polynomial through these runs and the run itself.  With h = +-s, +-s/2, +-s/4 this is the
+central difference, extrapolated twice.  A number at its bound is moved to one side only.  The first
+runs determine s.
 
-Each row takes, of the polynomials through some of the runs, to both sides or to one, that of the
-least error: by how much it moves without its outermost runs, and what the runs' tolerance makes.
-Runs that have had other contacts by then are left out; so rows beside an impact are right.
+Each row takes the polynomial with the least error, through some of the runs, on both sides or on
+one.  Its error is its change when the outermost runs are left out, plus the effect of the runs'
+tolerance.  Runs with other contacts up to a row are left out, so rows next to an impact are right.
 """
 
 from __future__ import annotations
@@ -55,9 +56,9 @@ _START = re.compile(r"(q|qd)([1-9][0-9]*)", re.ASCII)
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Derivatives of (q, qd) at rows (T, 2n, k) by each of k names; nan where they are withheld.
+    """Derivatives (T, 2n, k) of (q, qd) at rows by each of k names; nan where withheld.
 
-    `errors` are the largest error of each name's derivatives, a part of the largest of them.
+    `errors` has the largest error of each name's derivatives, relative to the largest derivative.
     """
 
     names: tuple[str, ...]
@@ -73,15 +74,15 @@ class Sensitivities:
 
 
 def columns(n: int, names: Sequence[str]) -> list[str]:
-    """The names of columns: dq1/NAME is d(q1)/d(NAME)."""
+    """Return column names: dq1/NAME is d(q1)/d(NAME)."""
     state = [f"d{kind}{i + 1}" for kind in ("q", "qd") for i in range(n)]
     return [f"{x}/{name}" for name in names for x in state]
 
 
 class Numbers:
-    """A mechanism by numbers of its scene, and its start q, qd (2n) by numbers and start values.
+    """Builds a mechanism and its start (q, qd) (2n,) from numbers of a scene and start values.
 
-    `make` builds a mechanism from a scene.  Raises InputError for names of no number.
+    `make` builds a mechanism from a scene.  Raises InputError if a name is no number of the scene.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class Numbers:
                 raise InputError(", ".join(others), where=where, limit=limit)
 
     def _start_place(self, name: str) -> int | None:
-        """The place in (q, qd) of a start value; None for other names."""
+        """Return the index in (q, qd) of a start value; None for other names."""
         mechanism, match = self.mechanism, _START.fullmatch(name)
         if name.startswith("start."):
             limit = "is where assembly begins; name a start value, q1 or qd1"
@@ -122,14 +123,17 @@ class Numbers:
         return joint + n * (match[1] == "qd")
 
     def value(self, name: str) -> float:
-        """The number or start value of this name."""
+        """Return the number or start value of this name."""
         if name in self.starts:
             return float(self.state[self.starts[name]])
         assert self.values is not None
         return self.values.number(name)
 
     def size(self, name: str, t_end: float) -> float:
-        """The size of a number; of one that is 0 the size, by its unit, of what it is added to."""
+        """Return the magnitude of a number, to scale its step.
+
+        For a number that is 0 it follows from its unit and the scene's lengths, mass and duration.
+        """
         links = self.mechanism.description.links
         length = max((abs(x) for link in links for x in (link.l, link.r) if x), default=1.0)
         if name in self.starts:
@@ -143,10 +147,10 @@ class Numbers:
         return float(np.prod([scales.get(base, 1.0) ** power for base, power in powers]))
 
     def at(self, values: Mapping[str, float]) -> tuple[Mechanism, Array]:
-        """The mechanism with these numbers, and its start with these start values.
+        """Return the mechanism with some numbers replaced, and its start.
 
-        Joints that follow others close the loops.  Raises InputError for values that no scene has,
-        and for loops that do not close.
+        Dependent joints are assembled.  Raises InputError if a value is not allowed in a scene, or
+        if the loops do not close.
         """
         moved, start, n = self.mechanism, self.state.copy(), self.mechanism.n
         if numbers := {x: value for x, value in values.items() if x not in self.starts}:
@@ -166,7 +170,7 @@ class Numbers:
 
 @dataclass
 class _Run:
-    """A run's states (T, 2n) at the rows, nan beyond its end, and its contacts' times and names."""
+    """A run with one number changed: states y (T, 2n), nan beyond its end, and its contacts."""
 
     change: float
     y: Array
@@ -174,7 +178,7 @@ class _Run:
     outcome: Outcome
 
     def as_at(self, other: _Run, times: Array) -> Array:
-        """Its states, nan in rows up to which it has had other contacts than another run."""
+        """Return the states, with nan in rows before which the two runs had different contacts."""
         if not self.contacts and not other.contacts:
             return self.y
         both = [np.array([abs(t) for t, _ in run.contacts]) for run in (self, other)]
@@ -198,9 +202,9 @@ def sensitivities(
     rows: Array,
     watch: Callable[[float], bool] | None = None,
 ) -> Sensitivities:
-    """The derivatives at times `rows` (T,) of the motion that begins at t = 0.
+    """Return the derivatives at times `rows` (T,) of the motion that starts at t = 0.
 
-    Raises RobodynError where no other value of a number has a motion.
+    Raises RobodynError if the motion exists for no other value of a number.
     """
     state, names = numbers.state, numbers.names
     times, place = np.unique(np.abs(rows), return_inverse=True)
@@ -258,7 +262,7 @@ def sensitivities(
 
 
 def _runs_of(moved: Callable[[float], _Run], size: float, base: _Run, times: Array) -> list[_Run]:
-    """Six runs at most, of steps that suit how far runs bend."""
+    """Return up to six runs, with steps chosen by how nonlinear the runs are."""
     fault: RobodynError | None = None
 
     def tried(change: float) -> _Run | None:
@@ -296,7 +300,7 @@ def _runs_of(moved: Callable[[float], _Run], size: float, base: _Run, times: Arr
 def _to_one_side(
     tried: Callable[[float], _Run | None], first: _Run, base: _Run, times: Array
 ) -> Iterator[_Run]:
-    """More runs to the side of the first."""
+    """Yield more runs on the side of the first."""
     h, half = first.change, tried(0.5 * first.change)
     if half is None:
         return
@@ -315,7 +319,7 @@ def _to_one_side(
 
 @np.errstate(all="ignore")
 def _bent(base: _Run, pair: Sequence[_Run], times: Array) -> float:
-    """By which part of itself the slope differs between two runs, in the last quarter of rows."""
+    """Return the relative difference of slopes between two runs, over the last quarter of rows."""
     away = [run.as_at(base, times) - base.y for run in pair]
     a, b = (y / run.change for y, run in zip(away, pair, strict=True))
     bend, slope = (np.abs(x).max(axis=1) for x in (a - b, a + b))
@@ -325,7 +329,7 @@ def _bent(base: _Run, pair: Sequence[_Run], times: Array) -> float:
 
 @np.errstate(all="ignore")
 def _apart(base: _Run, runs: Sequence[_Run], times: Array) -> float:
-    """By which part of itself the slope of a first pair of runs differs from that of the next."""
+    """Return the relative difference between the slopes of the first two pairs of runs."""
     a, b, c, d = (run.as_at(base, times) for run in runs)
     first, then = (a - b) / (2.0 * runs[0].change), (c - d) / (2.0 * runs[2].change)
     size = np.fmax.accumulate(np.abs(then).max(axis=1))
@@ -337,10 +341,10 @@ def _apart(base: _Run, runs: Sequence[_Run], times: Array) -> float:
 def _slopes(
     base: _Run, runs: Sequence[_Run], times: Array, size: float, tolerance: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """The slopes (T, 2n), their errors (T, 2) and where no run has the events of the run itself.
+    """Return slopes (T, 2n), their errors (T, 2), and rows where all runs differ in events (T,).
 
-    The first error is by how much a polynomial without its outermost runs differs, the second what
-    the runs' tolerance makes.
+    The first error is the change if the outermost runs are left out, the second the effect of the
+    runs' tolerance.
     """
     away = {run.change: run.as_at(base, times) - base.y for run in runs}
     differ = np.array(np.isnan([*away.values()]).any(axis=2).all(axis=0))
@@ -408,11 +412,11 @@ def tell(
     y: Array,
     tau: Array,
 ) -> None:
-    """Tell a run's report the errors of its derivatives, and those of the time that ended it.
+    """Add to a report the errors of derivatives, and the derivatives of the run's end time.
 
-    The last of times t (T,), states y (T, 2n or more) and torques tau (T, n) are those of the end,
-    where `moving` moves.  With g the function of the event and s = d(q, qd)/dp there, dt/dp =
-    -g_y s/g', g' its rate along the motion.
+    The last of times t (T,), states y (T, 2n or more) and torques tau (T, n) belong to the end, in
+    the mode `moving`.  With g the event function and s = d(q, qd)/dp there, dt/dp = -g_y s/g', g'
+    its rate along the motion.
     """
     report.sensitivity_errors = found.errors
     report.remarks = [*report.remarks, *found.withheld]

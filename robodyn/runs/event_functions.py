@@ -1,14 +1,14 @@
-"""Events as people write them: `q1 > 90deg`, or `qd1`, a function whose changes of sign count.
+"""Event functions: `q1 > 90deg`, or `qd1`, whose changes of sign are events.
 
-An expression knows the time t, the joints' q1.. and qd1.., and the columns of states by their names
-(`state_columns.py`); it takes what torques take.
+An expression may use the time t, joint positions q1.. and rates qd1.., and columns of states by
+their names (`state_columns.py`), with the functions that torques may use.
 
-Between the zeros of its switches an expression is smooth: `abs(x)` bends where x passes zero,
-`floor(x)` jumps where sin(pi x) does, `a if b > c else d` may jump where b - c does, `sqrt(x)` ends
-there.
+An expression is smooth between the zeros of its switches: `abs(x)` bends at the zeros of x,
+`floor(x)` jumps at those of sin(pi x), `a if b > c else d` may jump at those of b - c, and
+`sqrt(x)` ends at those of x.
 
-How far off rounding may leave an expression: each operation hands on how far its operands may be
-off, by its largest slopes in that reach, and adds a rounding of its own.  What jumps stays.
+Rounding errors are bounded operation by operation: each passes on the errors of its operands,
+multiplied by its largest slopes within reach, and adds a rounding of its own.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ _SCOPE |= {"_pow": np.power, "_where": np.where}
 
 @dataclass(frozen=True)
 class Part:
-    """A function of time and state: `values(t (k,), y (k, 2n or more))`, nan where undefined.
+    """A function of time and state: `values(t (k,), y (k, 2n or more))`; nan if undefined.
 
-    `noise` bounds what rounding may have added to them along boxes of times t (m, k) in which the
-    states are y (m, k, 2n or more): (m, k or 1).  The steps that have the boxes go from and to
-    states whose numbers are as `large` (m, 2n or more): a state is rounded as these are.
+    `noise(t, y, large)` bounds the rounding error of its values on boxes with times t (m, k) and
+    states y (m, k, 2n or more), as (m, k or 1).  `large` (m, 2n or more) is the largest size of
+    each state component over the step of each box, which sets how states are rounded.
     """
 
     values: Values
@@ -70,11 +70,10 @@ _WRITE = {
 class EventFunction(Part):
     """A function whose changes of sign are events.
 
-    `way` 1: where it becomes positive, -1: negative, 0: both.  Where it stays at zero a comparison
-    holds if it has an equality (not `strict`).  It is smooth where none of its `switches`, which
-    are smooth between zeros of those before them, passes zero.  Where it is seen to have one sign,
-    it may touch zero, but not pass.  `computed`: columns of states are among
-    what it names.
+    `way` is 1 if it must become positive, -1 if negative, 0 for both.  A comparison that stays at
+    zero holds unless it is `strict`.  The function is smooth between the zeros of its `switches`;
+    each switch is smooth between the zeros of those before it.  A function that `has_one_sign` may
+    touch zero but not cross it.  `computed` tells whether it uses columns of states.
     """
 
     name: str
@@ -88,10 +87,10 @@ class EventFunction(Part):
 def event_function(
     mechanism: Mechanism, name: str, text: str, where: str, columns: StateColumns | None = None
 ) -> EventFunction:
-    """The event at which a comparison becomes true, or at which a function passes zero.
+    """Return the event function of an expression or a comparison.
 
-    Raises InputError, naming `where`, for what is neither.  Columns of states that it names are
-    those of `columns`, of a run.
+    Columns of states are taken from `columns`, which belong to a run.  Raises InputError that names
+    `where` if the text is neither.
     """
     tree, way, strict = _read(mechanism, text, where)
     if columns is not None and any(x.startswith(PREFIX) for x in names_of(tree)):
@@ -101,7 +100,7 @@ def event_function(
 
 @lru_cache(maxsize=256)
 def _read(mechanism: Mechanism, text: str, where: str) -> tuple[Node, int, bool]:
-    """The function of an event, the way that counts, and whether equality is none."""
+    """Return the tree of an event's function, its way, and whether the comparison is strict."""
     try:
         constants = {**CONSTANTS, **numbers_of(mechanism.description.constants)}
         found = expressions(text, variables(mechanism), constants)
@@ -156,14 +155,14 @@ def _made(
 
 
 def _computed(tree: Node) -> list[str]:
-    """The variables of an expression that are columns of states."""
+    """Return the variables of an expression that are columns of states, sorted."""
     return sorted(x for x in names_of(tree) if x.startswith(PREFIX))
 
 
 def event_functions(
     mechanism: Mechanism, given: Mapping[str, str], columns: StateColumns | None = None
 ) -> tuple[EventFunction, ...]:
-    """Events by their names; InputError for a name or an expression that is none."""
+    """Return event functions by name; raise InputError for a bad name or expression."""
     if type(given) is not dict and not isinstance(given, Mapping):
         kind = type(given).__name__
         raise InputError("events", value=kind, limit="must be a mapping of names to expressions")
@@ -178,7 +177,7 @@ def event_functions(
 
 
 def must_be_text(what: str, value: object) -> None:
-    """Raise InputError where a value is no text."""
+    """Raise InputError if a value is not text."""
     if not isinstance(value, str):
         raise InputError(what, value=repr(value), limit="must be text, such as 'q1 > 90deg'")
 
@@ -189,7 +188,7 @@ def _check(name: object, text: object) -> None:
 
 
 def _for_arrays(node: tuple[Any, ...]) -> Node:
-    """`a if b else c` of arrays, and comparisons as 0.0 and 1.0."""
+    """Rewrite `a if b else c` and comparisons for numpy arrays."""
     if node[0] in WAYS:
         return "*", node, 1.0
     return ("where", *node[1:]) if node[0] == "if" else node
@@ -216,9 +215,9 @@ def _vectorised(tree: Node, n: int, columns: StateColumns | None) -> Values:
 
 
 def named_events(mechanism: Mechanism, texts: Iterable[str], taken: str) -> dict[str, str]:
-    """The expressions of NAME=EXPR by their names; InputError, naming --event, for what is none.
+    """Parse options NAME=EXPR into expressions by name; InputError names --event.
 
-    None may have the name that is `taken`.
+    No event may have the name `taken`.
     """
     given: dict[str, str] = {}
     for text in texts:
@@ -239,7 +238,7 @@ def named_events(mechanism: Mechanism, texts: Iterable[str], taken: str) -> dict
 
 
 def switches(tree: Node) -> list[Node]:
-    """Functions between whose zeros the expression is smooth, each once, what they hold first."""
+    """Return the functions between whose zeros an expression is smooth, innermost first."""
     found = fold(tree, lambda x: {}, _switches)
     return [switch for switch in found if names_of(switch)]
 
@@ -250,7 +249,7 @@ def _switches(node: tuple[Any, ...], parts: list[dict[Node, None]]) -> dict[Node
 
 
 def has_one_sign(node: Node) -> bool:
-    """Whether an expression says that it is nowhere below zero: abs(x), sqrt(x), their powers."""
+    """Return whether an expression is never negative by its form: abs(x), sqrt(x), powers."""
     while type(node) is tuple:
         operation, *parts = node
         if operation in ("abs", "sqrt", "hypot"):
@@ -262,7 +261,7 @@ def has_one_sign(node: Node) -> bool:
 
 
 def _own(operation: str, *x: Node) -> list[Node]:
-    """The switches of an operation, less those of its parts."""
+    """Return the switches of an operation itself, without those of its operands."""
     match operation:
         case "<" | "<=" | ">" | ">=":
             return [("-", *x)]
@@ -292,7 +291,7 @@ def _own(operation: str, *x: Node) -> list[Node]:
 
 
 def _whole(x: Node) -> Node:
-    """What passes zero where x is a whole number."""
+    """Return a tree that is zero if x is a whole number."""
     return "sin", ("*", math.pi, x)
 
 
@@ -326,7 +325,7 @@ def _positive(x: Any) -> Any:
 def bound_of(
     tree: Node, n: int, columns: StateColumns | None = None
 ) -> Callable[[Array, Array, Array], Array]:
-    """The bound (m, k or 1) on the rounding of an expression's values along boxes: see `Part`."""
+    """Return a function that bounds the rounding error of an expression: see `Part.noise`."""
 
     def bound(t: Array, y: Array, large: Array) -> Array:
         off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)
@@ -397,7 +396,7 @@ def _power(base: Bounded, exponent: Bounded) -> Bounded:
     varies = bool(np.any(db))
 
     def largest(p: Any) -> Any:
-        """Of the powers of a in its reach."""
+        """Return the largest power |a|^p within the reach of the base."""
         powers = [np.power(x, y) for x in ends for y in ((p - db, p + db) if varies else (p,))]
         return np.maximum.reduce(np.broadcast_arrays(*powers))
 

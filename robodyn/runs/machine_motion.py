@@ -1,8 +1,8 @@
-"""Motions in machine code: steps until each lane has arrived, or cannot go on.
+"""Whole motions in machine code: steps until each lane has arrived or cannot go on.
 
 The kernel `advance(block, budget, own)` takes up to `budget` steps of the lanes whose status is
-RUNNING, and returns how many it took; what a step leaves behind an observer keeps, `own` is its
-argument.  Masks are selects: no lane's numbers depend on its neighbours.
+RUNNING, and returns their number.  An observer stores what the steps produce; `own` is its
+argument.  Lanes are masked by selects, so the numbers of a lane do not depend on its neighbours.
 """
 
 from __future__ import annotations
@@ -46,25 +46,25 @@ class Status(IntEnum):
 
 
 class Observer:
-    """What is kept of steps: `begin` writes what comes before a step, `step` what follows it."""
+    """Stores results of steps: `begin` runs before each step, `step` after it."""
 
     key = ""
 
     def declare(self, scene: Scene, module: Module) -> None:
-        """Functions that it calls."""
+        """Write functions that the observer calls."""
 
     def finish(self, scene: Scene, module: Module) -> None:
-        """Functions that call those of the motion."""
+        """Write functions that call those of the motion."""
 
     def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
-        """Before each step; `leave(condition)` ends the call."""
+        """Write code before each step; `leave(condition)` ends the call."""
 
     def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
-        """After a step of the lanes `take` to the time `end`, before the state is renewed."""
+        """Write code after a step of the lanes `take` to `end`, before the state is replaced."""
 
 
 class Loaded(NamedTuple):
-    """The kernels that Python calls, of blocks at an address."""
+    """Compiled kernels that take the address of a block."""
 
     close: Callable[[int], Any] | None  # where there are closures to keep
     advance: Callable[[int, int, int], int]
@@ -73,12 +73,12 @@ class Loaded(NamedTuple):
     code: Code
 
     def block(self) -> NDArray[np.float64]:
-        """A block of zeros, whose vectors cross no line of the cache."""
+        """Return a zeroed block, aligned to cache lines."""
         return aligned(self.items * self.lanes)
 
 
 def aligned(size: int) -> NDArray[np.float64]:
-    """Zeros from the beginning of a line of the cache on."""
+    """Return zeros, aligned to a cache line."""
     room = np.zeros(size + ALIGNED)
     return room[-(room.ctypes.data // 8) % ALIGNED :][:size]
 
@@ -94,7 +94,10 @@ def kept(
     lanes: int,
     family: str = "",
 ) -> Any:
-    """What is loaded of the code of a text, made once a process; None: there is none."""
+    """Return the loaded kernels for `key`, compiling them the first time.
+
+    Returns None if machine code cannot be made.
+    """
     found = key, lanes, family
     with _making:  # all threads get the same
         if found not in _made:
@@ -106,9 +109,9 @@ def kept(
 
 
 def compile(scene: Scene, observer: Observer, lanes: int, family: str = "") -> Loaded | None:
-    """The machine code of a scene, for all of its shape; None: there is none.
+    """Return the machine code of a scene, shared by all scenes of its shape.
 
-    Raises ZeroDivisionError where no state has a series.
+    Returns None if machine code cannot be made.  Raises ZeroDivisionError if no state has a series.
     """
 
     def load(code: Code) -> Loaded:
@@ -122,7 +125,7 @@ def compile(scene: Scene, observer: Observer, lanes: int, family: str = "") -> L
 
 
 def text(scene: Scene, observer: Observer, processor: Processor) -> str:
-    """All kernels of a scene."""
+    """Return the LLVM text of all kernels of a scene."""
     module = Module(processor.lanes, short=True, together=processor.together)
     scene.write(module)
     if scene.closing is not None:
@@ -148,7 +151,7 @@ def text(scene: Scene, observer: Observer, processor: Processor) -> str:
 
 
 def _write_close(scene: Scene, module: Module, formula: Formula) -> None:
-    """Newton's method as `straightline.compile_closing` has it, lane by lane."""
+    """Write `close(block)`: Newton's method of `straightline.compile_closing`, lane by lane."""
     k, block = scene.kernel(module, "close")
     n, rows = scene.mechanism.n, len(formula.pivots)
     outputs = [*formula.outputs, *formula.pivots]
@@ -195,7 +198,7 @@ def _write_close(scene: Scene, module: Module, formula: Formula) -> None:
 
 
 def _write_leaps(scene: Scene, module: Module, formula: Formula) -> None:
-    """`leaps(block)`: no quality is left where a loop turns over between the step's ends."""
+    """Write `leaps(block)`: set quality to -1 if a loop turns over within the step."""
     k, block = scene.kernel(module, "leaps")
     names = [f"{name}{j}" for name in ("q", "qd") for j in range(scene.mechanism.n)]
     entries = [(r, j, x) for r, row in enumerate(formula.Psi) for j, x in row.items()]
@@ -222,7 +225,7 @@ class _Step(Items):
         self.k.call(name, self.block)
 
     def reach(self, h: Word) -> None:
-        """The state at h after the start."""
+        """Write the state at time h after the start."""
         k = self.k
         x = k.multiply(h, self.get("direction"))
         self.put("x", x)
@@ -230,7 +233,7 @@ class _Step(Items):
         self.call("evaluate")
 
     def _close(self) -> None:
-        """That state moved to the nearest that closes; of no quality where the step leapt."""
+        """Project that state; set its quality to -1 if the step leapt to another branch."""
         self.call("close")
         self.call("leaps")
 
@@ -290,7 +293,7 @@ class _Step(Items):
         self.put("status", k.select(mask, k.number(float(status)), self.get("status")))
 
     def _fastest(self, least: Word) -> Word:
-        """The largest of the joints' rates, or `least`."""
+        """Return the largest of the joints' rates, or `least`."""
         k, fast = self.k, least
         for j in range(self.scene.mechanism.n):
             size = k.intrinsic("fabs", self.get(f"qd{j}"))
@@ -298,10 +301,7 @@ class _Step(Items):
         return fast
 
     def _shorten(self, go: Word, h: Word, small: Word) -> None:
-        """Halve the step until the torque at its end is that of the series.
-
-        And until nothing within it strays from where the series hold.
-        """
+        """Halve the step until torques at its end equal their series and no argument strays."""
         k = self.k
         fast = self._fastest(k.number(0.0))
         miss = k.add(self.get("atol"), k.multiply(self.get("rtol"), fast))
@@ -317,7 +317,7 @@ class _Step(Items):
             self.reach(k.get(h))
 
     def _land(self, go: Word, h: Word) -> None:
-        """Where a step's end is no good start, a shorter part of it that is the best."""
+        """If the step's end is no good start, take the best of some shorter steps."""
         k = self.k
         suspect, whole = self.get("suspect"), k.get(h)
         poor = k.both(go, k.compare("ult", self.get("quality"), suspect))

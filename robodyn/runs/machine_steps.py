@@ -64,13 +64,12 @@ COMMON = (
 
 
 class Scene:
-    """A mechanism and its torques as a block's layout, code and numbers.
+    """A mechanism and its torques as layout, code and numbers of a block.
 
-    Without `closes` closures are not kept by projection.  With `rate_series` the series of the
-    joints' rates are among the items, from rate0_0 on, joint by joint, and that of `link` from
-    link0_0 on.
-    `kept` are items of an observer's own, with what they are at first; `motion` has the rows, where
-    these are not those of the mechanism.
+    Without `closes`, closures drift.  With `rate_series`, the series of joint rates are stored in
+    the block, from rate0_0 on, joint by joint; with `link`, also the series of that link's rate,
+    from link0_0 on.  `kept` are items of an observer with their initial values.  `motion` has the
+    rows of the program, if these are not those of the mechanism.
     """
 
     def __init__(
@@ -113,12 +112,12 @@ class Scene:
 
     @cached_property
     def loop(self) -> LoopExpansion:
-        """The formulas of a step; raises ZeroDivisionError where no state has a series."""
+        """Formulas of one step; raises ZeroDivisionError if no state has a series."""
         return loop_expansion(self.motion, self.order)
 
     @cached_property
     def closing(self) -> Formula | None:
-        """One Newton step."""
+        """Formula of one Newton step of the projection; None if closures are not kept."""
         formula = projection_formula(self.mechanism, generic=True) if self.closes else None
         if self.closes and formula is None:
             raise ZeroDivisionError("closures that no state can keep")
@@ -126,20 +125,20 @@ class Scene:
 
     @property
     def closing_names(self) -> dict[str, str]:
-        """The items of the numbers that it takes."""
+        """Names in the block of the numbers that the Newton step takes."""
         return {name[8:]: name for name in self.values if name.startswith("closing.")}
 
     # -- the block ---------------------------------------------------------------------------------
 
     @property
     def state(self) -> list[str]:
-        """The items of the state."""
+        """Names of the state's items."""
         names = [f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)]
         return [*names, "work"] if self.work else names
 
     @cached_property
     def place(self) -> dict[str, int]:
-        """Where each item stands; what Python writes or reads comes first."""
+        """Index of each item that Python reads or writes; these come first in the block."""
         n = self.mechanism.n
         names = [*self.state, *(f"to_{name}" for name in self.state), *COMMON]
         if self.linear:
@@ -148,12 +147,12 @@ class Scene:
 
     @cached_property
     def runs(self) -> tuple[list[Run], dict[str, int], int]:
-        """See `machine_sums.runs`."""
+        """The result of `runs` for the step's formulas."""
         return runs(self.loop)
 
     @cached_property
     def whole(self) -> dict[str, int]:
-        """Where all items stand, and where the tables of the code's own begin."""
+        """Index of each item, and of the first number of each internal table."""
         whole = dict(self.place)
         place = len(whole)
         for name, size in {**self.tables, "end": 0}.items():
@@ -164,7 +163,7 @@ class Scene:
 
     @property
     def tables(self) -> dict[str, int]:
-        """The sizes of the code's own tables."""
+        """Sizes of the internal tables."""
         turns, orders = 2 * self.mechanism.n + WIDE, self.order + 1
         return {
             "rows": (orders + 2) * len(self.loop.columns) + WIDE,
@@ -177,11 +176,11 @@ class Scene:
 
     @property
     def items(self) -> int:
-        """How many a block has."""
+        """Number of items in a block."""
         return self.whole["end"]
 
     def fill(self, block: Array, rtol: float, atol: float, project: float = 1.0) -> None:
-        """The scene's numbers and limits into a block (items, ...)."""
+        """Write the scene's numbers and tolerances into a block (items, ...)."""
         place, mechanism = self.place, self.mechanism
         size = loop_size(mechanism) if self.closes else 0.0
         lightest = min(mechanism.inertias.values())
@@ -201,16 +200,16 @@ class Scene:
     # -- code --------------------------------------------------------------------------------------
 
     def kernel(self, module: Module, name: str) -> tuple[Kernel, Word]:
-        """A kernel of one argument, the block."""
+        """Begin a kernel with the block as its only argument; return kernel and argument."""
         k = Kernel(module, name, (ADDRESS,), "void")
         return k, k.arguments[0]
 
     def at(self, k: Kernel, block: Word, name: str, place: int = 0) -> Word:
-        """The address of an item, or of one in a table."""
+        """Return the address of an item, or of number `place` of a table."""
         return k.at(block, self.whole[name] + place, k.numbers)
 
     def row(self, k: Kernel, block: Word, m: Word | int, column: int = 0) -> Word:
-        """The address of coefficient m of a series."""
+        """Return the address of coefficient m of series `column`."""
         width = len(self.loop.columns)
         if isinstance(m, int):
             return self.at(k, block, "rows", m * width + column)
@@ -218,11 +217,11 @@ class Scene:
         return self.at(k, row, "rows", column)
 
     def get(self, k: Kernel, block: Word, name: str) -> Word:
-        """An item."""
+        """Load an item."""
         return k.load(self.at(k, block, name))
 
     def put(self, k: Kernel, block: Word, name: str, value: Word) -> None:
-        """Write an item."""
+        """Store an item."""
         k.store(value, self.at(k, block, name))
 
     def segment(
@@ -232,9 +231,9 @@ class Scene:
         outputs: Sequence[Value],
         read: Callable[[str], Word] | Mapping[str, str] | None = None,
     ) -> Segment:
-        """For outputs whose inputs are items, or what `read` says: their names, or their words.
+        """Return a code segment for outputs; `read` maps their inputs to items or words.
 
-        What follows from numbers alone is written here, before any loop.
+        Values that depend on the scene's numbers alone are computed here, before any loop.
         """
         if not callable(read):
             names = read or {}
@@ -247,7 +246,7 @@ class Scene:
         return segment
 
     def write(self, module: Module) -> None:
-        """The kernels into a module; `size` tells how many items a block has."""
+        """Write all kernels into a module; `size()` returns the number of items of a block."""
         k = Kernel(module, "size", ())
         k.done(k.whole(self.items))
         write_expand(self, module)
@@ -256,11 +255,11 @@ class Scene:
             self._compare(module)
 
     def there(self, names: Sequence[str]) -> dict[str, str]:
-        """Inputs of a graph, taken from the state at a step's end."""
+        """Map input names to the items of the state at a step's end."""
         return {name: f"to_{name}" for name in names} | {"t": "t_there"}
 
     def torques(self, k: Kernel, block: Word) -> None:
-        """Those that are linear in time, at the time of the state."""
+        """Write the torques that are linear in time, at the time of the state."""
         if not self.linear:
             return
         past = k.subtract(self.get(k, block, "t"), self.get(k, block, "base_t"))
@@ -269,7 +268,7 @@ class Scene:
             self.put(k, block, f"tau{j}", k.add(self.get(k, block, f"base{j}"), change))
 
     def _terms(self, k: Kernel, block: Word, i: int, x: Word) -> tuple[Word, Word]:
-        """The sum of a watched series at x, and its largest term."""
+        """Return the sum of a watched series at x, and its largest term."""
         with k.loop(k.whole(self.order)) as m:
             total, most, power = (k.carried(k.number(i)) for i in (0.0, 0.0, 1.0))
             c = k.load(self.row(k, block, m, 2 * self.mechanism.n + i))
@@ -281,9 +280,9 @@ class Scene:
         return total, most
 
     def _compare(self, module: Module) -> None:
-        """Whether what may bend is, at the state there, what its series gives at x.
+        """Write `compare(block)`: do watched rows at the step's end equal their series?
 
-        And nothing strays on the way.
+        Also, no argument of a steep row may stray within the step.
         """
         k, block = self.kernel(module, "compare")
         names = self.there([f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)])
@@ -311,22 +310,22 @@ class Scene:
 
 
 class Items:
-    """The items of a scene's block, in a kernel."""
+    """Access to the items of a scene's block within a kernel."""
 
     def __init__(self, scene: Scene, k: Kernel, block: Word) -> None:
         self.scene, self.k, self.block = scene, k, block
 
     def get(self, name: str) -> Word:
-        """An item."""
+        """Load an item."""
         return self.scene.get(self.k, self.block, name)
 
     def put(self, name: str, value: Word) -> None:
-        """Write an item."""
+        """Store an item."""
         self.scene.put(self.k, self.block, name, value)
 
 
 def write_polynomials(module: Module, columns: int) -> None:
-    """polynomials(series, values, slopes, rows, numbers, x): of so many columns, side by side."""
+    """Write polynomials(series, values, slopes, rows, numbers, x) for `columns` series."""
     wide = Module(max(WIDE, 4 * module.lanes))  # several columns, as each waits for its terms
     wide.functions = module.functions
     k = Kernel(wide, "polynomials", (*[ADDRESS] * 3, WHOLE, WHOLE, ADDRESS), "void")
@@ -349,7 +348,7 @@ def write_polynomials(module: Module, columns: int) -> None:
 
 
 def write_expand(scene: Scene, module: Module) -> None:
-    """`expand(block)`: the series at the state, the longest step, and the rates that are wanted."""
+    """Write `expand(block)`: the series at the state, the longest step, and rates if wanted."""
     loop = scene.loop
     all_runs, places, _ = scene.runs
     sums = write_sums(module, "sums", all_runs, len(loop.columns), -loop.first)
@@ -397,12 +396,12 @@ def write_expand(scene: Scene, module: Module) -> None:
 
 
 def coefficients(graph: Graph, column: int, orders: range) -> list[Value]:
-    """As variables of a graph that `read_segment` reads."""
+    """Return variables of a graph for the coefficients of a series, which `read_segment` loads."""
     return [graph.variable(f"{column}_{m}") for m in orders]
 
 
 def read_segment(scene: Scene, k: Kernel, block: Word) -> Segment:
-    """For graphs of coefficients, of items, and of what stands in tables, as in "value 3"."""
+    """Return a segment that loads coefficients, items, and table entries such as "value 3"."""
 
     def read(name: str) -> Word:
         column, is_series, m = name.partition("_")
@@ -435,7 +434,7 @@ def _longest(scene: Scene, k: Kernel, block: Word) -> None:
 
 
 def _rates(scene: Scene, k: Kernel, block: Word) -> None:
-    """The series of rates: sum of (2 j - m - 1) theta_j rho_{m+1-j} for each link."""
+    """Write the series of rates: sum of (2 j - m - 1) theta_j rho_{m+1-j} for each link."""
     n, orders, columns = scene.mechanism.n, scene.order + 1, scene.loop.columns
     wanted: list[tuple[str, int, int, int | None]]
     wanted = [("link0_0", 0, scene.link, None)] if scene.link >= 0 else []
@@ -460,7 +459,7 @@ def _rates(scene: Scene, k: Kernel, block: Word) -> None:
 
 
 def value_and_slope(graph: Graph, n: int) -> list[tuple[Planar, Planar]]:
-    """What `polynomials` leaves of the turns of n coordinates, as `ends` takes it."""
+    """Return values and slopes of n coordinates' turns, as written by `polynomials`."""
 
     def pair(name: str, i: int) -> Planar:
         return graph.variable(f"{name} {i}"), graph.variable(f"{name} {i + 1}")
@@ -469,7 +468,7 @@ def value_and_slope(graph: Graph, n: int) -> list[tuple[Planar, Planar]]:
 
 
 def write_evaluate(scene: Scene, module: Module) -> None:
-    """`evaluate(block)`: the state at x after the start."""
+    """Write `evaluate(block)`: the state at x after the start."""
     write_polynomials(module, len(scene.loop.columns))
     k, block = scene.kernel(module, "evaluate")
     n, graph = scene.mechanism.n, Graph()
@@ -493,7 +492,7 @@ WIDE = 8  # items that a sum takes at a time: what stands beside a run may be re
 
 
 class Run(NamedTuple):
-    """Sums of columns x, x + strides[0], ... with y, y + strides[1], ...: where they are."""
+    """Products x, x + strides[0], ... by y, y + strides[1], ...: columns of a run of sums."""
 
     sum: Sum
     x: int
@@ -507,7 +506,7 @@ Weight = tuple[float, Value]  # slope, and level at the first term
 
 
 class Vector(NamedTuple):
-    """Some of the sums of x_j y_{p-j}, side by side."""
+    """Some of the sums of x_j y_{p-j}, side by side in one vector."""
 
     x: int  # columns after the first one of order 0
     y: int  # after the first one of order p
@@ -519,7 +518,7 @@ class Vector(NamedTuple):
 
 
 def runs(loop: LoopExpansion) -> tuple[list[Run], dict[str, int], int]:
-    """The sums as runs, where the result of each stands, and how much room they take."""
+    """Return the sums of a step as runs, the column of each result, and the room that they take."""
     column = {x.index: i for i, x in enumerate(loop.columns)}
     alike: dict[tuple[object, ...], dict[tuple[int, int], tuple[str, Sum]]] = {}
     for name, one in loop.sums:
@@ -549,7 +548,7 @@ def runs(loop: LoopExpansion) -> tuple[list[Run], dict[str, int], int]:
 
 
 def alike(slides: Collection[int], n: int) -> Iterator[tuple[bool, Sequence[int]]]:
-    """The joints one after the other, those together that slide, or do not."""
+    """Yield joints in order, those in a row that all slide, or all turn, together."""
     for slide, joints in groupby(range(n), lambda j: j in slides):
         yield slide, list(joints)
 
@@ -558,7 +557,7 @@ def alike(slides: Collection[int], n: int) -> Iterator[tuple[bool, Sequence[int]
 
 
 def _pieces(count: int) -> Iterator[tuple[int, int]]:
-    """So many items in pieces that are vectors: where each begins, and its width."""
+    """Yield start and width of vectors that cover `count` items."""
     begin, wide = 0, WIDE
     while begin < count:
         while wide > count - begin:
@@ -568,7 +567,7 @@ def _pieces(count: int) -> Iterator[tuple[int, int]]:
 
 
 def _vectors(run: Run, module: Module, columns: int) -> Iterator[Vector]:
-    """Those of a run, the gaps between its columns left out where a column is a vector."""
+    """Yield the vectors of a run; gaps between columns are skipped if a column fills a vector."""
     each = max(1, WIDE // module.lanes) if module.together else run.wide
     if each == WIDE:  # of one lane
         pieces = list(_pieces(run.wide))
@@ -583,9 +582,9 @@ def _vectors(run: Run, module: Module, columns: int) -> Iterator[Vector]:
 
 
 def _batches(vectors: Sequence[Vector], least: int, most: int) -> Iterator[Sequence[Vector]]:
-    """Up to `most` that are summed together: of about as many terms.
+    """Yield batches of up to `most` vectors with about equally many terms.
 
-    Where these may be `least`, there may be none, and the first term is added first.
+    If the fewest terms, `least`, may be zero, the first term is added separately.
     """
     left = sorted(vectors, key=lambda vector: vector.terms)
     while left:
@@ -597,11 +596,11 @@ def _batches(vectors: Sequence[Vector], least: int, most: int) -> Iterator[Seque
 
 
 class _Batch:
-    """name(x, y, out, p, levels): sums of (slope j + level) x_j y_j to their places in `out`.
+    """Writes name(x, y, out, p, levels): sums of (slope j + level) x_j y_j into `out`.
 
-    The rows of x go up from order 0, those of y down from order p; a level for each weight.  What
-    the order before has found stands in the first term and the last: they come last, so that the
-    processor adds up the others while it is found.
+    Rows of x go up from order 0, rows of y down from order p; each weight has its level.  The
+    newest coefficients occur in the first and last term.  These are added at the end, so that the
+    processor does not wait for them.
     """
 
     def __init__(
@@ -614,7 +613,7 @@ class _Batch:
         self.k = Kernel(wide, name, arguments, "void")
 
     def call(self) -> None:
-        """Each vector by a function that serves them all."""
+        """Sum each vector by one shared function."""
         k = self.k
         x, y, out, p, *levels = k.arguments
         for v in self.vectors:
@@ -626,7 +625,7 @@ class _Batch:
         k.done()
 
     def write(self, columns: int, fewest: int) -> None:
-        """All in one loop, and what has more terms behind it; where they may be `fewest`, none."""
+        """Write one loop over the common terms, then the terms of longer sums."""
         k, vectors = self.k, self.vectors
         x, y, out, p, *levels = k.arguments
         self.step = columns * self.lanes
@@ -656,7 +655,7 @@ class _Batch:
         k.done()
 
     def _term(self, among: Sequence[int], rows: tuple[Word, Word], levels: Sequence[Word]) -> None:
-        """Add one to the totals."""
+        """Add one term to the totals of the vectors `among`."""
         k, known = self.k, dict[tuple[Word, int, int, bool], Word]()
 
         def read(row: Word, column: int, wide: int, same: bool = False) -> Word:
@@ -678,7 +677,7 @@ class _Batch:
     def _after(
         self, rows: tuple[Word, Word], levels: Sequence[Word]
     ) -> tuple[tuple[Word, Word], list[Word]]:
-        """The rows and levels of the next term."""
+        """Return the rows and levels of the next term."""
         k = self.k
         slopes = (k.scalar(slope) for slope, _ in self.weights)
         new = [k.add(level, slope) for level, slope in zip(levels, slopes, strict=True)]
@@ -688,7 +687,7 @@ class _Batch:
 def write_sums(
     module: Module, name: str, runs: Sequence[Run], columns: int, least: int
 ) -> list[tuple[str, list[Weight]]]:
-    """The functions that sum all of these runs, and the weights of each."""
+    """Write functions that compute all runs; return their names and weights."""
     vectors = [vector for run in runs for vector in _vectors(run, module, columns)]
     found = []
     for i, batch in enumerate(_batches(vectors, least, module.together or len(vectors))):
@@ -703,7 +702,7 @@ def write_sums(
 
 
 def repeated(k: Kernel, place: Word, lanes: int, wide: int) -> Word:
-    """So many numbers, again and again."""
+    """Return a vector of `wide` copies of the numbers at `place`."""
     if wide == 1:
         return k.load(place, SCALAR)
     return k.shuffled(k.load(place, f"<{lanes} x double>"), [i % lanes for i in range(wide)])
@@ -712,7 +711,7 @@ def repeated(k: Kernel, place: Word, lanes: int, wide: int) -> Word:
 def read_together(
     runs: Sequence[Run], found: Mapping[tuple[int, int], Word]
 ) -> Iterator[tuple[int, int, int]]:
-    """What is found and sums read as one vector: offset from p, first column, and how many."""
+    """Yield (offset from p, first column, count) of columns that can be loaded as one vector."""
     taken: set[tuple[int, int]] = set()
     for run in (x for x in runs if x.strides == (1, 1)):
         for first, (begin, wide) in product((run.x, run.y), _pieces(run.wide)):
@@ -725,6 +724,6 @@ def read_together(
 
 
 def _zeros(wide: int) -> Word:
-    """So many zeros."""
+    """Return a vector of zeros."""
     zero = "0x0000000000000000"
     return Word("zeroinitializer", f"<{wide} x double>") if wide > 1 else Word(zero, SCALAR)

@@ -61,19 +61,22 @@ Due = Callable[[float], Array]  # of a time: output times still to come up to it
 
 
 class Steps(Protocol):
-    """What takes the steps of a leg."""
+    """Takes the integration steps of one leg."""
 
     outcome: Outcome | None  # why there are no more
 
     @property
     def evaluations(self) -> int:
-        """Of the rates, or of series, until now."""
+        """Number of evaluations of the rates, or of series expansions, so far."""
 
     def advance(self, left: float) -> Segment | None:
-        """The next steps, but that more than `left` evaluations end them; None: no more come."""
+        """Return the next steps, or None at the end of the leg; `outcome` then says why.
+
+        The segment ends early once more than `left` evaluations were spent.
+        """
 
     def leave(self, t: float, y: Array) -> None:
-        """The run has left these steps in the state y at t."""
+        """Tell that the run leaves this leg in state y at time t."""
 
 
 def _nothing_due(bound: float) -> Array:
@@ -81,9 +84,10 @@ def _nothing_due(bound: float) -> Array:
 
 
 class Run:
-    """A motion from `state` (2n,) at t = 0 to t_end, as segments; its report and what was met.
+    """A motion from `state` (2n,) at t = 0 to t_end, as segments, with its report and contacts.
 
-    `events` finds events, and may end it.  Raises RobodynError where no motion is defined.
+    `events` finds events and may end the run.  Raises RobodynError if no motion is defined at the
+    start.
     """
 
     def __init__(
@@ -128,7 +132,7 @@ class Run:
             events.columns.enter(self.moving, torques)
 
     def _begun(self, y: Array) -> Array:
-        """The state y from which the run starts, closed where it projects; torques are told."""
+        """Return the start state, projected onto the closures; start torques that have a memory."""
         mechanism, n = self.mechanism, self.mechanism.n
         check_laws(mechanism, y[:n], y[n : 2 * n], 0.0)
         if self.t_end != 0.0 and mechanism.rows:
@@ -142,7 +146,7 @@ class Run:
         return y
 
     def _check_start(self) -> None:
-        """Raise RobodynError, now, where no motion is defined."""
+        """Raise RobodynError if the acceleration at the start is undefined."""
         mechanism, y, n = self.moving, self.y, self.mechanism.n
         by_series = self.settings.method == "taylor"
         if by_series:
@@ -163,13 +167,13 @@ class Run:
                 raise RobodynError("cannot start", where=mechanism.source, limit=limit)
 
     def _met(self, mechanism: Mechanism) -> Misses | None:
-        """The change points of the mechanism that the run has met; None: it has no closures."""
+        """Return the change points met so far by a mechanism; None if it has no closures."""
         if mechanism.rows and mechanism not in self._misses:
             self._misses[mechanism] = Misses(mechanism)
         return self._misses.get(mechanism)
 
     def _side(self, mechanism: Mechanism) -> RightHandSide:
-        """The rates of the mechanism."""
+        """Return the right-hand side dy/dt of a mechanism, made once per run."""
         if mechanism not in self._sides:
             baumgarte = self.settings.stabilize == "baumgarte" and mechanism.rows
             self._sides[mechanism] = right_hand_side(
@@ -182,7 +186,7 @@ class Run:
         return self._sides[mechanism]
 
     def _steps(self, mechanism: Mechanism, due: Due, keeps: bool) -> Steps:
-        """What takes the steps of a leg that begins now."""
+        """Return a stepper for a leg that begins at the current state."""
         settings, events = self.settings, self.events
         projects = settings.stabilize == "projection" and bool(mechanism.rows)
         keeps = keeps or events is not None
@@ -221,10 +225,11 @@ class Run:
     # -- legs and segments -------------------------------------------------------------------------
 
     def segments(self, due: Due = _nothing_due, keeps: bool = False) -> Iterator[Segment]:
-        """The segments of the run; while one is looked at `moving` is what moves in it.
+        """Yield the segments of the run; `moving` is the mode of the current segment.
 
-        What is `due` comes with them (`Segment.rows`) where that is fast.  With `keeps` all states
-        between steps can be asked for.
+        `due` returns the output times up to a bound.  A stepper that can do so cheaply puts the
+        rows at these times into `Segment.rows`.  With `keeps`, states between steps are available
+        in each segment.
         """
         if self.t_end == 0.0:
             return
@@ -239,12 +244,12 @@ class Run:
             self.end_by(error)
 
     def end_by(self, error: LawError | NotSettledError) -> None:
-        """Set the outcome, and the advice that names the law, or the friction."""
+        """Set the outcome from an error, and the advice that names the law or the friction."""
         self.outcome = Outcome.LAW if isinstance(error, LawError) else Outcome.FRICTION
         self.report.advice = f"{error.what} = {error.value}: {error.limit}"
 
     def _leg(self, due: Due, keeps: bool) -> Generator[Segment, None, Cut | None]:
-        """The segments up to the end, or to what cuts the last of them."""
+        """Yield the segments of one leg; return the cut that ended it, or None at the run's end."""
         events, mechanism = self.events, self.mechanism
         if self.phases is not None and events is not None:
             self.moving = self.phases.moving
@@ -277,7 +282,7 @@ class Run:
                 return None
 
     def _check_friction(self, mechanism: Mechanism) -> None:
-        """Raise NotSettledError where friction by forces has no solution just beyond."""
+        """Raise NotSettledError if friction by forces has no solution just ahead."""
         side, n, whole = self._side(mechanism), mechanism.n, max(1.0, abs(self.t))
         refused = side.refused
         assert refused is not None
@@ -292,7 +297,7 @@ class Run:
                 raise refused.error
 
     def _goes_on(self, cut: Cut) -> bool:
-        """Enter the leg that follows a cut; whether there is one."""
+        """Enter the leg that follows a cut; return False if the cut ends the run."""
         assert self.events is not None
         place = cut.place - len(self.events.functions)
         if place < 0 or self.phases is None:
@@ -309,7 +314,7 @@ class Run:
         return self.t != self.t_end
 
     def _hopeless(self, segment: Segment) -> bool:
-        """Whether the run has taken more than it may, or would by steps of this length."""
+        """Return whether the run has used up its evaluations, or its steps are far too short."""
         self._recent.append(segment.t[1:])
         if sum(map(len, self._recent)) >= STEPS_AT_ONCE:
             times, self._recent = np.concatenate(self._recent), []
@@ -323,7 +328,10 @@ class Run:
         return False
 
     def _endless(self, t: Array) -> Outcome | None:
-        """How a run ends that by much longer steps would not; steps that grow may do so."""
+        """Return the outcome of a run whose short steps cannot reach t_end; else None.
+
+        Steps that still grow may reach it.
+        """
         early, late = (float(x.max()) for x in np.array_split(np.abs(np.diff(t)), 2))
         before = max(self._longest, early)
         self._longest = max(before, late)
@@ -336,23 +344,23 @@ class Run:
 
     @property
     def contacts(self) -> list[Event]:
-        """What joints met, and left."""
+        """Events of contacts: stops that joints met or left, joints that stuck or started."""
         return [] if self.phases is None else self.phases.found
 
 
 class Record:
-    """What is told of a run that has ended: its report, once it is settled, and its contacts."""
+    """The report and the contacts of a run that has ended."""
 
     def __init__(self, run: Run, statistics: RunStatistics) -> None:
         self._run, self._statistics = run, statistics
 
     @property
     def contacts(self) -> list[Event]:
-        """What joints met, and left."""
+        """Events of contacts, in the order of time."""
         return self._run.contacts
 
     def settle(self) -> Report:
-        """The report, with the statistics of all steps."""
+        """Return the report with the statistics of all steps."""
         run, report = self._run, self._run.report
         self._statistics.flush()
         if run.actuation.control is not None:
@@ -374,10 +382,11 @@ def run(
     watch: Callable[[float], bool] | None = None,
     events: EventWatch | None = None,
 ) -> tuple[Outcome, Record]:
-    """Integrate from `state` (2n,); rows (t (k,), y (k, 2n or more)) go to `sink` as they come.
+    """Integrate from `state` (2n,) and pass rows t (k,), y (k, 2n or more) to `sink` in batches.
 
-    Rows are at `times`, or at the accepted steps.  `watch`, called with t after some steps, ends
-    the run as interrupted when it returns True; `events` finds events, and may end it as well.
+    Rows are at `times`, or at the accepted steps if `times` is None.  `watch` is called with t
+    after some steps; if it returns True, the run ends as interrupted.  `events` finds events and
+    may end the run.
     """
     check_run(settings, t_end, times)
     check_span(actuation, t_end)
@@ -423,7 +432,7 @@ def run(
 
 
 def _advice(run: Run) -> str:
-    """What to do about a run that ended before its time, where more is known than its outcome."""
+    """Return what to do about a run that ended early, or "" for the advice of its outcome."""
     mechanism, outcome, control = run.mechanism, run.outcome, run.actuation.control
     told = ""
     if run.phases is not None and run.phases.led_on:
@@ -436,7 +445,7 @@ def _advice(run: Run) -> str:
 
 
 def undefined_beyond(mechanism: Mechanism, t: float, y: Array, t_end: float) -> LawError | None:
-    """The error of a law that has no value, or no derivative, just beyond the state y at t."""
+    """Return the error of a law undefined at or just beyond state y at t; else None."""
     n = mechanism.n
     for ahead in (0.0, *(10.0**k for k in range(-12, -4))):
         now = t + math.copysign(ahead * max(1.0, abs(t)), t_end)

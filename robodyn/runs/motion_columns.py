@@ -1,5 +1,4 @@
-"""The columns of a simulated motion, as `robodyn simulate` writes them, and the torques of a
-run."""
+"""The columns of a simulated motion, as `robodyn simulate` writes them, and its torques."""
 
 from __future__ import annotations
 
@@ -25,16 +24,16 @@ from robodyn.tables.arrays import Array
 
 
 def motion_columns(mechanism: Mechanism, tracked: bool) -> list[str]:
-    """The names of a motion's columns; if a controller leads it, those of its errors too."""
+    """Return the names of a motion's columns, with tracking errors if it was `tracked`."""
     return column_names(mechanism, [*MOTION, *(["errors"] if tracked else [])])
 
 
 def motion_values(
     mechanism: Mechanism, moving: Mechanism, t: Array, q: Array, qd: Array, tau: Array
 ) -> Array:
-    """Their values (T, columns) but the errors, at times (T,), states and torques (T, n).
+    """Return the values (T, columns) of a motion's columns, without tracking errors.
 
-    `moving` is what moves there: the mechanism, or one of its modes.
+    t is (T,), the states and torques (T, n).  `moving` is the mechanism, or the mode that moves.
     """
     state = State(mechanism, q, qd, tau=tau, t=t, moving=moving)
     return state.columns(column_names(mechanism, MOTION))
@@ -48,7 +47,7 @@ def as_actuation(
     | Actuation
     | None,
 ) -> Actuation:
-    """Torques as constants, an expression, a function tau(t, q, qd), or none."""
+    """Convert constants, an expression, a function tau(t, q, qd) or None to an Actuation."""
     if tau is None:
         return _none(mechanism.n)
     if isinstance(tau, Actuation):
@@ -71,7 +70,7 @@ def _none(n: int) -> Actuation:
 def over_run(
     mechanism: Mechanism, actuation: Actuation, state: Array, t_end: float, atol: float
 ) -> Actuation:
-    """The torques of a run from `state` (2n) to t_end; see `torque_times.over_a_scene_run`."""
+    """Prepare torques for a run from `state` (2n,): see `torque_times.over_a_scene_run`."""
     if not actuation.lines and not mechanism.timed:
         return actuation
     small = harmless_torque(mechanism, atol, t_end)
@@ -79,7 +78,7 @@ def over_run(
 
 
 def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:
-    """The joint torques (T, n) of an actuation at times (T,) and states (T, 2n or more)."""
+    """Return the joint torques (T, n) at times (T,) and states y (T, 2n or more)."""
     if actuation.constants is not None:
         steady = np.empty((len(t), mechanism.n))
         steady[:] = actuation.constants
@@ -100,7 +99,7 @@ def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Arr
 
 
 def check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) -> None:
-    """Raise RobodynError, naming the torque, where one at t is not finite."""
+    """Raise RobodynError that names the torque if one is not finite at time t."""
     try:
         torques = actuation.constants or actuation.function(mechanism.n)(t, y.tolist())
         if all(map(math.isfinite, torques)):
@@ -113,7 +112,7 @@ def check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) 
 
 
 def _not_finite(actuation: Actuation, n: int, t: float, y: Array) -> str:
-    """The first torque without a finite value, with its formula."""
+    """Return the first torque without a finite value, with its formula."""
     names = [*(f"{name}{k}" for name in ("q", "qd") for k in range(n)), *actuation.own("z")]
     values = {"__builtins__": {}, "t": t, **actuation.scope, **dict(zip(names, y, strict=False))}
     for line in actuation.lines:
@@ -136,7 +135,7 @@ def _from_one(name: re.Match[str]) -> str:
 
 
 def check_span(actuation: Actuation, t_end: float) -> None:
-    """Raise InputError where the torques do not reach over a run to t_end."""
+    """Raise InputError if the torques are not defined over the whole run to t_end."""
     if actuation.span is not None:
         what, first, last = actuation.span
         if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
@@ -145,7 +144,7 @@ def check_span(actuation: Actuation, t_end: float) -> None:
 
 
 def no_hold(mechanism: Mechanism, control: Control) -> str:
-    """What to do about a controlled run that fails beside a dead centre, else nothing."""
+    """Return advice for a controlled run that fails near a dead centre, else ""."""
     if control.hardest is None or not near_dead_centre(
         mechanism, control.hardest[1], control.hardest[0]
     ):

@@ -1,20 +1,21 @@
-"""The phases of a run: between two of them a joint sticks or slips, meets an end or leaves it.
+"""The phases of a run with contacts: in each, joints stick or slip, and stops press or not.
 
-In each phase the mechanism is in one mode (`modes.py`), and its motion is smooth.  What ends a
-phase is the change of sign of a function that is positive as long as the mode lasts, and is watched
-as an event.
+Within a phase the mechanism is in one mode (`modes.py`) and its motion is smooth.  A mode lasts
+while its guards, functions of the state, are positive.  The run watches guards as events; the first
+one that changes sign ends the phase.
 
 At hard stops the rates jump, by an impulse through M and the closures.  With K = [M Psi^T; Psi 0],
-v the rates at which touched stops are left (below zero: run into) and R v's rows in qd, impulses p
->= 0 make
+v the rates at which touched stops are left (negative if joints run into them) and R v's rows in qd,
+the impulses p >= 0 satisfy
 
     v+ = v + R K^-1 R^T p,      v+ + e v >= 0,      p . (v+ + e v) = 0,
 
-e the restitution of each: of one stop p = -(1 + e) v / (R K^-1 R^T).  Psi is that of the instant,
-and the jump of qd is in its null space: laws of the time are kept, Psi qd + d gap/dt = 0.
+e the restitution of each stop.  For one stop, p = -(1 + e) v / (R K^-1 R^T).  Psi is taken at the
+instant of impact.  The jump of qd lies in its null space, so laws of time are kept: Psi qd + d
+gap/dt = 0.
 
-Joints whose rates follow from such laws alone are led: nothing holds them, no impulse throws them
-back, and their ends end a run.
+A joint whose rate follows from laws of time alone is led: nothing holds it and no impulse throws it
+back.  An end of its range ends the run.
 """
 
 from __future__ import annotations
@@ -54,9 +55,9 @@ KINK = 1e-14  # of the time of a run: so much beyond a kink the torques are thos
 
 
 class Left(NamedTuple):
-    """What a phase leaves: joints that rest, ends that are touched, and those that press.
+    """Contacts that remain when a phase ends: joints at rest, ends touched, and ends that press.
 
-    `released` is a joint that a law of the time moves again.
+    `released` is a joint that a law of time moves again.
     """
 
     rests: set[int]
@@ -66,12 +67,10 @@ class Left(NamedTuple):
 
 
 class Phases:
-    """How a mechanism goes from mode to mode, from the state y = (q, qd, ...) at t = 0.
+    """Moves a mechanism from mode to mode, from the state y = (q, qd, ...) at t = 0.
 
-    Steps may miss angles and rates by `small`.
-
-    Raises InputError for a state beyond an end, or a run backwards: what has come to rest does not
-    tell from where.
+    `small` is the error of angles and rates that a step may make.  Raises InputError if the start
+    is beyond an end, or if t_end is negative: a joint at rest does not tell where it came from.
     """
 
     def __init__(
@@ -119,15 +118,15 @@ class Phases:
         return tau
 
     def _torques(self, t: Array, y: Array) -> Array:
-        """(k, n); where the phase begins on a kink those that follow it."""
+        """Return torques (k, n); at a kink where the phase begins, those after the kink."""
         return applied_torques(self.mechanism, self.actuation, np.maximum(t, self.after), y)
 
     def _loaded(self, t: Array) -> Array:
-        """The times of loads; where the phase begins on a jump of theirs those that follow it."""
+        """Return the times at which loads are taken; at a jump, a time just after it."""
         return np.maximum(t, self.after) if self.actuation.jumps else t
 
     def _reach(self, t: float) -> None:
-        """A phase begins at t: if on a kink, its torques are those a little later."""
+        """Begin a phase at t; if t is a kink, its torques are those just after it."""
         self.after = -math.inf
         if t == 0.0 or kink_at(self.actuation.stops, t) is not None:
             self.after = t + max(KINK * abs(self.t_end), INSTANT * math.ulp(t))
@@ -143,7 +142,10 @@ class Phases:
         starting: Mapping[int, int] = MappingProxyType({}),
         released: int | None = None,
     ) -> None:
-        """The mode in which the state goes on, and what ends it; a joint `released` pauses not."""
+        """Choose the mode in which the state goes on, and its guards.
+
+        A joint `released` by a law of time does not pause again.
+        """
         self._reach(t)
         q, qd = self._split(self.y)
         self.led = sticking.led_joints(self.mechanism, q, t)
@@ -171,7 +173,7 @@ class Phases:
         self._watch(t)
 
     def _watch(self, t: float) -> None:
-        """The functions that are positive while the mode lasts."""
+        """Make the guards of the mode: functions that stay positive while it lasts."""
         touches = self.touches
         found = [x for own in self.mechanism.elements for x in own.guards(self.mode, touches)]
         found += [guard for own in self.mechanism.ranges for guard in own.guards(touches)]
@@ -182,13 +184,13 @@ class Phases:
         self.functions = [self._function(guard, t) for guard in self.guards]
 
     def _released(self) -> list[int]:
-        """The joints at rest that nothing holds, and that laws of the time may move."""
+        """Return joints at rest that nothing holds and that laws of time may move."""
         if not self.mechanism.driven:
             return []
         return [*self.paused, *(joint for joint in self.still if joint not in self.mode.held)]
 
     def _pause(self, joint: int) -> Guard:
-        """It lasts until the joint moves faster than steps may miss."""
+        """Return the guard of a paused joint; it fails once the joint moves measurably."""
         slow = self.slow
 
         def left(q: Array, qd: Array) -> Array:
@@ -226,9 +228,9 @@ class Phases:
         return np.asarray(guard.value(y[:, :n], y[:, n : 2 * n]))
 
     def _but_for(self, missed: float, guard: Guard, values: Array, y: Array) -> Array:
-        """The values, where these may be less than zero by what is missed.
+        """Return guard values, which may go below zero by `missed` without ending the phase.
 
-        Those of a stop only as long as the joint does not turn back: it is met where it stands.
+        For a stop this tolerance ends when the joint turns back, so that it is met where it stands.
         """
         if not missed or guard.kind in ("slips", "holds", "pauses"):
             return values + missed
@@ -248,11 +250,11 @@ class Phases:
         return np.asarray(guard.size(y[:, :n], y[:, n : 2 * n]))
 
     def _flat_size(self, guard: Guard, t: Array, y: Array) -> Array:
-        """The same (...) of states y (..., N) at times t (...)."""
+        """Return the size (...) of a guard for states y (..., N) at times t (...)."""
         return self._size(guard, t.ravel(), y.reshape(-1, y.shape[-1])).reshape(t.shape)
 
     def _forces(self, t: Array, y: Array) -> Array:
-        """What holds each held joint, (k, held)."""
+        """Return the forces (k, held) that hold the held joints."""
         n = self.mechanism.n
         tau = self._torques(t, y)
         solution = motion_dynamics(self.moving, y[:, :n], y[:, n : 2 * n], tau, self._loaded(t))
@@ -267,7 +269,7 @@ class Phases:
     # -- from one to the next ----------------------------------------------------------------------
 
     def ends_run(self, place: int) -> str:
-        """What ends the run where the guard at a place does; nothing where the run goes on."""
+        """Return the message if the guard at `place` ends the run, else ""."""
         kind, joint, side, *_ = self.guards[place]
         thrown = (joint, side) in self.restitutions and joint not in self.led
         if kind != "inside" or thrown:
@@ -277,7 +279,7 @@ class Phases:
         return f"q{joint + 1} ({name}) passes its {end_word(side)}, {end:.9g}"
 
     def next(self, t: float, y: Array, place: int) -> Array:
-        """The phase that follows at the state y at t, where the guard at a place ended one."""
+        """Return the state in which the next phase begins, after guard `place` failed at (t, y)."""
         self.idle = self.idle + 1 if t - self.begun <= INSTANT * math.ulp(t) else 0
         self.begun = t
         self._reach(t)
@@ -324,7 +326,7 @@ class Phases:
         return self.y
 
     def _left_by(self, guard: Guard) -> Left:
-        """What stands and presses still, where this guard ended the phase."""
+        """Return the contacts that remain after this guard ended the phase."""
         rests = {joint for joint in self.still if joint in self.dry}
         left = Left(rests, set(self.touches), set(self.mode.pressed))
         match guard.kind:
@@ -342,9 +344,9 @@ class Phases:
     def _met(
         self, t: float, y: Array, left: Left, meets: Sequence[End]
     ) -> tuple[list[End], set[End]]:
-        """The ends that joints run into, what the guard tells among them, and on which they stand.
+        """Return the ends that joints run into, and the ends on which joints merely stand.
 
-        Pressed or not, a joint stands on its end unless it was thrown back at this very instant.
+        A joint on its end stands there, pressed or not, unless it was thrown back at this instant.
         """
         q, qd = self._split(y)
         ends = set(sticking.touching(self.mechanism, q, qd, t)) - left.touches
@@ -356,7 +358,7 @@ class Phases:
         return hits, ends - {*hits, *thrown} if hits else set()
 
     def _onto_ends(self, t: float, y: Array, left: Left, hits: list[End]) -> list[End]:
-        """Bring joints that hit onto their ends, in y, and tell which hit then."""
+        """Move joints that hit onto their ends, in y; return all ends hit then."""
         q, qd = self._split(y)
         for joint, side in hits:  # rounding must not grow from bounce to bounce
             q[joint] = self.ends[joint, side]
@@ -369,7 +371,7 @@ class Phases:
         return hits
 
     def letting_go(self, guard: Guard, t: float, y: Array) -> dict[int, float]:
-        """The joints that a guard of what holds lets start, and with which rates."""
+        """Return joints that start when a holding guard fails, with rates up to a factor."""
         if guard.kind != "holds":
             return {}
         forces, q = self._forces(np.array([t]), y[None])[0], self._split(y)[0]
@@ -378,12 +380,12 @@ class Phases:
         return sticking.starting_at(self.mechanism, standing, q, forces, self.bounds, place, t)
 
     def _run_into(self, touches: set[End], qd: Array) -> list[End]:
-        """Return the ends of `touches` that the rates qd (n) run into."""
+        """Return the ends among `touches` that the rates qd (n,) run into."""
         least = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
         return sorted((joint, side) for joint, side in touches if side * qd[joint] > least)
 
     def _impact(self, t: float, y: Array, hits: Sequence[End], touches: set[End]) -> Array:
-        """The state after an impact; bounces that would end at once are over."""
+        """Return the state after an impact; a bounce that would end at once is skipped."""
         y, n = y.copy(), self.mechanism.n
         tau = self._torque(t, y)
         # ends that throw joints at one another again and again in no time leave them no rates
@@ -402,7 +404,7 @@ class Phases:
         return float(KE + PE)
 
     def _note(self, t: float, was: Mode, stood: set[int]) -> None:
-        """Tell what changed."""
+        """Record events for stops met or left and joints started or stopped."""
         for joint, side in set(self.mode.pressed) - set(was.pressed):
             self._tell(t, self.y, joint, f"meets its {end_word(side)}")
         for joint, side in set(was.pressed) - set(self.mode.pressed):
@@ -425,9 +427,10 @@ ENDLESS = 1e-10  # of the time of a run: bounces that end within this part of it
 
 
 class Bounces:
-    """The impacts of a run to t_end, whose steps may miss angles and rates by `small`.
+    """Impacts of a run to t_end; `small` is the error that steps may make.
 
-    What would bounce for ever, or lower than is told from rest, is at rest at once.
+    A bounce that would repeat forever, or that rounding or steps cannot resolve, ends at rest at
+    once.
     """
 
     def __init__(self, mechanism: Mechanism, t_end: float, small: float) -> None:
@@ -437,9 +440,9 @@ class Bounces:
     def after(
         self, q: Array, qd: Array, tau: Array, t: float, touches: set[End], over: set[End]
     ) -> Array:
-        """The rates (n) after an impact at the ends that are touched.
+        """Return the rates (n,) after an impact at the touched ends.
 
-        At those that are `over` joints are at rest.  Torques are those before it.
+        Joints at the ends `over` come to rest.  Torques tau (n,) are those before the impact.
         """
         ends, every = sorted(touches), restitutions(self.mechanism)
         own = [every[end] for end in ends]
@@ -477,9 +480,9 @@ class Bounces:
         return after
 
     def _resolves(self, joint: int, v: float, back: float) -> bool:
-        """Whether a joint that meets its end with v was thrown back so far that steps show it.
+        """Return whether steps resolve the bounce of a joint that meets its end with rate v.
 
-        One that was not, and yet comes back faster than from so near, has moved off since.
+        They do if the bounce is fast or the joint's first, or if it returns as fast as it left.
         """
         last = self.thrown.get(joint, 0.0)
         fast = max(abs(v), last) ** 2 >= 2.0 * back * self.small
@@ -487,7 +490,7 @@ class Bounces:
 
 
 def restitutions(mechanism: Mechanism) -> dict[End, float]:
-    """The restitution of each hard stop, by joint and side."""
+    """Return the restitution of each hard stop, by (joint, side)."""
     return {(x.joint, x.side): x.restitution for x in mechanism.of(HardStop)}
 
 
@@ -499,28 +502,25 @@ def rates_after(
     parts: Sequence[float | None],
     t: float,
 ) -> Array:
-    """qd (n) after an impact at q and t; `touches` are joints and the sides of their stops.
+    """Return qd (n,) after an impact at q and time t.
 
-    `parts` are their restitutions.  Those whose restitution is None are at rest from then on: what
-    they have left to bounce, others may have thrown them, is over at once, and the impulses of all
-    that are one, p of any sign.
-
-    Raises SingularError where no impulses throw all of them back, LawError where a law of the time
-    does not let them.
+    `touches` lists (joint, side) of the stops, `parts` their restitutions.  None means at rest from
+    then on: remaining bounces are skipped, and their impulses, of any sign, act together.  Raises
+    SingularError if no impulses throw all joints back, and LawError if a law of time forbids it.
     """
     p, jumps = impulses(mechanism, q, qd, touches, parts, t)
     return _settled(qd, jumps @ p)
 
 
 def _settled(qd: Array, jump: Array) -> Array:
-    """Return qd + jump (n), zero where rounding leaves no more."""
+    """Return qd + jump (n,), with zeros where only rounding is left."""
     after = qd + jump
     least = AT_REST * max(np.abs(qd).max(), np.abs(after).max())  # of which rounding leaves less
     return np.where(np.abs(after) <= least, 0.0, after)
 
 
 def _tied(jumps: Array, ends: list[int], k: int) -> bool:
-    """Whether the rate at which end k is left follows from those at `ends`, by jumps (n, ends)."""
+    """Return whether the rate of end k follows from those of `ends`, by jumps (n, ends)."""
     if k in ends:
         return True
     ranks = [np.linalg.matrix_rank(jumps[:, own], rtol=TOGETHER) for own in (ends, [*ends, k])]
@@ -535,7 +535,7 @@ def impulses(
     parts: Sequence[float | None],
     t: float,
 ) -> tuple[Array, Array]:
-    """Those of `rates_after`, p (k), and how each makes qd jump, (n, k)."""
+    """Return the impulses p (k,) of an impact and the jump of qd (n, k) that each unit makes."""
     joints = [joint for joint, _ in touches]
     ways = -np.array([side for _, side in touches], float)  # in which stops are left
     jumps = (ways[:, None] * responses(mechanism, q, joints, t)).T  # of qd (n, k) by each impulse

@@ -1,12 +1,12 @@
-"""What reads the segments of a run: its rows, as they come, and its statistics.
+"""Readers of the segments of a run: its rows, as they come, and its statistics.
 
-Rows and steps are taken in batches, so that numpy works on many at once and memory does not grow
-with the length of a run.
+Rows and steps are collected in batches, so that numpy works on many at once and memory does not
+grow with the length of a run.
 
-The work of a torque that the steps may have passed over counts too.  Along each long step the
-torque is sampled, on the cubics that meet the step's ends, and its work taken twice: at the eight
-times of a Gauss-Legendre rule, as a step of its length sees it, and at many more.  Where the torque
-is smooth the two agree; their difference is work that was missed.
+The energy balance also counts work that a torque does between steps unseen.  Along each long step
+the torque is sampled on the cubic polynomials through the ends of the step.  Its work is integrated
+twice: by one 8-point Gauss-Legendre rule over the step, and by many shorter ones.  The difference
+is the missed work; it vanishes for smooth torques.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LONG = 2  # samples that a step must span to be looked at: shorter ones are samp
 
 
 class RunStatistics:
-    """Takes steps in batches, and keeps the report's statistics."""
+    """Computes the statistics of a run's report from its steps, in batches."""
 
     def __init__(self, report: Report, actuation: Actuation, n: int, closes: bool) -> None:
         self.report, self.actuation, self.closes = report, actuation, closes
@@ -54,7 +54,10 @@ class RunStatistics:
             self.unseen = UnseenWork(actuation.function(n), report.t_end)
 
     def take(self, mechanism: Mechanism, t: Array, y: Array) -> None:
-        """Steps to the states y (k, 2n or more) at times t (k,), of what moves there."""
+        """Collect steps that end in states y (k, 2n or more) at times t (k,).
+
+        `mechanism` is the mechanism, or its mode, that moves in these steps.
+        """
         if mechanism is not self.mechanism:
             self.flush()
             self.mechanism, self.rank = mechanism, 0
@@ -64,7 +67,7 @@ class RunStatistics:
             self.flush()
 
     def flush(self) -> None:
-        """Take the steps that wait."""
+        """Compute the statistics of the collected steps."""
         if self._waiting and self.mechanism is not None:
             t, y = joined(self._waiting)
             self._waiting, self._count = [], 0
@@ -124,7 +127,10 @@ class RunStatistics:
             report.missed = miss_remark(mechanism, q[::stride][worst])
 
     def least_singular(self, mechanism: Mechanism, Psi: Array) -> Array:
-        """The least singular values (k,) of Psi (k, r, n), of those that can be other than 0."""
+        """Return the smallest nonzero singular value of Psi over loop size, (k,).
+
+        Psi is (k, r, n).  Singular values beyond the rank of dependent closures are left out.
+        """
         size = loop_size(mechanism)
         if not self.rank:  # of closures that depend on one another not all count
             s = np.linalg.svd(Psi[:: max(1, len(Psi) // 8)], compute_uv=False)
@@ -134,7 +140,7 @@ class RunStatistics:
 
 
 class UnseenWork:
-    """Sums up what the steps of a run have missed, J."""
+    """Sums the work (J) of torques that the steps of a run have missed."""
 
     def __init__(self, torques: Torques, t_end: float) -> None:
         self._torques, self._apart = torques, abs(t_end) / SAMPLES
@@ -142,7 +148,7 @@ class UnseenWork:
         self._sum = 0.0
 
     def __call__(self, t: Array, q: Array, qd: Array) -> Array:
-        """What was missed from the start until each of the times t (k,), in states q, qd (k, n)."""
+        """Return the work missed from the start up to times t (k,); q, qd are (k, n)."""
         if self._before is not None:
             t, q, qd = (
                 np.concatenate([a, b]) for a, b in zip(self._before, (t, q, qd), strict=True)
@@ -156,7 +162,7 @@ class UnseenWork:
         return np.asarray(result)
 
     def _missed(self, t: Array, q: Array, qd: Array) -> float:
-        """The work over one step, closely sampled, less that by one rule."""
+        """Return the work over one step by many samples, less that by a single rule (J)."""
         h = float(t[1] - t[0])
         if not abs(h) > LONG * self._apart:
             return 0.0
@@ -191,7 +197,7 @@ WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at onc
 
 
 def joined(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Times and states one after another."""
+    """Concatenate parts of times and states."""
     if len(parts) == 1:
         return parts[0]
     t, y = zip(*parts, strict=True)
@@ -200,14 +206,14 @@ def joined(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
 
 @cache
 def rows_at_once(n: int) -> int:
-    """How many rows of n joints are handed on together."""
+    """Return how many rows of n joints are passed to a sink together."""
     return max(1, min(ROWS_AT_ONCE, WORK_AT_ONCE // n**3))
 
 
 class Rows:
-    """Hands the rows of a run on to a sink: those at given times, or at the accepted steps.
+    """Passes the rows of a run to a sink, at given times or at the accepted steps.
 
-    They have the first `width` numbers of states.  `look` is called with the time of each batch.
+    Rows have the first `width` numbers of states.  `look` is called with the time of each batch.
     """
 
     def __init__(
@@ -221,14 +227,14 @@ class Rows:
         self._moving: Mechanism | None = None
 
     def begin(self, moving: Mechanism, y: Array) -> None:
-        """The run starts at t = 0 in the state y (N,)."""
+        """Start at t = 0 in state y (N,)."""
         self._moving = moving
         if self.times is None or (len(self.times) and self.times[0] == 0.0):
             self._row(np.zeros(1), y[None, :])
             self.next = 1
 
     def due(self, bound: float) -> Array:
-        """The output times still to come, up to `bound`; of many the first."""
+        """Return the next output times up to `bound`, at most one batch of them."""
         if self.times is None or self.next == len(self.times):
             return np.zeros(0)
         sign = -1.0 if self.times[-1] < 0.0 else 1.0
@@ -237,7 +243,7 @@ class Rows:
         return self.times[self.next : end]
 
     def take(self, moving: Mechanism, segment: Segment) -> None:
-        """The rows along a segment of what moves there."""
+        """Collect the rows along a segment; `moving` is the mode of the segment."""
         self.turn(moving)
         if self.times is None:
             t, y = segment.t[1:], segment.y[1:]
@@ -255,13 +261,13 @@ class Rows:
                 self.look(float(due[-1]))
 
     def turn(self, moving: Mechanism) -> None:
-        """The motion goes on in another mode."""
+        """Pass waiting rows on before the motion enters another mode."""
         if moving is not self._moving:
             self.flush()
             self._moving = moving
 
     def end(self, t: float, y: Array) -> None:
-        """A row where the run was stopped, in the state y (N,) at t."""
+        """Add the row at which the run was stopped, state y (N,) at t."""
         if self.last != t:
             self._row(np.array([t]), y[None])
 
@@ -278,7 +284,7 @@ class Rows:
             self.flush()
 
     def flush(self) -> None:
-        """Hand the waiting rows on."""
+        """Pass the waiting rows to the sink."""
         if self._waiting:
             assert self._moving is not None
             t, y = joined(self._waiting)

@@ -1,4 +1,4 @@
-"""How a run ended, and what it did."""
+"""Outcome and report of a run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Outcome(Enum):
-    """How a run ended, and what to do about it."""
+    """Why a run ended, with a label and advice."""
 
     FINISHED = ("finished", "")
     STEP_TOO_SMALL = (
@@ -63,7 +63,7 @@ class Outcome(Enum):
 @short_repr
 @dataclass(repr=False)
 class Report:
-    """What a run did: SI units; drift is relative to the largest energy in motion."""
+    """Report of a run in SI units; drift is relative to the largest energy in motion."""
 
     outcome: str = Outcome.FINISHED.label
     advice: str = ""
@@ -98,4 +98,4 @@ class Report:
 
 
 class InterruptedRun(Exception):
-    """Ends a run from without; what was computed until then is kept."""
+    """Raised to end a run from outside; the rows computed so far are kept."""

@@ -62,7 +62,7 @@ class RightHandSide:
 
 @dataclass(slots=True)
 class Refused:
-    """The last state at which friction by forces had no solution: its time, and the error."""
+    """Time and error of the last state at which friction by forces had no solution."""
 
     t: float = math.nan
     error: NotSettledError | None = None
@@ -70,7 +70,7 @@ class Refused:
 
 @dataclass(slots=True)
 class NearSingular:
-    """Rates that project every state first, and whether a state near a singularity was met."""
+    """Rates that project each state first; `met` tells if a near-singular state occurred."""
 
     rates: Rates
     met: bool = False
@@ -85,9 +85,9 @@ def right_hand_side(
     kind: str | None = None,
     misses: Misses | None = None,
 ) -> RightHandSide:
-    """The evaluator of the given kind, or of the kind that is fastest for this mechanism.
+    """Return the evaluator of the given `kind`, or the fastest one for this mechanism.
 
-    `misses` are the change points that its run has met so far; None: none.
+    `misses` holds the change points met so far by the run.
     """
     kind = kind or _best_kind(mechanism)
     straight = partial(straightline.compile_rates, mechanism, work=work, baumgarte=baumgarte)
@@ -97,7 +97,7 @@ def right_hand_side(
     refused = Refused() if mechanism.rubbing else None
 
     def solving(torques: Actuation) -> Rates:
-        """The rates of a state as it is."""
+        """Return the rates of a state as it is, without projection."""
         fallback = _dense_rates(mechanism, torques, work, baumgarte, refused)
         if kind == "dense":
             return fallback
@@ -130,7 +130,7 @@ def _projecting(
     solved: Rates,
     dense: bool,
 ) -> Rates:
-    """The rates at states that are closed first; at those next to a change point led across it."""
+    """Return rates that project a state first, and lead across nearby change points."""
     mechanism, closing = project.mechanism, project.closing
     # across a change point the state's own torque is kept: beside it it may bend
     held = [0.0] * (mechanism.n + actuation.states)
@@ -144,7 +144,7 @@ def _projecting(
         torques = actuation.function(mechanism.n)
 
     def across(t: float, y: Array, near: Singular) -> Any:
-        """The rates at a state near a change point, if it is next to it."""
+        """Return the rates at a state next to a change point, led across it."""
 
         def evaluate(states: Array) -> Array:
             if torques is not None:
@@ -174,7 +174,7 @@ def _projecting(
         return solved(t, closing(t, y)[0])
 
     def within_laws(t: float, y: Array) -> Any:
-        """The same; nan beyond where a law of a coupling has a value."""
+        """Return projected rates, or nan beyond the range of a coupling's law."""
         try:
             return careful(t, y)
         except ValueError:
@@ -192,7 +192,7 @@ def _best_kind(mechanism: Mechanism) -> str:
 
 
 def _rubbed(mechanism: Mechanism, baumgarte: float) -> Moved:
-    """qdd (n,), the load (n,) of friction by forces in pins and slides, and multipliers (r,)."""
+    """Return a function that gives qdd (n,), the friction load (n,) and multipliers (r,)."""
 
     def moved(q: Array, qd: Array, tau: Array, t: float) -> tuple[Array, Array, Array]:
         found = forward_of_one(mechanism, q, qd, tau, baumgarte, t)
@@ -202,7 +202,10 @@ def _rubbed(mechanism: Mechanism, baumgarte: float) -> Moved:
 
 
 def _moved(mechanism: Mechanism, baumgarte: float, drives: bool) -> Moved:
-    """qdd (n,), the load of friction by forces, and multipliers (r,) if the work `drives`."""
+    """Return a function that gives qdd (n,), the load of friction by forces, and multipliers (r,).
+
+    Multipliers are computed only if laws of time do work (`drives`).
+    """
     if mechanism.rubbing:
         return _rubbed(mechanism, baumgarte)
     if not drives:
@@ -226,7 +229,7 @@ def _dense_rates(
     baumgarte: float,
     refused: Refused | None,
 ) -> Rates:
-    """dy/dt by dense algebra; `refused` is told where friction has no solution."""
+    """Return dy/dt by dense algebra; `refused` records states where friction has no solution."""
     drives = bool(work and mechanism.driven)
     moved = _moved(mechanism, baumgarte, drives)
     n = mechanism.n

@@ -1,16 +1,16 @@
-"""Where a function of time changes sign along a run, with proof that it does so nowhere else.
+"""Finds all sign changes of a function of time along a run, with proof that none is missed.
 
-On a box of times f is the polynomial of degree 16 through its values at Chebyshev's points, but for
-an error that its last coefficients and rounding tell.  With f = sum c_k T_k and |T_k| <= 1,
-|T_k'| <= k^2, |T_k''| <= k^2 (k^2 - 1)/3 on the box,
+On a box of times, f is the polynomial of degree 16 through its values at Chebyshev points, with an
+error bounded by its last coefficients and by rounding.  With f = sum c_k T_k and |T_k| <= 1, |T_k'|
+<= k^2, |T_k''| <= k^2 (k^2 - 1)/3 on the box,
 
     |c_0| > sum_{k>0} |c_k|                              f has one sign,
     |c_1| > sum_{k>1} k^2 |c_k|                          f is monotone,
     4 |c_2| > sum_{k>2} k^2 (k^2 - 1)/3 |c_k|            f has one extremum at most,
 
-each with the error added.  A box where none of them holds is halved.  So a pair of roots, however
-close, costs one box, and a double root is told from two roots as far as rounding permits.  All
-boxes of a function are looked at together, round by round.
+each with the error added.  If none of these holds, the box is halved.  So a pair of roots costs one
+box, however close they are, and a double root is told from two roots as far as rounding permits.
+All boxes of a function are examined together, round by round.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ SLOPES, BENDS = _k**2, _k**2 * (_k**2 - 1.0) / 3.0  # most of |T_k'| and |T_k''|
 
 
 def _coefficients() -> Array:
-    """What makes the c_k (columns) of the values at the nodes (rows)."""
+    """Return the matrix that takes values at the nodes (rows) to coefficients c_k (columns)."""
     values = np.cos(math.pi * np.outer(_k, DEGREE - _k) / DEGREE) * (2.0 / DEGREE)
     values[:, [0, -1]] *= 0.5
     values[[0, -1]] *= 0.5
@@ -54,7 +54,7 @@ def _coefficients() -> Array:
 
 
 def _derivative() -> Array:
-    """What makes the coefficients (columns) of the derivative by x in [-1, 1] of the c_k (rows)."""
+    """Return the matrix that takes c_k (rows) to coefficients of df/dx (columns), x in [-1, 1]."""
     slopes = 2.0 * _k[:, None] * ((_k[:, None] > _k) & ((_k[:, None] - _k) % 2.0 == 1.0))
     slopes[:, 0] *= 0.5
     return np.asarray(slopes)
@@ -65,10 +65,10 @@ DERIVATIVE: Array = _derivative()
 
 
 class Stretches(NamedTuple):
-    """Times over which a function has one sign, in their order: 1 or -1, 0 where rounding hides it.
+    """Spans of time, in order, on which a function has one sign; 0 if rounding hides it.
 
-    `sure` (k,) is a time at which it has the sign for certain, `blur` how far its begin may be off,
-    s.  Where it `stays` it is zero, or, unless `defined`, has no value.
+    `sure` (k,) is a time at which the sign is certain, `blur` (k,) the uncertainty of `begin` in s.
+    With sign 0, the function `stays` at zero, or has no value if it is not `defined`.
     """
 
     begin: Array
@@ -82,9 +82,9 @@ class Stretches(NamedTuple):
 
 @dataclass
 class Budget:
-    """How many boxes may still be looked at, none shorter than `least` (s).
+    """Number of boxes that may still be examined, none shorter than `least` (s).
 
-    `spent` where they did not suffice.
+    `spent` is set if they did not suffice.
     """
 
     least: float
@@ -93,16 +93,16 @@ class Budget:
 
 
 def node_times(begin: Array, end: Array) -> Array:
-    """The times (m, nodes) of Chebyshev's points of m boxes; the last is the end itself."""
+    """Return the times (m, nodes) of Chebyshev points in m boxes; the last is the box's end."""
     at: Array = begin[:, None] + (end - begin)[:, None] * NODES
     at[:, -1] = end
     return at
 
 
 class Boxes(NamedTuple):
-    """Boxes of times on which a function is a polynomial of coefficients c (m, DEGREE + 1).
+    """Boxes of times on which a function is a polynomial with coefficients c (m, DEGREE + 1).
 
-    It is so but for an `error` (m,); `noise` is what rounding has in that.
+    `error` (m,) bounds its deviation, `noise` (m,) the part of it that comes from rounding.
     """
 
     begin: Array
@@ -115,24 +115,27 @@ class Boxes(NamedTuple):
         return Boxes(*(x[which] for x in self))
 
     def place(self, t: Array) -> Array:
-        """Times as x in [-1, 1]."""
+        """Map times (m,) to x in [-1, 1]."""
         x = 2.0 * (t - self.begin) / (self.end - self.begin) - 1.0
         return np.minimum(1.0, np.maximum(-1.0, x))
 
     def signs(self, t: Array) -> NDArray[np.int64]:
-        """At a time of each; 0 where the error hides it."""
+        """Return the sign at one time (m,) in each box; 0 if the error hides it."""
         value = evaluated(self.c, self.place(t))
         return np.where(np.abs(value) <= self.error, 0.0, np.sign(value)).astype(np.int64)
 
     def blurs(self, t: Array) -> Array:
-        """How far the times of roots may be off by rounding: twice what the slopes there tell."""
+        """Return how far rounding may move roots at t (m,): twice the noise over the slope, s."""
         slope = np.abs(evaluated(self.c @ DERIVATIVE, self.place(t)))
         length = 0.5 * np.abs(self.end - self.begin)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(slope > 0.0, np.minimum(2.0 * self.noise / slope, 1.0), 1.0) * length
 
     def roots(self, begin: Array, end: Array) -> Array:
-        """Those of polynomials that change sign once between two times: Newton's, in a bracket."""
+        """Return the root (m,) in each box, where f changes sign once between begin and end.
+
+        Newton's method, kept within a bracket.
+        """
         low, high = self.place(begin), self.place(end)
         both = np.stack([self.c, self.c @ DERIVATIVE])
         first, last = evaluated(self.c, low), evaluated(self.c, high)
@@ -155,14 +158,14 @@ class Boxes(NamedTuple):
 
 
 def evaluated(c: Array, x: Array) -> Array:
-    """Chebyshev's polynomials of coefficients c (..., m, k) at x (m,) in [-1, 1]."""
+    """Evaluate Chebyshev series with coefficients c (..., m, k) at x (m,) in [-1, 1]."""
     return np.asarray((c * np.cos(np.arccos(x)[:, None] * _k)).sum(axis=-1))
 
 
 def certain(values: Array, off: Array) -> NDArray[np.int64]:
-    """The signs of functions (...) that do not change on their box; 0 where they may.
+    """Return the sign (...) of functions that cannot change it on their box; 0 if they may.
 
-    `values` (..., DEGREE + 1) are those at the nodes, each right but for `off` (...).
+    `values` (..., DEGREE + 1) are taken at the nodes; each may be wrong by `off` (...).
     """
     size = np.abs(c := values @ TO_COEFFICIENTS)
     total, tail = size.sum(axis=-1), size[..., -3:].sum(axis=-1)
@@ -171,7 +174,7 @@ def certain(values: Array, off: Array) -> NDArray[np.int64]:
 
 
 class _Found:
-    """Gathers stretches, and puts them in order."""
+    """Collects stretches and sorts them by time."""
 
     def __init__(self) -> None:
         self.blocks: list[Array] = []
@@ -211,9 +214,10 @@ def stretches(
     budget: Budget,
     known: NDArray[np.int64] | None = None,
 ) -> Stretches:
-    """The signs of a function over boxes from begin (m,) to end, which follow one another.
+    """Return stretches of equal sign of a function over consecutive boxes.
 
-    Those whose sign is `known` (m,), not 0, are not looked at.
+    Boxes go from begin (m,) to end (m,).  Boxes whose sign is `known` (m,), not 0, are not
+    examined.
     """
     found, forward = _Found(), -1.0 if len(end) and end[0] < begin[0] else 1.0
     if known is not None:
@@ -237,7 +241,7 @@ def stretches(
 def _look(
     sampled: Sampled, begin: Array, end: Array, budget: Budget, found: _Found
 ) -> tuple[Array, Array]:
-    """Look at boxes once; those to be looked at again, narrower."""
+    """Examine boxes once; return begin and end of the narrower boxes to examine next."""
     values, noises = sampled(node_times(begin, end))
     open_: NDArray[np.bool_] = np.ones(len(begin), bool)
 
@@ -291,7 +295,7 @@ def _look(
 
 
 def _monotone(boxes: Boxes, begin: Array, end: Array, found: _Found) -> None:
-    """Of parts of boxes in which f is monotone."""
+    """Find the roots in parts of boxes in which f is monotone."""
     if not len(begin):
         return
     first, last = boxes.signs(begin), boxes.signs(end)
@@ -311,9 +315,9 @@ def _monotone(boxes: Boxes, begin: Array, end: Array, found: _Found) -> None:
 
 
 def _bent(boxes: Boxes, near: Array, found: _Found) -> tuple[Array, Array]:
-    """Of boxes in which f bends one way alone; rounding may hide it `near` its extremum.
+    """Find the roots in boxes with at most one extremum, which rounding may hide nearby.
 
-    Returns the narrow boxes about extrema that are to be looked at again: these see more.
+    Returns the narrow boxes around extrema that need a closer look.
     """
     slopes = boxes._replace(c=boxes.c @ DERIVATIVE)
     ends = [evaluated(slopes.c, np.full(len(near), x)) for x in (-1.0, 1.0)]
@@ -349,11 +353,11 @@ def brackets(
     high: Array,
     guess: Array,
 ) -> tuple[Array, Array, Array]:
-    """Neighbours (k,), to rounding, between which f comes to meet a condition, each its own.
+    """Return neighbouring floats low, high (k,) between which f comes to meet a condition.
 
-    `met` tells of values of f, and by which of the k they are, whether they do.  It is not met at
-    `low` and is at `high`, and comes to be once between.  The third is that of the two where f is
-    nearer to zero.
+    `met(values, k)` tells whether values of function number k meet it.  The condition fails at
+    `low`, holds at `high`, and changes once between.  The third result is the end at which |f| is
+    smaller.
     """
     low, high = low.copy(), high.copy()
     first, last = np.full(len(low), np.nan), np.full(len(low), np.nan)  # where they are known

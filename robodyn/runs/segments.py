@@ -1,6 +1,6 @@
-"""Segments of a run: accepted steps, and the states between them.
+"""Segments of a run: accepted steps and the states between them.
 
-All that is asked of a run beyond its steps (rows, events, statistics) reads these.
+Rows, events and statistics of a run all read segments.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ Inside = Callable[[Places, Array], Array]  # states (k, N) at a time of each of 
 
 
 class Segment:
-    """Steps from t[j] to t[j + 1], t (m + 1,), with the states y (m + 1, N) at these times.
+    """Steps from t[j] to t[j + 1] with states y (m + 1, N) at the times t (m + 1,).
 
-    `inside` has, of steps by their places (k,), the states at a time (k,) within each, such as
-    close.  `sampled` has those (m, nodes, N) at Chebyshev's points of all steps, which need not
-    close: at the ends of steps it tells how far they miss.  None: as `inside` has them.  Where
-    these have the first `width` numbers of a state only, or there are none, `whole` has states
-    (k, N) at times (k,) of one step by its place.  `rows` are times that were asked for, and the
-    states there.
+    `inside(places, times)` returns closed states (k, N) at one time (k,) in each of the steps
+    `places` (k,).  `sampled()` returns states (m, nodes, N) at Chebyshev points of all steps.
+    These states need not close; at the end of a step they show by how much the polynomial misses.
+    Without it, `inside` serves.  `width` is the number of state components that `inside` returns.
+    `whole(j, times)` returns complete states (k, N) within step j.  `rows` holds requested output
+    times with their states.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Segment:
         return float(self.t[-1])
 
     def within(self, places: Places, times: Array) -> Array:
-        """States (k, N) at a time (k,) of each of the steps at some places (k,)."""
+        """Return states (k, N), one at a time (k,) within each of the steps `places` (k,)."""
         states = np.empty((len(times), self.width))
         at_begin, at_end = times == self.t[places], times == self.t[places + 1]
         between = ~(at_begin | at_end)
@@ -69,21 +69,21 @@ class Segment:
         return states
 
     def places(self, times: Array) -> Places:
-        """The places of the steps that end at times (k,), or after them."""
+        """Return the indices (k,) of the steps that contain times (k,)."""
         found = np.searchsorted(self.t * self.forward, times * self.forward) - 1
         return np.minimum(np.maximum(found, 0), len(self) - 1)
 
     def at(self, times: Array) -> Array:
-        """States (k, N) at times (k,) of any of the steps."""
+        """Return states (k, N) at times (k,) within the segment, in any order."""
         return self.within(self.places(times), times)
 
     def largest(self, places: Places) -> Array:
-        """How large the numbers (k, N) of states are at the ends of some steps."""
+        """Return the larger size (k, N) of each state component at both ends of steps."""
         sizes = np.abs(self.y[:, : self.width])
         return np.maximum(sizes[places], sizes[places + 1])
 
     def states(self, times: Array) -> Array:
-        """Whole states (k, N) at increasing times (k,), or decreasing ones where it runs back."""
+        """Return complete states (k, N) at times (k,), ordered along the motion."""
         if self._whole is None:
             return self.at(times)
         places, found = self.places(times), np.empty((len(times), self.y.shape[1]))
@@ -95,7 +95,7 @@ class Segment:
         return found
 
     def until(self, t: float) -> Segment:
-        """The part up to a time t, with the same states between."""
+        """Return the part of the segment up to time t."""
         y = self.states(np.array([t]))
         count = int(np.searchsorted(self.t * self.forward, t * self.forward))
         times, states = np.append(self.t[:count], t), np.concatenate([self.y[:count], y])
@@ -107,7 +107,7 @@ class Segment:
 
     @cached_property
     def nodes(self) -> tuple[Array, Array]:
-        """States (m, nodes, N) at Chebyshev's points of the steps, and their times (m, nodes)."""
+        """States (m, nodes, N) at Chebyshev points of the steps, and their times (m, nodes)."""
         times = node_times(self.t[:-1], self.t[1:])
         if self._sampled is not None:
             return self._sampled(), times
@@ -119,7 +119,7 @@ MOVED = ("t", "t_old", "y", "y_old", "f", "h_previous")  # of an explicit solver
 
 
 class KeptStep:
-    """A step of one of scipy's solvers, whose states between its ends can be asked for later."""
+    """A step of a scipy solver whose dense output can be asked for later."""
 
     __slots__ = ("K", "dense", "f", "h_previous", "solver", "t", "t_old", "y", "y_old")
 
@@ -135,7 +135,10 @@ class KeptStep:
         self.y_old = solver.y_old
 
     def dense_output(self) -> Any:
-        """The solver's own, of this step: it goes back to the step for that, if it has gone on."""
+        """Return the solver's dense output for this step.
+
+        If the solver has gone on, its attributes are set back to this step for the call.
+        """
         if self.dense is None:
             solver: Any = self.solver
             now = {name: getattr(solver, name) for name in MOVED}
@@ -153,13 +156,13 @@ class KeptStep:
 
 
 def solver_segment(begun: Array, steps: Sequence[KeptStep]) -> Segment:
-    """Steps of a solver from the state `begun` (N,), with its dense outputs."""
+    """Return the segment of some solver steps that start from the state `begun` (N,)."""
     close = steps[0].solver.projection
     t = np.array([steps[0].t_old, *(step.t for step in steps)])
     y = np.array([begun, *(step.y for step in steps)])
 
     def plain(places: Places, times: Array) -> Array:
-        """States that the method has, not closed."""
+        """Return states of the method's polynomial, not projected onto closures."""
         asked, which = np.unique(places, return_inverse=True)
         each = [steps[j].dense_output() for j in asked.tolist()]
         each = [getattr(one, "_dense", one) for one in each]

@@ -1,7 +1,6 @@
 """The Taylor-series engine in machine code: many steps of one motion in one call.
 
-The series of a motion costs a few convolutions an order and a link for any planar linkage, as
-`engines/series.py` says.
+The series of a planar linkage costs a few convolutions per order and link; see `engines/series.py`.
 """
 
 from __future__ import annotations
@@ -37,7 +36,10 @@ END: Array = np.ones(1)  # of a step, the part that is all
 
 
 def terms_of(parts: Array, h: Array) -> Complex:
-    """z_k h^k, k > 0, (n, p, m) of rho and theta in `parts` (2, n, p + 1, m) of steps h (m)."""
+    """Return z_k h^k for k > 0, (n, p, m), from rho and theta in `parts` (2, n, p + 1, m).
+
+    h (m,) are the steps.
+    """
     most, k = parts.shape[2] - 1, 1
     powers = np.empty((most, len(h)))
     powers[0] = h
@@ -52,9 +54,10 @@ def terms_of(parts: Array, h: Array) -> Complex:
 
 
 def states_along(mechanism: Mechanism, y: Array, terms: Complex, h: Array, parts: Array) -> Array:
-    """q and qd (m, k, 2n) at `parts` (k) of steps h (m) from y (m, 2n or more), by their terms.
+    """Return q, qd (m, k, 2n) at fractions `parts` (k,) of steps h (m,) from states y.
 
-    Closures are kept as far as these do.  See `placed.joint_ways`; parts are faster in turn.
+    y is (m, 2n or more), `terms` as `terms_of` returns them.  States close only as far as the
+    series do.  All steps share the same fractions, which makes this faster than `states_at`.
     """
     n, slides, k = mechanism.n, list(mechanism.slides), len(parts)
     sums = _weights(terms.shape[1], parts.tobytes()) @ terms
@@ -78,7 +81,10 @@ def states_along(mechanism: Mechanism, y: Array, terms: Complex, h: Array, parts
 
 
 def states_at(mechanism: Mechanism, y: Array, terms: Complex, x: Array, part: Array) -> Array:
-    """The same (m, 2n) at one time of each step, x (m) after y, not 0: this `part` (m) of it."""
+    """Return q, qd (m, 2n) at one time x (m,) > 0 after each state y, from `terms`.
+
+    `part` (m,) is x as a fraction of the step.  States close only as far as the series do.
+    """
     powers = np.empty(terms.shape[1:])
     powers[:] = part
     np.multiply.accumulate(powers, out=powers)
@@ -92,16 +98,16 @@ def _orders(count: int) -> Array:
 
 @lru_cache(maxsize=64)
 def _weights(count: int, parts: bytes) -> Complex:
-    """What makes sums of terms (columns), and of their slopes, at parts of a step (rows)."""
+    """Return weights that sum terms, and their slopes, at fractions `parts` of a step."""
     orders, at = _orders(count)[:, 0], np.frombuffer(parts)[:, None]
     return np.concatenate([at**orders, orders * at ** (orders - 1.0)]).astype(complex)
 
 
 class Chunk(NamedTuple):
-    """Some steps: their ends t (m,) and states y (m, N), and rows at output times (k,), (k, N).
+    """Steps that end at t (m,) in states y (m, N), and rows at output times (k,), (k, N).
 
-    y = (q, qd) in joint coordinates, with the work done by torques less dampers appended where it
-    was asked for.  `terms` (n, p, m) are z_k h^k, k > 0, of the steps h where that was asked for.
+    y = (q, qd) in joint coordinates, followed by the work of torques less dampers (J) if requested.
+    `terms` (n, p, m) are z_k h^k for k > 0 of the steps h, if requested.
     """
 
     t: Array
@@ -126,16 +132,19 @@ _STATUS = {RUNNING: Status.FULL} | {float(status): status for status in Status}
 
 
 class NoCodeError(RobodynError):
-    """There is no machine code for a scene, or a phase of its motion: DOP853 serves."""
+    """Machine code does not serve a scene or a contact mode; use DOP853."""
 
 
 def order_where_steps_cost(tolerance: float) -> int:
-    """The order that measured cheapest for one run: a step costs much beside its series."""
+    """Return the order measured as cheapest for a single run at a tolerance.
+
+    A step of one motion has a large cost besides its series.
+    """
     return max(8, math.ceil(6 - 0.7 * math.log(max(tolerance, 1e-16))))
 
 
 class Rows(Observer):
-    """Keeps every step's end, its series where asked to, and rows at given times; of one lane."""
+    """Observer of one lane: stores ends of steps, rows at given times, and series if requested."""
 
     key = "rows " + " ".join(TABLE)
 
@@ -193,14 +202,14 @@ class Rows(Observer):
             self._again(k, there, to)
 
     def _again(self, k: Kernel, there: Word, to: Word) -> None:
-        """The state at the step's end, where another one was made."""
+        """Write code that evaluates the state at the step's end once more."""
         k.each(len(self.scene.state), lambda i: k.store(k.load(k.at(there, i)), k.at(to, i)))
 
 
 class _Room:
-    """What a run of machine code works on: a block, and where times and results are.
+    """Memory for one run of machine code: its block, output times and results.
 
-    It is state: no two runs share it, but one may leave it to the next.
+    Two runs never share a room; a finished run leaves its room to the next.
     """
 
     __slots__ = ("address", "block", "layout", "room", "views")
@@ -211,9 +220,10 @@ class _Room:
         self.views: tuple[Any, ...] = ()
 
     def laid(self, wanted: int, N: int, most: int, turns: int) -> tuple[Any, ...]:
-        """Where the observer's table is, it, and the times, rows, ends, states, and series.
+        """Return the address and views of the table, times, rows, ends, states and series.
 
-        Those are `wanted` times, and `most` steps of N numbers and `turns` coefficients.
+        There is room for `wanted` times, and for `most` steps of N numbers and `turns`
+        coefficients.
         """
         layout: Any = wanted, N, most, turns
         if layout == self.layout:
@@ -231,7 +241,7 @@ class _Room:
 
 
 class _Ready(NamedTuple):
-    """A scene, its code, a block with its numbers, and rooms that runs have left."""
+    """A scene, its machine code, a block with its numbers, and free rooms of earlier runs."""
 
     scene: Scene
     code: Loaded
@@ -239,7 +249,7 @@ class _Ready(NamedTuple):
     rooms: list[_Room]
 
     def room(self) -> _Room:
-        """One with its numbers."""
+        """Return a free room, or a new one, with the scene's numbers in its block."""
         try:
             room = self.rooms.pop()
         except IndexError:
@@ -268,16 +278,16 @@ def _ready(
 
 @lru_cache(maxsize=64)
 def _kept(mechanism: Mechanism, constants: tuple[float, ...] | None, *rest: Any) -> _Ready:
-    """The same of constant torques, or of those that are linear between kinks."""
+    """Return a cached `_Ready` for constant torques, or for torques linear between kinks."""
     return _ready(mechanism, Actuation(constants, linear=constants is None), *rest)
 
 
 class SeriesEngine:
-    """Steps of the Taylor series in machine code, of any torques that have a series.
+    """Steps of the Taylor series in machine code, for torques that have a series.
 
-    Tolerances are those of angles (rad) and rates (rad/s) over one step.  With `work` states have
-    the work done appended; without `project` closures are left to drift.  Raises NoCodeError if
-    there is no machine code, InputError if a torque has no series, and so does `advance`.
+    Tolerances apply to angles (rad) and rates (rad/s) per step.  With `work`, states end with the
+    work done (J).  Without `project`, closures drift.  Raises NoCodeError if machine code does not
+    serve the scene, and InputError if a torque has no series; `advance` raises the same errors.
     """
 
     def __init__(
@@ -311,9 +321,9 @@ class SeriesEngine:
                 ready.rooms.append(room)
 
     def _made(self, held: tuple[float, ...] | None) -> tuple[_Ready, _Room]:
-        """What is ready for the torques as the switches of an expression stand, and its room.
+        """Return code and room for the current switch values `held` of the torques.
 
-        Raises NoCodeError where there can be no code.
+        Raises NoCodeError if no code can be made.
         """
         found = self._ready.get(held)
         if found is None:
@@ -334,9 +344,9 @@ class SeriesEngine:
         return self.actuation.function(self.mechanism.n)
 
     def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
-        """Return the states (k, N) at times (k,) in a step from (t, y) to `end`, as a function.
+        """Return a function of times (k,) that gives states (k, N) between (t, y) and `end`.
 
-        The step is made once more for each call.
+        Each call of the function computes the step again.
         """
         forward = 1.0 if end > t else -1.0
 
@@ -349,19 +359,16 @@ class SeriesEngine:
         return states
 
     def _again(self, t: float, y: Array, end: float, times: Array) -> Array:
-        """The states at `times` in a step from (t, y), which ends where it did, well or not.
+        """Return states at `times` in the step from (t, y), computed again.
 
-        Where rounding makes it shorter another one leads to its end.
+        If rounding ends the step early, a second step covers the rest.
         """
         rows = self.advance(t, y, end, times, STEPS, lands=False).row_y
         assert len(rows) == len(times)
         return rows
 
     def closed(self, rows: Array, t: Array) -> Array:
-        """Move states (k, 2n or more) at times t (k,) to the nearest that close, in place.
-
-        Return them.
-        """
+        """Project states (k, 2n or more) at times t (k,) onto closures, in place; return them."""
         (scene, code, *_), room = next(iter(self._ready.values()))  # they close alike
         block, address = room.block, room.address
         if code.close is not None:
@@ -377,12 +384,11 @@ class SeriesEngine:
     def advance(
         self, t: float, y: Array, bound: float, times: Array, steps: int, lands: bool = True
     ) -> Chunk:
-        """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
+        """Take up to `steps` steps from (t, y) towards `bound`, with rows at `times`.
 
-        y is (q, qd) in joint coordinates, with the work done (J) appended where it is wanted.
-        `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
-        The step in which they run out is the last.  Unless it `lands` one may end on a state from
-        which no series leads on.
+        y is (q, qd) in joint coordinates, followed by the work (J) if requested.  `times` are
+        ordered, strictly after t and not beyond `bound`.  The step that reaches the last of them is
+        the last step.  Unless it `lands`, a step may end in a state from which no series can start.
         """
         keeps = self.keeps and lands
         pieces = self.actuation.pieces
@@ -426,9 +432,9 @@ class SeriesEngine:
 
 @lru_cache(maxsize=64)
 def refused(mechanism: Mechanism) -> str:
-    """Return why machine code does not serve a mechanism, or "": it does.
+    """Return why machine code does not serve a mechanism, or "" if it does.
 
-    Of a mechanism with contacts, each mode is one for itself.
+    For a mechanism with contacts, ask for each mode by itself.
     """
     if mechanism.rubbing:
         place = mechanism.rubbing_place(mechanism.rubbing[0])
@@ -450,7 +456,7 @@ def serves(mechanism: Mechanism) -> bool:
 
 
 def check_served(mechanism: Mechanism, actuation: Actuation) -> None:
-    """Raise InputError if no machine code serves a scene under its torques, with the reason."""
+    """Raise InputError with the reason if machine code does not serve a scene's motion."""
     if not machine.available():
         limit = "needs the extra `fast`: pip install '.[fast]'"
         raise InputError("method", value="taylor", limit=limit)

@@ -1,9 +1,10 @@
-"""Runs the Taylor integrator: steps onto kinks, crosses what is singular.
+"""Steps of the Taylor series, with DOP853 across states that have no usable series.
 
-A series that starts close to a singular configuration drowns in rounding.  Steps land elsewhere if
-they can; if they cannot, or a run starts there, DOP853, whose stages `change_points.py` serves,
-leads across.  So it does past a change point that the loops miss, from where a torque has no
-series, sqrt(t) at 0, and through a phase of contacts that machine code does not serve.
+A series that starts close to a singular configuration loses its digits to rounding.  Steps avoid
+such starts if they can.  If they cannot, or if a run starts there, DOP853 leads across, with stages
+served by `change_points.py`.  DOP853 also leads past change points that the loops miss, away from
+times without a series of the torque (sqrt(t) at 0), and through contact modes that machine code
+does not serve.
 """
 
 from __future__ import annotations
@@ -47,10 +48,11 @@ LEAD = 8  # steps of DOP853 away from where a torque has no series
 class SeriesSteps:
     """Steps of the Taylor series from (t, y) to t_end, as segments.
 
-    `side` makes what DOP853 needs, where it is needed.  `engines` keeps the engines of phases
-    (None: machine code does not serve the phase) for the next one.  `met` are the change points
-    that the run has met so far.  `due` has the output times still to come up to a time.
-    `keeps`: states between steps are asked for; `may_end`: what is beyond a step may be lost.
+    `side()` makes the right-hand side for DOP853 when needed.  `engines` caches one engine per
+    mode; None marks a mode that machine code does not serve.  `met` holds the change points met so
+    far.  `due(bound)` returns the output times up to a bound.  With `keeps`, states between steps
+    are available.  With `may_end`, steps beyond an event may be discarded, so fewer are taken at
+    once.
     """
 
     mechanism: Mechanism
@@ -103,9 +105,9 @@ class SeriesSteps:
         return self.engines[mechanism]
 
     def advance(self, left: float) -> Segment | None:
-        """The next steps; some more than `left` evaluations end them.
+        """Return the next steps, or None if there are none; `outcome` then says why.
 
-        None where there are none, and the outcome tells why.
+        The segment ends soon after more than `left` evaluations.
         """
         if self.reached is not None:
             self.leave(*self.reached)
@@ -124,12 +126,12 @@ class SeriesSteps:
         return segment
 
     def leave(self, t: float, y: Array) -> None:
-        """Go on from the state y at t: torques are told of it if it is a kink."""
+        """Continue from state y at t; tell torques with a memory if t is a kink."""
         self.reached = None
         reach(self.actuation, t, y)
 
     def _bound(self) -> float:
-        """Where the next steps end at the latest."""
+        """Return the latest time at which the next steps must end."""
         actuation = self.actuation
         if self.t_end < 0.0 and kink_at(actuation.jumps, self.t) is not None:
             self.t = math.nextafter(self.t, -math.inf)  # what is at a jump is what follows it
@@ -139,7 +141,10 @@ class SeriesSteps:
         return bound
 
     def _leads_on(self, t: float, y: Array) -> bool:
-        """Whether the Taylor series may go on from t, y: closures are regular, no miss is near."""
+        """Return whether a series may start at (t, y).
+
+        The closures must be regular, and no missed change point may be near.
+        """
         if self.closing is None:
             return True
         if self.closing(t, y.tolist())[1] < self.regular:
@@ -148,7 +153,10 @@ class SeriesSteps:
 
     @np.errstate(all="ignore")  # as of a run by it alone
     def _by_dop853(self, bound: float, left: float) -> Segment | None:
-        """Go on by DOP853 to where a series leads on, or the bound; the outcome if that fails."""
+        """Return steps of DOP853, up to a state from which a series may start.
+
+        Sets the outcome if DOP853 fails.
+        """
         from robodyn.runs.solvers import SolverSteps
 
         if self.leading is None:
@@ -180,7 +188,7 @@ class SeriesSteps:
     def _by_series(
         self, engine: SeriesEngine, bound: float, left: float
     ) -> tuple[Segment | None, Status]:
-        """Some steps, and how they ended."""
+        """Return some steps of the series (None if none succeeded) and their status."""
         free = self.settings.max_step == math.inf
         steps = int(max(1, min(engine.most, left + 1))) if free else 1
         engine.keeps = self.keeps
@@ -195,7 +203,10 @@ class SeriesSteps:
         return series_segment(self.mechanism, engine, t, y, chunk), chunk.status
 
     def _way_on(self, before: float, status: Status) -> Outcome | None:
-        """How it goes on after steps from `before`; the outcome where it does not."""
+        """Choose the next stepper after steps from time `before`; return a final outcome.
+
+        Returns None if the run goes on.
+        """
         if self.t == self.t_end:
             return Outcome.FINISHED
         self.idle = self.idle + 1 if self.t == before else 0
@@ -215,7 +226,7 @@ class SeriesSteps:
 
 
 def reach(actuation: Actuation, t: float, y: Array) -> None:
-    """Tell a torque that depends on the run's steps that one of them ended on a kink."""
+    """Tell a torque with a memory that a step ended on a kink."""
     if actuation.told is not None and (kink := kink_at(actuation.kinks, t)) is not None:
         actuation.told.reach(kink, y.tolist())
 
@@ -223,7 +234,10 @@ def reach(actuation: Actuation, t: float, y: Array) -> None:
 def series_segment(
     mechanism: Mechanism, engine: SeriesEngine, t: float, y: Array, chunk: Chunk
 ) -> Segment:
-    """The steps of a chunk from the state y at t; where it has their terms, all states between."""
+    """Return the segment of a chunk of steps from state y at t.
+
+    If the chunk has the terms of its series, states between steps come from these.
+    """
     terms, count = chunk.terms, len(chunk.t)
     times, states = np.empty(count + 1), np.empty((count + 1, len(y)))
     times[0], times[1:], states[0], states[1:] = t, chunk.t, y, chunk.y

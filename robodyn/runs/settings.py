@@ -1,4 +1,4 @@
-"""How to integrate: the method, its tolerances, what keeps loops closed."""
+"""Settings of an integration: method, tolerances, and how loops are kept closed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEFAULT_POINTS = 1001  # rows of one
 
 
 class EvenTimes:
-    """`count` times 0, step, 2 step, ..., the last of them `end`; a sequence, sliced as arrays."""
+    """A sequence of `count` times 0, step, 2 step, ..., `end`; slices are arrays."""
 
     def __init__(self, step: float, count: int, end: float) -> None:
         self.step, self.count, self.end = step, count, end
@@ -66,7 +66,7 @@ SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
 
 @dataclass(eq=False, repr=False)
 class Settings:
-    """How to integrate."""
+    """Method, tolerances and limits of an integration."""
 
     method: str = "DOP853"
     rtol: float = 1e-9
@@ -79,11 +79,11 @@ class Settings:
 
     @property
     def smallest_rtol(self) -> float:
-        """That the method takes."""
+        """The smallest rtol that the method accepts."""
         return 1e-16 if self.method == "taylor" else SCIPY_RTOL
 
     def check(self) -> None:
-        """Raise InputError for a setting that is none."""
+        """Raise InputError for an invalid setting."""
         try:
             self._check()
         except TypeError:  # what is no number is not compared
@@ -125,7 +125,7 @@ class Settings:
 
 
 def check_run(settings: Settings, t_end: float, times: Array | EvenTimes | None) -> None:
-    """Raise InputError if the settings, the end or the times of the rows make no run."""
+    """Raise InputError if settings, end time or output times are invalid."""
     settings.check()
     if not math.isfinite(t_end):
         raise InputError("time", value=t_end, limit="must be finite")

@@ -1,4 +1,4 @@
-"""`simulate`: forward simulation, and the motion that comes of it."""
+"""`simulate`: forward simulation, and the `Motion` that it returns."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ NONE: frozenset[int] = frozenset()
 
 @dataclass(eq=False, repr=False)
 class Motion:
-    """A simulated motion: t (T,) s, q, qd, tau (T, n); how it ended, its events, and the report.
+    """A simulated motion: t (T,) in s and q, qd, tau (T, n), with outcome, events and report.
 
-    With sensitivities d(q, qd) by each of k names, (T, 2n, k).  `errors` are those of a controller,
-    q_ref - q of the actuated joints (T, m).
+    `sensitivity` (T, 2n, k) are derivatives of (q, qd) by k named numbers.  `errors` (T, m) are
+    q_ref - q of the actuated joints under a controller.
     """
 
     t: Array
@@ -69,7 +69,7 @@ class Motion:
 
     @cached_property
     def report(self) -> Report:
-        """What the run did; its statistics are taken when they are asked for."""
+        """The report of the run; its statistics are computed at the first access."""
         return self._settle()
 
     def __getstate__(self) -> dict[str, object]:
@@ -78,11 +78,11 @@ class Motion:
         return {**kept, **made, "_settle": None, "_again": None}
 
     def at(self, t: ArrayLike) -> tuple[Array, Array]:
-        """q and qd (..., n) at any times t (...) within the run, s; rad and rad/s, m and m/s.
+        """Return q and qd (..., n) at any times t (...) within the run (s).
 
-        The first call takes the run's steps once more and keeps them, with all states between.
-        At an impact the rates are those before it.  Raises InputError for a time outside or that is
-        no number, and of a motion that was pickled.
+        The first call integrates the run again and keeps all its steps.  At an impact the rates are
+        those before it.  Raises InputError if a time is outside the run or not a number, and for a
+        motion that was pickled.
         """
         times = placed.numbers("t", t)
         first, last = self._segments[0].t[0], self._segments[-1].t[-1]
@@ -104,7 +104,7 @@ class Motion:
 
     @cached_property
     def _segments(self) -> list[Segment]:
-        """Those of the run, each with the states between its steps."""
+        """The segments of the run, integrated again, with states between steps."""
         if self._again is None:
             raise InputError("at", limit="a motion that was pickled has its rows alone")
         run = self._again()
@@ -123,12 +123,12 @@ class Motion:
 
     @cached_property
     def qdd(self) -> Array:
-        """The accelerations (T, n), rad/s^2, computed when they are asked for."""
+        """The accelerations (T, n) in rad/s^2 or m/s^2, computed at the first access."""
         states = self.in_phases(self.q, self.qd, self.tau, self.t)
         return np.concatenate([dynamics.motion_dynamics(moving, *x).qdd for moving, *x in states])
 
     def in_phases(self, *values: Array) -> Iterator[tuple[Any, ...]]:
-        """What moves in each phase, and these values there."""
+        """Yield the moving mode of each phase and the rows of `values` in it."""
         if not self.mechanism.switches or not self.phases:
             yield self.mechanism, *values
             return
@@ -137,9 +137,9 @@ class Motion:
         yield from zip((moving for _, moving in self.phases), *parts, strict=True)
 
     def to_dict(self) -> Columns:
-        """The columns (T,) by their names, as `robodyn simulate` writes them.
+        """Return the columns (T,) by name, as `robodyn simulate` writes them.
 
-        A dict that pandas.DataFrame and polars.DataFrame take as it is.
+        The dict is accepted by pandas.DataFrame and polars.DataFrame.
         """
         states = self.in_phases(self.t, self.q, self.qd, self.tau)
         with np.errstate(all="ignore"):
@@ -183,20 +183,22 @@ def simulate(
     sensitivity: Sequence[str] | None = None,
     engine: object = None,
 ) -> Motion:
-    """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
+    """Simulate the motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
-    tau: constants, an expression such as "2*sin(3*t)", a function tau(t, q, qd), or None; values
-    are those of all joints or of the actuated ones.  An exception of the function ends the run and
-    is raised as it is; where it returns nan a shorter step is tried.  The motion is given at
-    `t_eval`, or at the accepted steps where that is None.  Otherwise a run that does not finish is
-    no exception: `motion.outcome` tells, and the motion holds what was computed.
-    `method` is one of scipy's, or "taylor", machine code with the extra `fast`, whose `order`
-    follows from the tolerance unless given.
-    `events` are expressions by name, {"apex": "qd1", "high": "q1 > 90deg"}: `motion.events` tells
-    when each passes zero, or becomes true; the run ends where `until` does.  `sensitivity` names
-    numbers of the scene and start values, ["links.forearm.m", "q1"]: `motion.sensitivity` has the
-    derivatives by them, nan where they are withheld, `motion.report` their errors.
-    Raises InputError for arguments that do not fit, a state that does not close among them.
+    `tau` is constants, an expression such as "2*sin(3*t)", a function tau(t, q, qd), or None.  It
+    gives torques (N m, or N) of all joints or of the actuated ones.  An exception of the function
+    ends the run and is raised unchanged; if the function returns nan, a shorter step is tried.
+    Rows are at `t_eval`, or at the accepted steps if it is None.
+
+    `method` is one of scipy's, or "taylor": machine code, with the extra `fast`.  Its `order`
+    follows from the tolerance unless given.  `events` are expressions by name, {"apex": "qd1",
+    "high": "q1 > 90deg"}. `motion.events` tells when each crosses zero or becomes true.  The run
+    ends when `until` does.  `sensitivity` names numbers of the scene and start values,
+    ["links.forearm.m", "q1"].  `motion.sensitivity` has the derivatives by them (nan where
+    withheld), `motion.report` their errors.
+
+    A run that does not finish raises nothing: `motion.outcome` tells why, and the motion holds what
+    was computed.  Raises InputError for wrong arguments, including a state that does not close.
     """
     if engine is not None:
         raise InputError("engine", value=engine, limit=NO_ENGINE)
@@ -246,7 +248,7 @@ def _motion(
     watch: EventWatch | None,
     again: Callable[[], Run],
 ) -> Motion:
-    """Run from `state` (2n,) to t_end and gather the rows."""
+    """Run from `state` (2n,) to t_end and return the motion with its rows."""
     rows: list[tuple[Array, Array, Mechanism]] = []
     outcome, record = run(
         mechanism,
@@ -279,7 +281,7 @@ def _differentiate(
     settings: Settings,
     watch: EventWatch | None,
 ) -> None:
-    """Give a motion its derivatives by the numbers, and its report what is told of them."""
+    """Add the derivatives by `numbers` to a motion, and their errors to its report."""
     report = motion.report  # of a controller before it leads other runs
     found = sensitivities(numbers, actuation, settings, motion.t)
     motion.sensitivity = found.values
@@ -293,9 +295,9 @@ def _differentiate(
 def watched_events(
     mechanism: Mechanism, events: Mapping[str, str], until: str | None, t_end: float
 ) -> EventWatch | None:
-    """What watches a run for events, and ends it at that of `until`; None where there are none.
+    """Return the watch for events and for `until`; None if there are neither.
 
-    Raises InputError for what is no event.
+    Raises InputError for a text that is no event.
     """
     if not events and until is None:
         return None

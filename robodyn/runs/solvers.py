@@ -1,15 +1,17 @@
-"""scipy's solvers, each with a projection after every accepted step, as classes for solve_ivp.
+"""scipy's solvers with a projection after every accepted step.
 
-`projected(method)` subclasses one of scipy's solvers.  After each step that the solver accepts
+`projected(method)` subclasses a solver of scipy.  After each accepted step
 
-1. the state is brought back onto positions and velocities that close, by the least change;
-2. what the solver keeps of the state (its derivative) follows;
-3. a torque that may jump there, at a kink, is told, and the next step starts the method afresh.
-Near a change point that the loops miss, steps are held, and one that leapt across is taken again.
+1. the state is projected onto closed positions and velocities, by the least change; 2. the stored
+derivative is evaluated again at the projected state; 3. at a kink, a torque with a memory is told,
+and the next step restarts the method.
 
-The change is of the order of the step's local error, so the order of the method stays.  A dense
-output is projected as well, so that states between steps close too; at a step's ends it meets the
-projected states up to the square of that change.
+Near a change point that the loops miss, steps are bounded.  A step that leapt across one is
+rejected and taken again.
+
+The projection changes the state by the order of the local error, so the order of the method stays.
+Dense output is projected as well, so that states between steps close.  At the ends of a step it
+meets the projected states up to the square of that change.
 """
 
 from __future__ import annotations
@@ -45,14 +47,14 @@ STABILITY_EDGE = {"DOP853": 4.5, "RK45": 2.5}  # |h lambda| near the stable limi
 
 
 class StiffError(Exception):
-    """An explicit method is held back by its stability, not by its accuracy."""
+    """An explicit method takes tiny steps because of its stability, not its accuracy."""
 
 
 _Solver: Any = OdeSolver  # one of its kinds, with what those have
 
 
 class Projecting(_Solver):  # type: ignore[misc]
-    """What is added to one of scipy's solvers, which stands behind it: see the module."""
+    """Mixin in front of a solver of scipy that adds projection, kinks and stability checks."""
 
     explicit = True
     edge = np.inf  # |h lambda| near the limit of stability, where it is watched
@@ -107,7 +109,7 @@ class Projecting(_Solver):  # type: ignore[misc]
             self.near.met = False
 
     def _counted(self, fun: Callable[..., Any]) -> Callable[..., Any]:
-        """`fun` less scipy's conversion to an array: a stage takes its list as it is."""
+        """Return `fun` with a counter, without scipy's conversion of lists to arrays."""
 
         def counted(t: float, y: Array) -> Any:
             self.nfev += 1
@@ -116,7 +118,7 @@ class Projecting(_Solver):  # type: ignore[misc]
         return counted
 
     def _within(self, fun: Callable[..., Any]) -> Callable[..., Any]:
-        """`fun` at times of the piece that the step is in."""
+        """Return `fun` with its time clipped to the smooth piece of the current step."""
         ahead = self._ahead
         return lambda t, y: fun(ahead(t), y)
 
@@ -152,7 +154,10 @@ class Projecting(_Solver):  # type: ignore[misc]
         return success, message
 
     def _leapt(self, t: float, y: Array) -> bool:
-        """Project the step from (t, y); whether it leapt over what turns the motion on its way."""
+        """Project the step from (t, y); return whether it leapt over a turn of the motion.
+
+        A turn is a missed change point, or the peak of dry friction near zero rate.
+        """
         if self.projection is not None:
             closed = self.projection(self.t, self.y)
             times, ends = np.array([t, self.t]), np.stack([y, closed])
@@ -167,7 +172,7 @@ class Projecting(_Solver):  # type: ignore[misc]
         return over
 
     def _hold(self) -> None:
-        """Bound the step near a missed change point, and its error."""
+        """Bound the next step and its tolerances near a change point that the loops miss."""
         if self.misses is None:
             return
         longest, fine, rounding = self.misses.holds(self.y)
@@ -184,7 +189,10 @@ class Projecting(_Solver):  # type: ignore[misc]
         self.atol[n : 2 * n] = np.maximum(self.atol[n : 2 * n], rounding)
 
     def _reach(self) -> None:
-        """Tell a kink that the step ended on.  The dense output of the step stays as it is."""
+        """Tell a torque with a memory if the step ended on a kink.
+
+        The dense output of the step stays as it is.
+        """
         if self.told is None and not self._ahead.jumps:
             return
         kink = kink_at(self.stops, self.t)
@@ -199,7 +207,7 @@ class Projecting(_Solver):  # type: ignore[misc]
             self._jumped = True
 
     def _restart(self) -> None:
-        """Start the method afresh: beyond this time the rates are others."""
+        """Restart the method at the current time, where the rates jump."""
         self._jumped = False
         if self.explicit:
             self.f = self.fun(self.t, self.y)
@@ -210,7 +218,7 @@ class Projecting(_Solver):  # type: ignore[misc]
             setattr(self, name, before[name] + getattr(self, name))
 
     def _take_step(self) -> tuple[bool, str | None]:
-        """A step of the method; near a singularity, one with every stage projected."""
+        """Take one step; repeat it with projected stages if it met a singularity."""
         near = self.near
         if near is None:
             return super()._step_impl()  # type: ignore[no-any-return]
@@ -231,7 +239,10 @@ class Projecting(_Solver):  # type: ignore[misc]
         return dense if self.projection is None else _ProjectedOutput(dense, self.projection)
 
     def _watch_stability(self) -> None:
-        """Hairer's test: the last stage and the new state tell |h lambda| where it is large."""
+        """Raise StiffError if Hairer's test finds |h lambda| at the stability edge.
+
+        The test compares the last stage with the new state, on every STIFF_SAMPLE-th step.
+        """
         if self.steps % STIFF_SAMPLE:
             return
         last = self.n_stages - 1
@@ -246,7 +257,7 @@ class Projecting(_Solver):  # type: ignore[misc]
 
 @cache
 def projected(method: str) -> type[OdeSolver]:
-    """The scipy solver called `method`, with projection, observation and steps onto kinks."""
+    """Return scipy's solver `method` with projection, kinks and stability checks."""
     kind = {"explicit": method in EXPLICIT, "edge": STABILITY_EDGE.get(method, np.inf)}
     return type(f"Projected{method}", (Projecting, METHODS[method]), kind)
 
@@ -256,10 +267,10 @@ FEW, MANY = 16, 192  # steps of one; of one that is looked at between its steps
 
 
 class SolverSteps:
-    """Steps by one of scipy's solvers along a way (t, y, bound), as segments.
+    """Steps of a scipy solver from `way` = (t, y, bound), as segments.
 
-    `single`: each step is a segment, as what goes on with it may change the torques.  `keeps`:
-    states between steps are asked for, which many steps tell together.
+    With `single`, each step is a segment by itself, because the torques may change after it.  With
+    `keeps`, states between steps will be asked for, and more steps make up a segment.
     """
 
     def __init__(
@@ -303,19 +314,19 @@ class SolverSteps:
             )
 
     def leave(self, t: float, y: Array) -> None:
-        """Go on from the state y at t: the solver has told torques of kinks itself."""
+        """Do nothing: the solver has already told the torques of kinks."""
 
     @property
     def evaluations(self) -> int:
-        """Of the rates, until now."""
+        """Number of evaluations of the rates so far."""
         return int(self.solver.nfev)
 
     def advance(
         self, left: float, enough: Callable[[OdeSolver], bool] = lambda solver: False
     ) -> Segment | None:
-        """The next steps: some, but that more than `left` evaluations, or `enough`, end them.
+        """Return the next steps, or None if there are none; `outcome` then says why.
 
-        None where there are none, and the outcome tells why.
+        The segment ends early after more than `left` evaluations, or once `enough(solver)` is True.
         """
         if self.error is not None:
             raise self.error
@@ -354,7 +365,7 @@ class SolverSteps:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What scipy and numpy warn of, the outcome says."""
+    """Silence scipy and numpy: the outcome of the run reports what they would warn of."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         warnings.filterwarnings("ignore", module="scipy")
@@ -362,7 +373,7 @@ def _quiet() -> Iterator[None]:
 
 
 class _ProjectedOutput(DenseOutput):
-    """A solver's dense output, projected onto states that close."""
+    """Dense output of a solver, projected onto closed states."""
 
     def __init__(self, dense: DenseOutput, projection: Callable[[float, Array], Array]) -> None:
         super().__init__(dense.t_old, dense.t)

@@ -1,7 +1,7 @@
-"""Columns of states in the functions of events: whatever can be computed of a state, by its name.
+"""Columns of states (`fx1`, `power1`, `tip2_y`) as variables of event functions.
 
-What an event asks for beyond t, q and qd (`fx1`, `power1`, `tip2_y`) needs the torques that act
-along the run and what moves there, which only the run knows: it enters both.
+They depend on the torques that act along the run and on the mode that moves, which only the run
+knows; it calls `StateColumns.enter` with both.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Torques = Callable[[Array, Array], Array]  # at times (k,) and states (k, 2n or 
 
 
 def variables(mechanism: Mechanism) -> Variables:
-    """t, q1.. and qd1.., and the columns of states by their names, with `PREFIX`."""
+    """Return the variables of events: t, q1.., qd1.., and columns of states with `PREFIX`."""
     plain = state_variables(mechanism.n, mechanism.slides)
     units = scene_units(mechanism)
 
@@ -43,7 +43,7 @@ def variables(mechanism: Mechanism) -> Variables:
 
 
 class StateColumns:
-    """The columns of states along a run: `enter` tells what moves, and under which torques."""
+    """Computes columns of states along a run; `enter` sets the mode and the torques."""
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism = self.moving = mechanism
@@ -51,12 +51,12 @@ class StateColumns:
         self._last: tuple[Array, Array, State] | None = None
 
     def enter(self, moving: Mechanism, torques: Torques | None = None) -> None:
-        """Set what moves from now on, a mode of the mechanism, and the torques if there are any."""
+        """Set the mode that moves from now on, and the torques if given."""
         self.moving, self._last = moving, None
         self._torques = torques or self._torques
 
     def values(self, name: str, t: Array, y: Array) -> Array:
-        """The values (...) of a column of states y (..., 2n or more) at times t (...)."""
+        """Return column `name` (...) of states y (..., 2n or more) at times t (...)."""
         if self._last is None or self._last[0] is not t or self._last[1] is not y:
             self._last = t, y, self._state(t, y)
         return self._last[2].columns([name])[..., 0]

@@ -1,8 +1,7 @@
-"""Watches a run for events: finds each along a segment, in order, and ends the run where one does.
+"""Watches a run for events: finds each one along a segment, and ends the run if it must.
 
-A function is first looked at along all steps of a segment, by its values at Chebyshev's points:
-mostly these tell that it keeps its sign.  Where they do not, `roots.py` looks closer, on states
-that close.
+An event function is first evaluated at Chebyshev points of all steps of a segment.  Mostly these
+values prove that its sign does not change.  Otherwise `roots.py` looks closer, on closed states.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ MOST_PARTS = 4096  # into which a step is cut for that
 
 @short_repr
 class Event(NamedTuple):
-    """What happened when, and the state y = (q, qd) there; its time may be off by `apart`, s."""
+    """An event: its time t (s), uncertain by `apart`, and the state y = (q, qd) there."""
 
     name: str
     t: float
@@ -53,14 +52,14 @@ class Event(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """What ends a segment: the place of the function that does, and when."""
+    """The index of the function that cuts a segment, and the time of the cut."""
 
     place: int
     t: float
 
 
 class Passing(NamedTuple):
-    """Where the function at a place passes zero, and to which sign; its time is off by `apart`."""
+    """A zero of function `place` at time t, uncertain by `apart`; `sign` is the sign after it."""
 
     place: int
     t: float
@@ -69,9 +68,11 @@ class Passing(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A time from which on a function has a sign, or is hidden by rounding (0) until `end`.
+    """A stretch from `begin` to `end` on which a function has a sign, or 0 if rounding hides it.
 
-    Where it `passes` zero it does so at t.  A hidden one may stay at zero, or have no value.
+    If the function `passes` zero at its begin, t is the time of the zero and `blur` its
+    uncertainty.  With sign 0 the function `stays` at zero, or has no value there unless it is
+    `defined`.
     """
 
     begin: float
@@ -86,14 +87,15 @@ class Change(NamedTuple):
 
 @dataclass
 class EventWatch:
-    """Watches functions and keeps their events; those of the places `stops` end the run.
+    """Watches event functions and keeps their events; functions in `stops` end the run.
 
-    `grazes` has, by name, the times at which a function touches zero as far as rounding tells,
-    without passing it; `hidden` from when to when it is zero so for long; `lost` where it changes
-    sign too often to be followed.  Events keep the first `width` numbers of a state; None: all.
-    `columns` are those of states that functions name.
-    `signs` are those that functions have had; 0 where that is not yet known: what holds at the
-    start is no event.
+    `found` has the first events in the order of time.  `happened` counts all events of each
+    function.  `grazes` has, by name, times at which a function touches zero without crossing it, as
+    far as rounding shows.  `hidden` has spans in which rounding hides its sign for long.  `lost`
+    has times from which it changes sign too often to follow.  `signs` has the last known sign of
+    each function, 0 if unknown; a condition that holds at the start is no event.  Events keep the
+    first `width` numbers of a state (None: all).  `columns` computes columns of states that
+    functions name.
     """
 
     functions: Sequence[EventFunction]
@@ -117,7 +119,7 @@ class EventWatch:
         self._touched: list[tuple[float, float] | None] = [None] * len(self.signs)
 
     def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
-        """How often each event happened, and each of some others."""
+        """Return how often each event happened, including the events in `others`."""
         pairs = zip(self.functions, self.happened, strict=True)
         counts = {function.name: count for function, count in pairs}
         for event in others:
@@ -125,7 +127,7 @@ class EventWatch:
         return counts
 
     def remarks(self) -> list[str]:
-        """What is to be said of events that rounding hides, or whose times are not sharp."""
+        """Return remarks on events that rounding hides, or whose times are uncertain."""
         for i, touched in enumerate(self._touched):
             self._hidden_until(i, touched[1] if touched else 0.0)
         found = []
@@ -150,7 +152,7 @@ class EventWatch:
         return found
 
     def guard(self, guards: Sequence[EventFunction]) -> None:
-        """Watch these besides, which are positive now: what changes their signs ends the run."""
+        """Also watch `guards`, positive now; a change of their sign ends the leg."""
         own = len(self.functions)
         self.watched = [*self.functions, *guards]
         self.may_end = bool(self.stops or guards)
@@ -161,7 +163,7 @@ class EventWatch:
 
     @np.errstate(all="ignore")  # values may be huge, or none
     def look(self, segment: Segment) -> Cut | None:
-        """Take the events along a segment, up to what ends it."""
+        """Record the events along a segment; return the cut if one of them ends it."""
         if not self.watched or not len(segment):
             return None
         parts = _parts(segment, (self.width or segment.y.shape[1]) // 2)
@@ -187,7 +189,7 @@ class EventWatch:
         return Cut(cut.place, cut.t)
 
     def _ends(self, t: float, each: Sequence[Passing], forward: float) -> Passing:
-        """What ends the segment of all that happens at the instant t: the run, before its phase."""
+        """Choose what ends the segment at the instant t: an event before a guard."""
         now = [x._replace(t=t) for x in each if (x.t - t) * forward <= self.instant]
         guard = next((x for x in now if x.place >= len(self.functions)), None)
         stops = (x for x in now if x.place in self.stops)
@@ -196,10 +198,10 @@ class EventWatch:
         return found
 
     def _passes(self, one: Passing, cut: Passing | None) -> bool:
-        """Whether a function passes zero where it does so along a step that a phase may `cut`.
+        """Return whether a zero counts although a guard may `cut` the segment there.
 
-        At that instant the motion may turn back, or stay: the next segment tells, but where `>=`
-        holds at zero.
+        At that instant the motion may turn back or stay, which only the next segment shows.  Only a
+        comparison with equality holds already at zero.
         """
         function = self.watched[one.place]
         holds = one.sign == function.way and not function.strict
@@ -218,9 +220,9 @@ class EventWatch:
             self.found.append(Event(name, one.t, y[: self.width], one.apart))
 
     def _end_phase(self, cut: Passing, passed: Sequence[Passing]) -> None:
-        """Know the signs where the motion goes on in another way than the segment has it.
+        """Reset the signs of functions that pass zero at the instant of a cut.
 
-        What passes zero at this instant has its sign before, or, where that is told, any.
+        The motion goes on in another mode there.
         """
         for i in range(len(self.functions)):
             self._hidden_until(i, cut.t)
@@ -231,9 +233,9 @@ class EventWatch:
     def _passings(
         self, i: int, changes: Sequence[Change], until: float | None, take: bool = False
     ) -> list[Passing]:
-        """Where a function passes zero in the way that counts, up to a time.
+        """Return the zeros of a function that count as events, up to time `until`.
 
-        If they are to `take`, its signs are known from now on, and what rounding hides is told.
+        With `take`, its last sign is stored, and spans hidden by rounding are recorded.
         """
         function, sign, touched = self.watched[i], self.signs[i], self._touched[i]
         found: list[Passing] = []
@@ -271,7 +273,11 @@ class EventWatch:
         return found
 
     def _kept_sign(self, function: EventFunction, change: Change) -> int:
-        """Where a comparison stays at zero, or is not defined, whether it holds."""
+        """Return the sign of a comparison that stays at zero or is undefined.
+
+        It is `way` if the comparison holds there and -`way` if not; 0 if the function is no
+        comparison.
+        """
         if not function.way or not self._lasts(change):
             return 0
         return -function.way if function.strict or not change.defined else function.way
@@ -284,13 +290,13 @@ class EventWatch:
         return -1.0 if self.t_end < 0.0 else 1.0
 
     def _graze(self, name: str, t: float) -> None:
-        """A function touches zero."""
+        """Record that a function touches zero at t."""
         times = self.grazes.setdefault(name, [])
         if not times or abs(t - times[-1]) > self.instant:
             times.append(t)
 
     def _hidden_until(self, i: int, t: float) -> bool:
-        """Rounding hides a function no longer; tells whether that was long enough to be told."""
+        """End a span hidden by rounding; return whether it was recorded as long."""
         touched, self._touched[i] = self._touched[i], None
         if not touched or i >= len(self.functions):
             return False
@@ -305,9 +311,9 @@ class EventWatch:
     # -- signs of one function ---------------------------------------------------------------------
 
     def _changes(self, i: int, segment: Segment, parts: Places) -> list[Change]:
-        """What a function does along a segment: mostly, keep its sign.
+        """Return the stretches of equal sign of a function along a segment.
 
-        Of the steps to be cut into several `parts` (m,) the nodes do not tell.
+        Chebyshev points decide for steps whose entry in `parts` (m,) is 1.
         """
         function, (nodes, times) = self.watched[i], segment.nodes
         known = (parts == 1).astype(np.int64)
@@ -329,7 +335,7 @@ class EventWatch:
         return self._sharp(i, segment, found)
 
     def _sharp(self, i: int, segment: Segment, found: Stretches) -> list[Change]:
-        """The same, each change of sign at its time on the states themselves."""
+        """Return stretches with each zero located on the closed states."""
         function, last, before = self.watched[i], self.signs[i], -1
         sign, goes_on = found.sign, np.zeros(len(found.sign), bool)
         goes_on[1:] = (sign[1:] == sign[:-1]) & (sign[1:] != 0)
@@ -370,12 +376,12 @@ class EventWatch:
 
 
 def _along(part: Part, segment: Segment) -> Any:
-    """The values of a function at times along a segment."""
+    """Return a function of times that gives the values of `part` along a segment."""
     return lambda t: part.values(t, segment.at(t))
 
 
 def _seen(part: Part, segment: Segment, nodes: Array, times: Array) -> NDArray[np.int64]:
-    """The signs (m,) that a function keeps for certain along each step; 0 where it may not."""
+    """Return the sign (m,) that `part` has for certain on each whole step; 0 if uncertain."""
     m, k, width = nodes.shape
     values = part.values(times.ravel(), nodes.reshape(-1, width)).reshape(m, k)
     off = np.maximum.reduce(part.noise(times, nodes, segment.largest(np.arange(m))), axis=1)
@@ -387,7 +393,7 @@ def _seen(part: Part, segment: Segment, nodes: Array, times: Array) -> NDArray[n
 
 
 def _parts(segment: Segment, n: int) -> Places:
-    """Into how many parts (m,) the steps are cut so that no coordinate goes far in one."""
+    """Return into how many parts (m,) each step is cut so that no coordinate moves far in one."""
     nodes, _ = segment.nodes
     ways = np.abs(np.diff(nodes[..., :n], axis=1)).sum(axis=1).max(axis=1, initial=0.0)
     ways = np.where(np.isfinite(ways), ways, 0.0)
@@ -397,7 +403,7 @@ def _parts(segment: Segment, n: int) -> Places:
 def _pieces(
     segment: Segment, known: NDArray[np.int64], parts: Places
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """The parts of steps, from begin (k,) to end, and their signs, 0 where they are not known."""
+    """Return begin, end (k,) of the parts of steps, and their known signs (k,), 0 if unknown."""
     begin, end = segment.t[:-1], segment.t[1:]
     if not (parts > 1).any():
         return begin, end, known
@@ -415,9 +421,10 @@ def signs_along(
     pieces: tuple[Array, Array, NDArray[np.int64]],
     budget: Budget,
 ) -> Stretches:
-    """The signs of a function along a segment, cut where it bends or jumps.
+    """Return stretches of equal sign of a function along a segment.
 
-    Those of `pieces`, from begin (k,) to end, are known where they are not 0.
+    They are cut where the function bends or jumps.  `pieces` is (begin (k,), end (k,), known signs
+    (k,) or 0).
     """
     begin, end, known = pieces
     if function.switches:
@@ -443,7 +450,7 @@ def _sampled(part: Part, segment: Segment) -> Any:
 def _cut(
     switch: Part, segment: Segment, begin: Array, end: Array, budget: Budget
 ) -> tuple[Array, Array]:
-    """Pieces, cut where a switch passes zero: each cut lies between two neighbours."""
+    """Cut pieces at the zeros of a switch; each cut lies between two neighbouring floats."""
     found = stretches(_sampled(switch, segment), begin, end, budget)
     shown = (found.sign != 0) | found.stays  # what rounding hides is passed over
     sign, sure, at = found.sign[shown], found.sure[shown], found.begin[shown]
