@@ -60,14 +60,13 @@ def assemble(
     *,
     t: ArrayLike,
 ) -> Array:
-    """All joint angles (..., n) from those of the actuated joints (..., actuated), radians.
+    """Return all joint positions (..., n) from those of the actuated joints (..., actuated).
 
-    Joints that laws of the time give are where these have them at t (...), s.
-
-    `branches` has "open" or "crossed" for each closure; None takes the scene's.  Raises InputError
-    where a joint is neither actuated nor in a loop, SingularError where the loops close with joints
-    at any value, and AssemblyError where the loops cannot close: it tells the distance missing and
-    the range of the actuated joints that can be reached.
+    Positions are in rad, or m for joints that slide.  Joints driven by laws of time take their
+    values at t (...), s.  `branches` has "open" or "crossed" for each closure; None takes the
+    scene's.  Raises InputError if a joint is neither actuated nor in a loop, SingularError if the
+    loops close with a joint at any value, and AssemblyError if they cannot close; its message has
+    the missing distance and the range in which the actuated joints can move.
     """
     given, closures = _as_actuated(mechanism, q_actuated), mechanism.description.closures
     given_all = branches is None or len(branches) == len(closures)
@@ -94,10 +93,10 @@ def attempt(
     *,
     t: ArrayLike,
 ) -> tuple[Array, Array]:
-    """Like `assemble`, but a state that cannot close is told by its missing distance (...), m.
+    """Like `assemble`, but return also the distance (...) by which each state fails to close, m.
 
-    The distance is zero where the loops close, and nan where they close with joints at any value.
-    `watch` is told what part of a path from the scene's start is gone.
+    The distance is 0 if the loops close, and nan if they close with a joint at any value.  `watch`
+    is called with the finished part of a path from the scene's start.
     """
     given = _as_actuated(mechanism, q_actuated)
     if branches is None:
@@ -128,13 +127,13 @@ def attempt(
 
 
 def first_pose(mechanism: Mechanism, *, t: float) -> Array:
-    """A closed configuration (n,) at t to begin in: the scene's start, zeros, or what closes first.
+    """Return a closed configuration (n,) at t to begin in.
 
-    A start that does not close at its own actuated joints is closed with all joints free.
-
-    Raises AssemblyError where no turn of all actuated joints by a twelfth closes, nor, where
-    actuated joints slide, a displacement by quarters of a length of the mechanism; InputError where
-    the actuated joints do not decide the others, and the start is not closed.
+    It is the scene's start, zeros, or the first pose tried that closes.  A start that does not
+    close with its own actuated joints is closed with all joints free.  Poses tried are turns of all
+    actuated joints by multiples of 30 deg, and displacements by quarters of the mechanism's length.
+    Raises AssemblyError if none closes, and InputError if the actuated joints do not determine the
+    others and the start is not closed.
     """
     start = mechanism.description.start or (None,) * mechanism.n
     whole = np.array([value or 0.0 for value in start])
@@ -175,9 +174,10 @@ def reachable(
     *,
     t: float,
 ) -> list[tuple[float, float]]:
-    """Intervals of one actuated joint (by its place among them) in which the loops close, rad.
+    """Return the intervals of one actuated joint in which the loops close, rad or m.
 
-    The other actuated joints stay as given.  [(-pi, pi)] where all of the circle can be reached.
+    `joint` is its index among the actuated joints; the others keep their values.  If the full
+    circle can be reached, the result is `[(-pi, pi)]`.
     """
     slides = mechanism.actuated[joint] in mechanism.slides
     plan = assembly_plan(mechanism)
@@ -214,7 +214,7 @@ def reachable(
 
 
 def _within(mechanism: Mechanism, joint: int, value: float, side: int) -> str:
-    """An end of a range in degrees, or in m, rounded into the range."""
+    """Format an end of a range in degrees, or m, rounded towards the inside of the range."""
     scaled = (value if joint in mechanism.slides else float(np.degrees(value))) * 1e4
     return f"{(np.ceil(scaled) if side > 0 else np.floor(scaled)) / 1e4:.8g}"
 
@@ -227,7 +227,7 @@ def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
 
 
 def _told(mechanism: Mechanism, given: Array) -> str:
-    """The actuated joints of a state by name, in degrees and m."""
+    """Format the actuated joints of a state with names, in degrees or m."""
     return ", ".join(
         f"q{k + 1} = " + (f"{x:.6g} m" if k in mechanism.slides else f"{np.degrees(x):.6g} deg")
         for k, x in zip(mechanism.actuated, given, strict=True)
@@ -235,7 +235,7 @@ def _told(mechanism: Mechanism, given: Array) -> str:
 
 
 def _undetermined(mechanism: Mechanism, given: Array, q: Array) -> SingularPoseError:
-    """The error of a state whose loops close with joints, nan in q (n,), at any value."""
+    """Return the error for a state whose joints with nan in q (n,) are undetermined."""
     names = [f"q{k + 1} ({mechanism.link_names[k]})" for k in np.flatnonzero(np.isnan(q))]
     limit = f"the actuated joints do not determine {', '.join(names) or 'the others'} here: "
     limit += f"give all {mechanism.n} joint angles, or another configuration"
@@ -282,7 +282,7 @@ def _cannot_close(
 
 
 def _closing(mechanism: Mechanism, given: Array, t: float) -> tuple[str, ...]:
-    """Branches, closure by closure, by which the loops close where the scene's do not, if any."""
+    """Return branches with which the loops close, if the scene's branches do not; else ()."""
     few = len(assembly_plan(mechanism).two_way) <= MOST_TRIED
     ways = all_branches(mechanism) if few else ()
     return next((way for way in ways if attempt(mechanism, given, way, t=t)[1] <= 0.0), ())

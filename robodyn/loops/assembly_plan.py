@@ -1,6 +1,6 @@
-"""In which order loops are closed: what couplings give first, then dyads by turns (`dyads.py`).
+"""The order in which loops are closed: couplings first, then dyads one by one (`dyads.py`).
 
-What is left is closed by Newton's method, and then the dyads that hang on it.
+Other loops are closed by Newton's method, followed by the dyads that depend on them.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A condition of a closure solved for its unknown joints, in the order of the loop.
+    """A closure condition to be solved for its unknown joints, in the order of the loop.
 
-    The order begins at the closure's first side.  Its rows are those of a pin, that of a line, or
-    that of an angle which is kept.
+    The order starts at the closure's first side.  Its rows are those of a pin (two), of a line, or
+    of a fixed angle.
     """
 
     closure: int
@@ -28,7 +28,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a mechanism is assembled: dyads in order, Newton's method, and dyads that follow it."""
+    """The steps to assemble a mechanism: dyads in order, Newton's method, dependent dyads."""
 
     coupled: tuple[tuple[int, int], ...]  # joints that follow from couplings: joint, coupling
     known: frozenset[int]  # the joints that are known before the steps
@@ -41,22 +41,22 @@ class Plan:
 
     @property
     def later(self) -> tuple[int, ...]:
-        """The joints that Newton's method finds, and those behind it."""
+        """Joints found by Newton's method or by the dyads that follow it."""
         more = [k for step in (self.behind.steps if self.behind else ()) for k in step.unknown]
         return *self.rest, *more
 
     @property
     def dyads(self) -> tuple[Step, ...]:
-        """All steps, those behind Newton's method among them."""
+        """All steps, including those that follow Newton's method."""
         return self.steps + (self.behind.steps if self.behind else ())
 
 
 @lru_cache(maxsize=64)
 def with_independent(mechanism: Mechanism) -> Mechanism:
-    """The mechanism as if the joints that determine all others were its actuated ones.
+    """Return the mechanism with a set of actuated joints that determines all others.
 
-    If the actuated joints determine all others, it is the mechanism itself.  Else the joints that
-    no loop or coupling determines are added, such as the pole of a cart-pole.
+    It is the mechanism itself if its actuated joints do.  Otherwise joints that no loop or coupling
+    determines are added, such as the pole of a cart-pole.
     """
     plan, free = _order(mechanism)
     few = len(mechanism.actuated) < mechanism.n - len(mechanism.rows)
@@ -71,7 +71,7 @@ def with_independent(mechanism: Mechanism) -> Mechanism:
 
 @lru_cache(maxsize=64)
 def assembly_plan(mechanism: Mechanism) -> Plan:
-    """The order in which the closures can be solved; InputError where joints are left free."""
+    """Return the order in which to solve the closures; InputError if joints are left free."""
     plan, free = _order(mechanism)
     freedoms = mechanism.n - len(mechanism.rows)
     if len(mechanism.actuated) < freedoms and not free:
@@ -93,7 +93,7 @@ def assembly_plan(mechanism: Mechanism) -> Plan:
 
 
 def _order(mechanism: Mechanism) -> tuple[Plan, list[int]]:
-    """The plan as far as dyads lead, and the joints that no loop or coupling holds."""
+    """Return the plan, and the joints that no loop or coupling determines."""
     coupled, open_couplings = _resolve_couplings(mechanism)
     given = {*mechanism.actuated, *(joint for joint, _ in coupled)}
     turns_with = _turns_with(mechanism, given)
@@ -147,7 +147,7 @@ def _order(mechanism: Mechanism) -> tuple[Plan, list[int]]:
 
 
 def _turns_with(mechanism: Mechanism, given: Collection[int]) -> tuple[int | None, ...]:
-    """Return the unknown joint that each link turns with, None if its direction is known."""
+    """Return the unknown joint that each link turns with; None if its direction is known."""
     found: list[int | None] = [None] * mechanism.n
     for k in mechanism.order:
         above = mechanism.above[k]
@@ -162,7 +162,7 @@ def _behind(
     waiting: dict[int, tuple[tuple[int, tuple[ClosureRow, ...]], list[int]]],
     open_couplings: set[int],
 ) -> Plan | None:
-    """Return the plan of the dyads whose unknown joints no other waiting condition has."""
+    """Return the plan of dyads whose unknown joints appear in no other waiting condition."""
     left: dict[int, tuple[tuple[int, tuple[ClosureRow, ...]], list[int]]] = dict(waiting)
     found: list[tuple[int, list[int]]] = []
     while True:
@@ -195,9 +195,9 @@ def _behind(
 
 
 def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...], set[int]]:
-    """The joints that follow one after another from actuated ones, each with its coupling.
+    """Return joints that follow from actuated ones, each with its coupling, in order.
 
-    And the joints of couplings that do not follow so.
+    The second result is the set of joints in couplings that do not follow.
     """
     known = set(mechanism.actuated)
     found: list[tuple[int, int]] = []
@@ -217,7 +217,7 @@ def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...
 
 
 def _dependent_couplings(mechanism: Mechanism) -> str:
-    """Return why couplings alone leave their passive joints open; empty if they do not."""
+    """Return why couplings leave their passive joints undetermined, or ""."""
     import numpy as np  # only an error pays for the import
 
     couplings = mechanism.description.couplings
@@ -244,7 +244,7 @@ def _dependent_couplings(mechanism: Mechanism) -> str:
 
 
 def _conditions(mechanism: Mechanism) -> list[tuple[int, tuple[ClosureRow, ...]]]:
-    """Each pin, line and angle that closures ask for, with its closure."""
+    """Return each pin, line and fixed angle of the closures, with its closure."""
     found: list[tuple[int, tuple[ClosureRow, ...]]] = []
     for row in mechanism.rows:
         if row.closure is None:
@@ -263,7 +263,7 @@ def _unknown_in_loop(
     closure: int,
     rows: Sequence[ClosureRow],
 ) -> list[int]:
-    """The unknown joints of a condition along its loop: the first side outward, then inward."""
+    """Return a condition's unknown joints along its loop: first side out, second in."""
     moved = {k for k, _ in (*rows[0].P, *rows[0].angles)} | {rows[0].line}
     sides = mechanism.description.closures[closure]
     found: dict[int, None] = {}
@@ -279,7 +279,7 @@ def _unknown_in_loop(
 
 
 def root_of(mechanism: Mechanism, turns_with: Sequence[int | None], k: int) -> int | None:
-    """The unknown joint that the direction of X_k turns with, see `Plan`."""
+    """Return the unknown joint with which the direction of X_k turns; see `Plan.turns_with`."""
     turned = mechanism.frames[k]
     return None if turned is None else turns_with[turned]
 
@@ -287,7 +287,7 @@ def root_of(mechanism: Mechanism, turns_with: Sequence[int | None], k: int) -> i
 def _ways(
     mechanism: Mechanism, turns_with: Sequence[int | None], step: Step, known: set[int]
 ) -> int:
-    """In how many ways `solve_dyad` closes a condition; 0 where it does not serve."""
+    """Return in how many ways `solve_dyad` can close a condition; 0 if it cannot."""
     row, slides = step.rows[0], mechanism.slides
     turning = [k for k in step.unknown if k not in slides]
     roots = {root_of(mechanism, turns_with, k) for k, _ in row.P} - known

@@ -1,8 +1,8 @@
-"""Which branch of closed poses is meant: what a scene says of it, and whether a path leads there.
+"""Which branch of closed poses a scene means, and whether a path leads there.
 
-Words of `assembly` go first; without them it is the branch of the closed pose that is nearest to
-the scene's `start`, all joints changing; without a start, `open`.  Words stand in the order of the
-closures, and each closure of a dyad has one.
+The words of `assembly` decide.  Without them it is the branch of the closed pose nearest to the
+scene's `start`, with all joints free to change.  Without a start it is `open`.  Words are listed in
+the order of the closures; each closure of a dyad has one.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SEARCHED = 1441  # values of an actuated joint that a start leaves out
 
 
 class Start(NamedTuple):
-    """The pose of a scene's `start`: what the scene says of it, and the closed pose that it is."""
+    """The pose of a scene's `start`: the given values, and the closed pose that they mean."""
 
     gap: float  # m, by which the start is open; nan where it leaves joints out
     q: Array  # (n,), the closed pose for which all joints change least
@@ -40,10 +40,11 @@ class Start(NamedTuple):
 
 @lru_cache(maxsize=64)
 def scene_branches(mechanism: Mechanism) -> tuple[str, ...]:
-    """ "open" or "crossed" for each closure: the scene's words, or what is nearest to its start.
+    """Return "open" or "crossed" for each closure of a scene.
 
-    Raises InputError where a word is said of a closure that closes in one way, and where a start
-    leaves out joints so that both words come as near to it.
+    They are the scene's words, or the branches nearest to its start.  Raises InputError if a word
+    is given for a closure that closes in one way only, and if a start leaves out joints so that
+    both words are equally near.
     """
     description = mechanism.description
     start, closures, said = description.start, description.closures, description.branches
@@ -82,7 +83,7 @@ def scene_branches(mechanism: Mechanism) -> tuple[str, ...]:
 
 
 def all_branches(mechanism: Mechanism) -> Iterator[tuple[str, ...]]:
-    """Each way to assemble: "open" or "crossed" for every closure that has the choice."""
+    """Yield each way to assemble: "open" or "crossed" for every closure with a choice."""
     usual, two_way = dict(enumerate(scene_branches(mechanism))), assembly_plan(mechanism).two_way
     for words in product(BRANCHES, repeat=len(two_way)):
         yield tuple((usual | dict(zip(two_way, words, strict=True))).values())
@@ -90,7 +91,7 @@ def all_branches(mechanism: Mechanism) -> Iterator[tuple[str, ...]]:
 
 @lru_cache(maxsize=64)
 def scene_start(mechanism: Mechanism) -> Start | None:
-    """Return the pose of the scene's `start`; None where it has none, or no loops."""
+    """Return the pose of the scene's `start`; None if there is no start or no loop."""
     start = mechanism.description.start
     if start is None or not mechanism.rows:
         return None
@@ -114,7 +115,7 @@ def scene_start(mechanism: Mechanism) -> Start | None:
 
 
 def _words_said(mechanism: Mechanism) -> tuple[str, ...]:
-    """The scene's words, one for each closure; InputError where one has nothing to decide."""
+    """Return the scene's words, one for each closure; InputError for a needless word."""
     description = mechanism.description
     said, closures = description.branches, description.closures
     two_way = assembly_plan(mechanism).two_way
@@ -144,10 +145,10 @@ def _nearest_words(
     told: Sequence[int] | range,
     words: list[str],
 ) -> tuple[Array, float]:
-    """Set the words of a plan's dyads to those nearest to a reference (n,), one after another.
+    """Set the words of a plan's dyads, one by one, to those nearest to `reference` (n,).
 
-    Each follows from those before it alone.  Return q (n,) so closed, and how far the dyads' told
-    joints are from the reference, rad or lengths.
+    Each dyad depends only on those before it.  Returns the closed q (n,), and the largest distance
+    of the dyads' joints in `told` from the reference, rad or lengths of the mechanism.
     """
     farthest_off = 0.0
     for place, step in enumerate(plan.steps):
@@ -168,7 +169,7 @@ def _nearest_words(
 def _nearest(
     mechanism: Mechanism, plan: Plan, told: Sequence[int], unsaid: Sequence[int]
 ) -> tuple[str, ...]:
-    """The words that come nearest to the joints told, wherever the one not said may be."""
+    """Return the words nearest to the joints `told`, over all values of the one left out."""
     words = [BRANCHES[0]] * len(mechanism.description.closures)
     decided = [step.closure for step in plan.steps if step.closure in plan.two_way]
     if not decided:
@@ -195,7 +196,7 @@ def _reach(
     unsaid: Sequence[int],
     words: Sequence[str],
 ) -> tuple[float, float]:
-    """How near to the told joints of a start its one unsaid joint brings them, and its value."""
+    """Return the least distance to a start's told joints, and the left-out joint's value."""
     start = mechanism.description.start or ()
     near = np.tile([value or 0.0 for value in start], (SEARCHED, 1))
     span = farthest(mechanism) if unsaid[0] in mechanism.slides else np.pi
@@ -209,7 +210,7 @@ def _reach(
 def _off(
     mechanism: Mechanism, q: Array, reference: Array, told: Sequence[int], missing: Array
 ) -> float:
-    """How far joints of q (n,) are from a reference; what is `missing` is far from it."""
+    """Return the distance of the joints `told` of q (n,) from a reference; large if not closed."""
     return float(_each_off(mechanism, q, reference, told, missing))
 
 
@@ -223,7 +224,7 @@ def _each_off(
 
 
 def _far(mechanism: Mechanism, q: Array, start: Sequence[float | None]) -> float:
-    """How far all joints that a start names are from it, as one length."""
+    """Return the distance of all joints that a start names from it, as one length."""
     told = [k for k, value in enumerate(start) if value is not None]
     near = np.array([value or 0.0 for value in start])
     return float(np.linalg.norm(wrapped(mechanism, q - near)[told]))

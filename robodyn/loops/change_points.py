@@ -1,22 +1,22 @@
-"""What a change point is, and what only looks like one: the one place that decides it.
+"""Decides whether a singular configuration is a change point or only nearly one.
 
 At a configuration q* where Psi loses rank, with U0 and V0 its left and right null spaces there,
 
     gamma = U0^T gap(q*)                          the miss, m
     the branches near q*:  gamma + 1/2 x^T H x = 0,     H = -V0^T diag(Re((u^T P) E)) V0, u of U0
 
-A **change point** has one freedom beside it, a miss of rounding, and an indefinite H: two branches
-cross there, and a motion runs straight on.  At a distance d from it rounding errs by eps/d^2 in the
-accelerations, while the motion is smooth: so what is wanted there is interpolated along the branch,
-from K states before and K behind, at q + k step qd/max|qd|, where Psi is regular.  The wide step
-serves where two orders of it agree, else the narrow one.
+A **change point** has one freedom beside it, a miss at rounding level, and an indefinite H: two
+branches cross there, and a motion goes straight on.  At distance d from it, accelerations lose
+accuracy as eps/d^2 although the motion is smooth.  So values there are interpolated along the
+branch, from K states before and K behind, at q + k step qd/max|qd|, where Psi is regular.  The wide
+step is used if two orders of interpolation agree, else the narrow one.
 
-Everywhere else the plain equations hold, on states that are closed well (`closing.py`); what a loop
-does that **misses** a change point is in `misses.py`.
+Everywhere else the equations are solved as they are, on accurately closed states (`closing.py`).
+Motions of a loop that **misses** a change point are treated in `misses.py`.
 
-How near a state is, is told by s/L: s the least singular value of Psi that matters, L the size of
-the loop (`singular_size`).  Solvers that have no singular values tell their pivots against squared
-lengths instead, which are about (s/L)^2: a "quality".
+The distance of a state is measured by s/L: s the least singular value of Psi that matters, L the
+size of the loop (`singular_size`).  Solvers without singular values compare pivots with squared
+lengths, which are about (s/L)^2: this number is called quality.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ K = 6
 
 
 class Singular(NamedTuple):
-    """A configuration (n) where Psi loses rank, what the loops miss it by (m), what it is."""
+    """A configuration q (n,) where Psi loses rank, its miss (m), and its kind."""
 
     q: Array
     miss: float
@@ -87,10 +87,10 @@ class Singular(NamedTuple):
 
 @lru_cache(maxsize=64)
 def suspect_quality(mechanism: Mechanism) -> float:
-    """The quality of a closing by pivots below which a state is near a singular one.
+    """Pivot quality, about (s/L)^2, below which a closed state counts as near singular.
 
-    Loops of many links have small pivots everywhere, for their rows' sizes add up all links: what
-    is usual at closed states at random counts.
+    Loops of many links have small pivots everywhere, so the bound is relative to random closed
+    states.
     """
     sizes = [row.size**2 for row in mechanism.rows]
     # pivots of Psi Psi^T are squares of the diagonal of R in Psi^T = Q R
@@ -103,13 +103,13 @@ def suspect_quality(mechanism: Mechanism) -> float:
 
 
 def nearness(mechanism: Mechanism, Psi: Array) -> Array:
-    """s/L (...) of Psi (..., r, n)."""
+    """Return s/L (...) of Psi (..., r, n)."""
     s = np.linalg.svd(Psi, compute_uv=False)
     return np.asarray(s[..., regular_rank(mechanism) - 1] / singular_size(mechanism))
 
 
 def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
-    """The rank of Psi about q (n,), on the branch that q is on, and s/L there."""
+    """Return the rank of Psi on the branch around q (n,), and s/L at q."""
     Psi = closed_form.scaled_jacobian(mechanism, q, 0.0)
     regular, size = regular_rank(mechanism), loop_size(mechanism)
     if mechanism.laws and not np.isfinite(Psi).all():  # beyond where a law has a value
@@ -125,27 +125,27 @@ def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
 
 
 def _cell(mechanism: Mechanism, q: Array) -> tuple[float, ...]:
-    """Return the nearest point to q (n,) of a grid of CELL rad, in steps of the grid.
+    """Return the point nearest to q (n,) of a grid with spacing CELL rad, in steps of the grid.
 
-    What is found from a point of the grid may be kept for the process: it is the same whichever
-    state near the point asked first.
+    Results of a search from a grid point may be cached: they do not depend on which state near the
+    point came first.
     """
     return tuple(np.rint(q / (CELL * mechanism.arrays.units)).tolist())
 
 
 def _at_cell(mechanism: Mechanism, cell: tuple[float, ...]) -> Array:
-    """Return the configuration (n,) of a point of the grid."""
+    """Return the configuration (n,) of a grid point."""
     return np.array(cell) * CELL * mechanism.arrays.units
 
 
 @lru_cache(maxsize=KEPT)
 def _branch_rank(mechanism: Mechanism, cell: tuple[float, ...]) -> int:
-    """Return the rank that Psi has on the branch beside a singular configuration near the point."""
+    """Return the rank of Psi on the branch beside a singular configuration near a grid point."""
     return max(1, rank_beside(mechanism, _at_cell(mechanism, cell), 1e-2, 8))
 
 
 def rank_beside(mechanism: Mechanism, q: Array, away: float, count: int) -> int:
-    """The largest rank of Psi at closed states about so many rad from q (n,)."""
+    """Return the largest rank of Psi at closed states about `away` rad from q (n,)."""
     noise = np.random.default_rng(0).normal(size=(count, mechanism.n))
     beside = close_positions(mechanism, q + away * noise * mechanism.arrays.units, t=0.0)
     gap = np.abs(closed_form.closure_gap(mechanism, beside, 0.0)).max(axis=-1)
@@ -154,7 +154,7 @@ def rank_beside(mechanism: Mechanism, q: Array, away: float, count: int) -> int:
 
 
 def rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
-    """That of Psi (..., r, n), (...)."""
+    """Return the rank (...) of Psi (..., r, n)."""
     s = np.linalg.svd(Psi, compute_uv=False)
     return np.asarray((s > LOST * loop_size(mechanism)).sum(axis=-1))
 
@@ -165,9 +165,10 @@ def rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
 def nearest_singular(
     mechanism: Mechanism, q: Array, met: list[Singular] | None = None
 ) -> Singular | None:
-    """The singular configuration that q (n,) is near; None where it is near none.
+    """Return the singular configuration near q (n,); None if there is none.
 
-    `met` are those that a run has met: one of them within SAME rad is taken, a new one is added.
+    If one of `met`, those met by a run, is within SAME rad, it is returned.  A new one is added to
+    `met`.
     """
     if mechanism.driven or not np.isfinite(q).all():  # laws of the time lead through no such place
         return None
@@ -187,12 +188,12 @@ def nearest_singular(
 
 @lru_cache(maxsize=KEPT)
 def _found_near(mechanism: Mechanism, cell: tuple[float, ...], usual: int) -> Singular | None:
-    """Return the singular configuration near a point of the grid; None if the search fails."""
+    """Return the singular configuration near a grid point; None if the search fails."""
     return _search(mechanism, _at_cell(mechanism, cell), usual)
 
 
 def apart(mechanism: Mechanism, q: Array, other: Array) -> Array:
-    """How far q (..., n) is from `other` (n,) in its farthest joint, turns not counted, rad."""
+    """Return the largest joint distance (...) of q (..., n) from `other` (n,), turns aside, rad."""
     way = q - other
     if mechanism.description.couplings:
         way = way / mechanism.arrays.units
@@ -204,14 +205,17 @@ def apart(mechanism: Mechanism, q: Array, other: Array) -> Array:
 def nearest_of(
     mechanism: Mechanism, met: list[Singular], q: Array, within: float
 ) -> Singular | None:
-    """Return the nearest of `met` to q (n,); None if none is within so many rad."""
+    """Return the nearest of `met` to q (n,); None if none is within `within` rad."""
     distances = [float(apart(mechanism, q, each.q)) for each in met]
     least = min(distances, default=np.inf)
     return met[distances.index(least)] if least <= within else None
 
 
 def _search(mechanism: Mechanism, q: Array, usual: int) -> Singular | None:
-    """Where Psi loses its usual rank near q (n,): as much of it as is small there, or else one."""
+    """Return a configuration near q (n,) at which Psi loses its usual rank.
+
+    The search first looks for the loss of all small singular values, then of one.
+    """
     size = loop_size(mechanism)
     s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q, 0.0), compute_uv=False)[:usual]
     most = int((s <= max(ALIKE * s[-1], SUSPECT * FOUND * size)).sum())
@@ -220,9 +224,10 @@ def _search(mechanism: Mechanism, q: Array, usual: int) -> Singular | None:
 
 
 def _singular(mechanism: Mechanism, start: Array, regular: int, usual: int) -> Singular | None:
-    """Where Psi has the rank `regular`, near `start`, and what that is.
+    """Return the configuration near `start` at which Psi has rank `regular`, with its kind.
 
-    By Newton's method: close the regular part, move inside V0 until Psi vanishes there.
+    Newton's method closes the regular part, and moves within V0 until Psi vanishes there.  Returns
+    None if it does not converge.
     """
     size, units = loop_size(mechanism), mechanism.arrays.units
     q = start
@@ -256,9 +261,9 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, usual: int) -> S
 
 
 def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Array:
-    """H (c, f, f), one for each column of `left`, within the columns of `right`.
+    """Return H (c, f, f), one for each column of `left`, within the columns of `right`.
 
-    The gap's acceleration is a square form of the rates: H is told by pairs of these.
+    The acceleration of the gap is a quadratic form of the rates, so pairs of rates determine H.
     """
     ways = right.T * mechanism.arrays.units
     pairs = ways[:, None] + ways[None, :]
@@ -268,7 +273,7 @@ def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Arr
 
 
 def miss_remark(mechanism: Mechanism, states: Array) -> str:
-    """Says that one of the states (..., n) is near a change point that the loops just miss."""
+    """Return a remark if one of the states (..., n) is near a missed change point, else ""."""
     q_all = states.reshape(-1, mechanism.n)
     if len(q_all) > LOOKED_AT:
         near_all = nearness(mechanism, closed_form.scaled_jacobian(mechanism, q_all, 0.0))
@@ -284,7 +289,7 @@ def miss_remark(mechanism: Mechanism, states: Array) -> str:
 
 
 def lagrange(nodes: Array, x: Array) -> Array:
-    """Weights (T, nodes) of the polynomial through the nodes, at x (T,)."""
+    """Return the weights (T, nodes) of the polynomial through the nodes, at x (T,)."""
     weights = np.ones((len(x), len(nodes)))
     for i, node in enumerate(nodes):
         for other in np.delete(nodes, i):
@@ -304,10 +309,10 @@ def lead_across(
     near: Singular,
     evaluate: Callable[[Array], Array],
 ) -> Array | None:
-    """What `evaluate` gives on the branch at y, from states beside it; None where `near` is far.
+    """Interpolate `evaluate` at y along its branch from states beside it; None if far away.
 
     `near` is a change point.  `evaluate` takes states (2K, len(y)), y = (q, qd, ...), to values
-    (2K, m); what follows the rates is repeated as it is.
+    (2K, m).  Components of y after the rates are copied to all states.
     """
     n = mechanism.n
     fastest = float(np.abs(y[n : 2 * n]).max())
@@ -328,7 +333,10 @@ def lead_across(
 
 
 def _beside(mechanism: Mechanism, closing: Closing, y: Array, step: float) -> Array | None:
-    """Closed states (2K, len(y)) on both sides, `step` s apart; None where y is near none."""
+    """Return closed states (2K, len(y)) on both sides of y, `step` seconds apart.
+
+    Returns None if y is not near a change point.
+    """
     n = mechanism.n
     rows = np.repeat(y[None, :], len(OFFSETS), axis=0)
     rows[:, :n] += step * OFFSETS[:, None] * y[n : 2 * n]

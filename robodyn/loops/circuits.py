@@ -1,10 +1,10 @@
-"""Circuits: whether closed poses lead from the pose of a scene's `start` to another pose.
+"""Circuits: whether closed poses connect the pose of a scene's `start` with another pose.
 
-Poses of one circuit lead to one another without taking the mechanism apart.  With each word for
-each dyad (`branches.py`) the poses are a sheet over the actuated joints; the two sheets of a dyad
-meet where its links are in line.  So circuits are the connected parts of a graph: its nodes are
-poses on a grid of the actuated joints, its edges join neighbours on a sheet, and the two sheets of
-a dyad beside the place where it closes no longer.
+Poses of one circuit can be reached from one another without taking the mechanism apart.  For each
+choice of words of the dyads (`branches.py`), poses form a sheet over the actuated joints.  Two
+sheets of a dyad meet where its links are in line.  So circuits are connected components of a graph:
+its nodes are poses on a grid of the actuated joints; its edges join neighbours on a sheet, and the
+two sheets of a dyad at the border of the region where it closes.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def leads_there(mechanism: Mechanism, q: Array) -> bool | None:
-    """Whether closed poses lead from the start's pose to the assembled pose q (n,).
+    """Return whether closed poses connect the start's pose with the assembled pose q (n,).
 
-    None if it is not known: the scene has no start that closes, more than two joints are actuated,
-    couplings count turns, or loops are no dyads.  (Such loops are closed along a path of closed
+    None if unknown: the scene has no start that closes, more than two joints are actuated,
+    couplings count turns, or loops are no dyads. (Such loops are closed along a path of closed
     poses anyway.)
     """
     found = _way(mechanism, q)
@@ -52,7 +52,7 @@ def leads_there(mechanism: Mechanism, q: Array) -> bool | None:
 
 
 def blocked(mechanism: Mechanism, q: Array) -> str:
-    """Why closed poses may not lead from the start's pose to the assembled q (n,), empty if not."""
+    """Return why closed poses may not connect the start's pose with q (n,), or ""."""
     leads = leads_there(mechanism, q)
     if leads is False:
         told = "no path of closed poses leads from the scene's `start` to this pose: "
@@ -64,7 +64,10 @@ def blocked(mechanism: Mechanism, q: Array) -> str:
 
 
 def _way(mechanism: Mechanism, q: Array) -> tuple[Plan, Array, Array] | None:
-    """The plan, the actuated joints at the start's pose, and their way to q; None if unknown."""
+    """Return the plan, the actuated joints at the start's pose, and their change up to q.
+
+    None if the start or the plan is unknown.
+    """
     start = scene_start(mechanism)
     if start is None or not start.closed:
         return None
@@ -84,7 +87,7 @@ def _way(mechanism: Mechanism, q: Array) -> tuple[Plan, Array, Array] | None:
 
 
 def _closes_straight(mechanism: Mechanism, q: Array) -> bool:
-    """Whether all poses on the straight way of the actuated joints to q (n,) close."""
+    """Return whether all poses on a straight line of the actuated joints to q (n,) close."""
     found = _way(mechanism, q)
     assert found is not None  # the caller asked
     plan, begin, way = found
@@ -93,7 +96,7 @@ def _closes_straight(mechanism: Mechanism, q: Array) -> bool:
 
 
 def _shorts(mechanism: Mechanism, plan: Plan, given: Array, words: tuple[str, ...]) -> list[Array]:
-    """What each dyad misses (...), m, at values of the actuated joints (..., a)."""
+    """Return the distance (...) by which each dyad fails to close, m; `given` is (..., a)."""
     with np.errstate(all="ignore"):
         q, _ = known_joints(mechanism, plan, given, 0.0)
         return by_dyads(mechanism, plan, q, words)[1]
@@ -107,7 +110,7 @@ def _closed(mechanism: Mechanism, plan: Plan, given: Array, words: tuple[str, ..
 def _one_circuit(
     mechanism: Mechanism, plan: Plan, begin: Array, target: Array, words: tuple[str, ...]
 ) -> bool:
-    """Whether two poses on the sheet of these words lead to one another."""
+    """Return whether two poses on the sheet of `words` are on one circuit."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -167,7 +170,7 @@ def _one_circuit(
 def _neighbours(
     x: NDArray[Scalar], axis: int, turns: bool
 ) -> tuple[NDArray[Scalar], NDArray[Scalar]]:
-    """Entries of a grid and the next ones along an axis; the last one's next is the first."""
+    """Return entries of a grid and their neighbours along an axis, which may be periodic."""
     if turns:
         return x, np.roll(x, -1, axis)
     count = x.shape[axis]

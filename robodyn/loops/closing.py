@@ -1,13 +1,12 @@
-"""Closing loops by Newton's method, and the gap of a state to more digits than floats have.
+"""Closing loops by Newton's method, and the closure gap in extended precision.
 
-One loop serves whatever evaluates the gap and solves for a step: dense arrays of states here,
-extended precision (`benchmark.py`).  (Straight-line code of
-`straightline.py` and the loops over lanes have it written out, and hand what is near singular
-over to this one.)
+`newton` serves dense arrays of states here, and extended precision in `benchmark.py`.  The
+straight-line code of `straightline.py` and the loops over lanes have Newton's method written out;
+they call this module for states that are nearly singular.
 
-Where Psi is nearly singular a gap that is rounded to eps L moves a state by eps L/s, s the least
-singular value, and its accelerations by eps/s^3.  So there the gap is exact, in integers:
-then a closed state errs by its own rounding, and its accelerations by eps/s^2.
+If Psi is nearly singular, a gap rounded to eps L moves a state by eps L/s, s the least singular
+value, and its accelerations by eps/s^3.  There the gap is computed exactly, in integers: then a
+closed state has only its own rounding error, and accelerations err by eps/s^2.
 """
 
 from __future__ import annotations
@@ -53,9 +52,9 @@ SHRINKS = 0.7  # at a singular configuration steps are halved, elsewhere squared
 def random_states(
     mechanism: Mechanism, rng: np.random.Generator, count: int, joints: Sequence[int] | None = None
 ) -> Array:
-    """Angles on the whole circle, and displacements of lengths of the mechanism, (count, joints).
+    """Return random angles on the full circle and random displacements, (count, joints).
 
-    Of all joints, unless some are named.
+    Displacements are up to a length of the mechanism.  `joints` selects joints; None takes all.
     """
     chosen = range(mechanism.n) if joints is None else joints
     drawn: Array = rng.uniform(-np.pi, np.pi, (count, len(chosen)))
@@ -66,7 +65,7 @@ def random_states(
 
 
 def wrapped(mechanism: Mechanism, way: Array) -> Array:
-    """Differences of q (..., n) without whole turns, displacements in units of a length."""
+    """Return differences of q (..., n) without full turns; displacements in lengths."""
     if not mechanism.slides:
         return half_turn(way)
     found, slides = half_turn(way), list(mechanism.slides)
@@ -76,14 +75,17 @@ def wrapped(mechanism: Mechanism, way: Array) -> Array:
 
 @lru_cache(maxsize=256)
 def loop_size(mechanism: Mechanism) -> float:
-    """L, the largest sum of lengths in a closure, m: what a gap is measured against."""
+    """Return L, the largest sum of lengths in a closure (m), the scale of gaps."""
     sizes = [row.size + (abs(row.offset) if row.P else 0.0) for row in mechanism.rows]
     return max(sizes, default=0.0)
 
 
 @lru_cache(maxsize=64)
 def closed_jacobians(mechanism: Mechanism) -> Array:
-    """Psi (k, r, n) at a few closed configurations, or at any where none is found."""
+    """Return Psi (k, r, n) at a few closed configurations, or at random ones.
+
+    Random open configurations are used only if none could be closed.
+    """
     rows = max(1, len(mechanism.rows))
     count = max(2, min(16, SEARCHED // (mechanism.n * rows * min(mechanism.n, rows))))
     rng = np.random.default_rng(0)
@@ -105,7 +107,7 @@ def closed_jacobians(mechanism: Mechanism) -> Array:
 
 @lru_cache(maxsize=64)
 def regular_rank(mechanism: Mechanism) -> int:
-    """The rank of Psi at closed configurations, but for singular ones."""
+    """Return the rank of Psi at closed configurations that are not singular."""
     drawn = closed_jacobians(mechanism)
     if not len(drawn):
         return min(len(mechanism.rows), mechanism.n)
@@ -115,9 +117,10 @@ def regular_rank(mechanism: Mechanism) -> int:
 
 @lru_cache(maxsize=64)
 def singular_size(mechanism: Mechanism) -> float:
-    """What singular values of Psi are measured against, m: the size of its loops.
+    """Return the length (m) that singular values of Psi are compared with.
 
-    With N loops in a row the least is about 1/N of theirs everywhere, and L counts for less.
+    It is the loop's size L. With N loops in series all singular values are about 1/N smaller, and
+    so is the result.
     """
     size, loops = loop_size(mechanism), len(mechanism.rows) / 2
     if loops <= 2:
@@ -128,21 +131,21 @@ def singular_size(mechanism: Mechanism) -> float:
 
 
 def singular_at(mechanism: Mechanism, kind: str, q: Array, limit: str) -> SingularPoseError:
-    """The error of a singular configuration q (n,) of a kind."""
+    """Return the error for a singular configuration q (n,) of a kind."""
     at = ", ".join(f"{x:.9g}" for x in q)
     what = f"singular configuration ({kind}) at q = {at}"
     return SingularPoseError(what, where=mechanism.source, limit=limit)
 
 
 def half_turn(angle: Array) -> Array:
-    """The same angle from -pi on, less than half a turn from zero."""
+    """Return angles reduced to [-pi, pi)."""
     return np.asarray(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)
 
 
 def newton(q: Any, evaluate: Evaluator) -> Any:
-    """Newton steps from q (..., n), each state until it is closed or rounding moves it.
+    """Take Newton steps from q (..., n) until each state is closed or only rounding moves it.
 
-    Those that go on are evaluated alone.
+    Only states that still move are evaluated.
     """
     shape, q = q.shape, q.reshape(-1, q.shape[-1]).copy()
     moving, before = np.arange(len(q)), np.full(len(q), np.inf)
@@ -167,13 +170,11 @@ def close_positions(
     *,
     t: ArrayLike,
 ) -> Array:
-    """The nearest closed configuration by Newton's method, the `fixed` joints held, (..., n).
+    """Return the nearest closed configuration (..., n) at times t (...).
 
-    That at the time t (...), which broadcasts to q.
-
-    Where it does not converge the gap stays; the caller checks it.  `exact` closes next to a
-    singular configuration as far as the gap's rounding lets it, which takes ten times as long.
-    `rows` are the rows of Psi that are to be kept, all if None.
+    Newton's method, with the joints `fixed` held.  If it does not converge the gap remains, and the
+    caller has to check it.  `exact` closes states next to a singular configuration to the limit of
+    rounding, at ten times the cost.  `rows` selects rows of Psi to be closed; None takes all.
     """
     given = np.array(q, dtype=float)
     if not mechanism.rows or not given.size:
@@ -191,7 +192,7 @@ def _closed(
     exact: float,
     rows: Sequence[int] | None = None,
 ) -> Array:
-    """`close_positions`; the gap is exact where the least singular value may be below `exact`."""
+    """Do the work of `close_positions`; the gap is exact below singular values of `exact`."""
     size, units = loop_size(mechanism), mechanism.arrays.units
     kept = slice(None) if rows is None else list(rows)
     times = np.broadcast_to(np.asarray(t, float), given.shape[:-1]).ravel()
@@ -241,9 +242,9 @@ HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D0082EFA98EC4E6C89 >>
 
 
 def exact_gap(mechanism: Mechanism, q: Any, t: Any) -> Array:
-    """The gap (r) of one state q (n) at t, of floats or of longdoubles, right to 1e-40 of the loop.
+    """Return the gap (r,) of one state q (n,), exact to 1e-40 of the loop's size.
 
-    Laws of couplings are no more exact than numbers of q's kind.
+    q may be floats or longdoubles.  Laws of couplings are only as exact as the number type of q.
     """
     if not np.isfinite(q).all():
         return np.full(len(mechanism.rows), np.nan)
@@ -298,7 +299,7 @@ def exact_gap(mechanism: Mechanism, q: Any, t: Any) -> Array:
 
 
 def _cos_sin(angle: int) -> tuple[int, int]:
-    """Cosine and sine in units of 2^-BITS, by their series in the octants about the axes."""
+    """Return cosine and sine in units of 2^-BITS, by series in octants around the axes."""
     quarter, x = divmod(angle + (HALF_PI >> 1), HALF_PI)
     x -= HALF_PI >> 1
     square = x * x >> BITS
@@ -319,5 +320,5 @@ def _cos_sin(angle: int) -> tuple[int, int]:
 
 @lru_cache(maxsize=64)
 def loop_terms(mechanism: Mechanism) -> int:
-    """Entries of A and P, which the cost of straight-line code grows with."""
+    """Return the number of entries of A and P, which sets the cost of straight-line code."""
     return len(mechanism.A) + sum(len(row.P) + len(row.angles) for row in mechanism.rows)

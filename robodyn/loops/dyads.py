@@ -1,8 +1,8 @@
-"""Chains of dyads: in which order loops are closed, and how one or two unknowns close one.
+"""Dyads: how one or two unknown joints close a loop in closed form.
 
-What follows from couplings comes first, then dyads by turns; what is left is closed by Newton's
-method.  The gap of a pin is K + sum_r c_r e^(i theta_r) + sum_k s_k u_k over unknown angles and
-displacements; a line takes one part of it, and a line of an unknown link turns with that.
+Couplings are resolved first, then dyads one after another; other loops need Newton's method.  The
+gap of a pin is K + sum_r c_r e^(i theta_r) + sum_k s_k u_k over unknown angles theta and
+displacements u.  A line takes one component of it; the line of an unknown link turns with the link.
 
     RRR   K + c1 e^(i theta1) + c2 e^(i theta2) = 0       two circles
     RRP   K + c e^(i theta) + s u = 0                     a circle and a line
@@ -33,9 +33,10 @@ OWN = -1  # in place of a joint: what is constant in the frame of a line that tu
 def known_joints(
     mechanism: Mechanism, plan: Plan, given: Array, t: ArrayLike
 ) -> tuple[Array, list[Array]]:
-    """Return q (..., n) of the actuated joints, and of those that couplings give at t (...).
+    """Return q (..., n) with actuated joints and joints given by couplings at t (...).
 
-    And how far q is from each coupling (...), rad or m; 0 for a coupling of other joints.
+    The second result has the deviation (...) from each coupling, rad or m; 0 for a coupling of
+    unknown joints.
     """
     q = np.zeros((*given.shape[:-1], mechanism.n))
     q[..., list(mechanism.actuated)] = given
@@ -54,10 +55,11 @@ def known_joints(
 def by_dyads(
     mechanism: Mechanism, plan: Plan, q: Array, branches: Sequence[str]
 ) -> tuple[Array, list[Array], list[Array]]:
-    """Return q (..., n) with the joints of the plan's steps, what each step misses (...), m, sines.
+    """Return q (..., n) with the joints of the plan's steps, and per step the missing distance.
 
-    In q (..., n) the joints in `plan.known` are read.  The numbers of the plan's rows may be arrays
-    that broadcast to (...), of a mechanism in each lane.
+    The distances (...) are in m; the third result has sines as in `solve_dyad`.  The joints in
+    `plan.known` are read from q (..., n).  Numbers of the plan's rows may be arrays that broadcast
+    to (...), one mechanism per lane.
     """
     q, shorts, sines = q.copy(), [], []
     alpha = np.zeros_like(q)  # of unknown links, what they turn ahead of the first of them
@@ -93,11 +95,12 @@ Solved = tuple[dict[int, Array], Array, Array, Array]
 def solve_dyad(
     mechanism: Mechanism, plan: Plan, step: Step, x: Array, side: float
 ) -> tuple[list[Array], Array, Array]:
-    """The unknowns of a step, the distance missing (0 where it closes), a sine.
+    """Solve a step: return its unknowns, the missing distance (0 if it closes), and a sine.
 
-    `x` (..., n) has what unknown links turn ahead of the first of them.  The sine is that of the
-    angle between the unknown links, or of a link to its line's normal.  If any value closes, as at
-    a slot's own pivot, the unknowns and the distance are nan.
+    `x` (..., n) are absolute positions of known links, and for unknown links their angle ahead of
+    the unknown joint.  The sine is that of the angle between the unknown links, or between a link
+    and the normal of its line.  If any value closes, as at a slot's own pivot, unknowns and
+    distance are nan.
     """
     with np.errstate(invalid="ignore", divide="ignore"):  # directions of nothing
         found, missing, sine, length = _Dyad(mechanism, plan, step, x, side).solved()
@@ -109,10 +112,10 @@ def solve_dyad(
 
 
 class _Dyad:
-    """The gap K + sum_u c_u E_u of a step's unknowns, and the ways to close it.
+    """The gap K + sum_u c_u E_u over the unknowns u of a step, and the ways to close it.
 
-    That of a line is turned onto it: its imaginary part.  A line that turns with the unknown is
-    not: what does not turn with it is K, the rest c[OWN].
+    For a line the gap is turned so that its imaginary part is the distance from the line.  If the
+    line turns with the unknown, K is the part that does not turn with it and c[OWN] the rest.
     """
 
     def __init__(self, mechanism: Mechanism, plan: Plan, step: Step, x: Array, side: float) -> None:
@@ -160,7 +163,7 @@ class _Dyad:
         return K + own, {u: z if u in on_line else z * back for u, z in c.items()}
 
     def solved(self) -> Solved:
-        """By the way that serves its unknowns."""
+        """Solve the dyad in the way that fits its unknowns."""
         if not self.step.unknown:
             return self._closed()
         if self.row.arm:
@@ -214,7 +217,7 @@ class _Dyad:
         return {u: np.angle(-K / c[u])}, np.abs(far - length), self.one, np.minimum(far, length)
 
     def _circles(self) -> Solved:
-        """RRR."""
+        """Solve RRR."""
         (one, two), K = self.turning, self.K
         first, second = self.c[one], self.c[two]
         ra, rb, d = np.abs(first), np.abs(second), np.abs(K)
@@ -228,7 +231,7 @@ class _Dyad:
         return found, missing, _ratio(np.abs(d * y), ra * rb), np.minimum(d, np.minimum(ra, rb))
 
     def _circle_and_line(self) -> Solved:
-        """RPR where the line turns with the unknown link, else RRP."""
+        """Solve RPR if the line turns with the unknown link, else RRP."""
         (u,), (s,), K, c = self.turning, self.sliding, self.K, self.c
         if root_of(self.mechanism, self.plan.turns_with, s) == u:
             ahead = c[u] * c[s].conj()
@@ -244,7 +247,7 @@ class _Dyad:
         return {s: -back.real - along, u: turn}, missing, sine, length
 
     def _lines(self) -> Solved:
-        """PRP."""
+        """Solve PRP."""
         (one, two), K, c = self.sliding, self.K, self.c
         cross = (c[one].conj() * c[two]).imag
         sine = np.abs(cross) + np.zeros(K.shape)
@@ -258,13 +261,13 @@ class _Dyad:
         return np.where(determined, np.inf, 0.0)
 
     def _first_side(self, joint: int) -> bool:
-        """Whether a joint is on the side of the closure that is named first."""
+        """Return whether a joint is on the closure's first side."""
         first = self.mechanism.description.closures[self.step.closure].first
         return joint in self.mechanism.path(first.link)
 
 
 def _second_side(length: Array, across: Array, side: float) -> tuple[Array, Array, Array]:
-    """The other side of a right triangle, what its first is too short by, and its sine."""
+    """Return the second leg of a right triangle, the missing length, and its sine."""
     across = np.abs(across)
     along = side * np.sqrt(np.maximum((length - across) * (length + across), 0.0))
     return along, across - length, _ratio(np.abs(along), length)
@@ -275,7 +278,7 @@ def _ratio(a: Array, b: Array) -> Array:
 
 
 def coupled_angle(mechanism: Mechanism, c: int, joint: int, q: Array, t: ArrayLike) -> Array:
-    """q_joint (...) at t by coupling c, whose other joints are known in q (..., n)."""
+    """Return q_joint (...) at t from coupling c, whose other joints are known in q (..., n)."""
     coupling = mechanism.description.couplings[c]
     if coupling.law is not None:
         return law_values(mechanism, c, q, t)

@@ -1,10 +1,10 @@
-"""Rates and accelerations that keep loops closed, the check of given ones, singular configurations.
+"""Rates and accelerations of closed loops, checks of given states, singular configurations.
 
     Psi qd = 0        Psi qdd + Psidot qd = 0
 
-With the actuated joints' rates given the passive ones follow from the columns Psi_p of the passive
-joints.  Psi_p loses rank at a **dead centre** (the actuated joints cannot move the mechanism, or
-hold it); Psi itself loses rank at a **change point** (the mechanism gains a freedom there).
+Given the rates of the actuated joints, the passive ones follow from the columns Psi_p of Psi.
+Psi_p loses rank at a **dead centre**: the actuated joints cannot move the mechanism, or hold it.
+Psi itself loses rank at a **change point**: the mechanism gains a freedom there.
 """
 
 from __future__ import annotations
@@ -56,9 +56,10 @@ GAP_ALLOWED = 1e-6  # part of the loop's size (or of the terms of a rate) that i
 def loop_velocities(
     mechanism: Mechanism, q: ArrayLike, qd_actuated: ArrayLike, t: ArrayLike
 ) -> Array:
-    """All joint rates (..., n) from those of the actuated joints (..., actuated), rad/s.
+    """Return all joint rates (..., n) from those of the actuated joints (..., actuated).
 
-    q (..., n) is a closed configuration.  Raises SingularError at a dead centre or change point.
+    In rad/s or m/s. q (..., n) is a closed configuration.  Raises SingularError at a dead centre or
+    change point.
     """
     q = as_states(mechanism, "q", q)
     given = actuated_wide(mechanism, "qd_actuated", qd_actuated)
@@ -69,10 +70,11 @@ def loop_velocities(
 def loop_accelerations(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd_actuated: ArrayLike, t: ArrayLike
 ) -> Array:
-    """All joint accelerations (..., n) from the actuated joints', rad/s^2.
+    """Return all joint accelerations (..., n) from those of the actuated joints.
 
-    q and qd (..., n) are closed.  Raises SingularError at a dead centre or change point; next to a
-    change point they are those of the motion which leads across.
+    In rad/s^2 or m/s^2. q and qd (..., n) are closed.  Raises SingularError at a dead centre or
+    change point.  Next to a change point, the accelerations belong to the motion that leads across
+    it.
     """
     q, given = (
         as_states(mechanism, "q", q),
@@ -97,7 +99,7 @@ def loop_accelerations(
 
 
 def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike) -> Array:
-    """The rates nearest to qd that keep the closures at a closed configuration q, (..., n)."""
+    """Return the rates (..., n) nearest to qd that keep the closures at a closed q."""
     Psi = scaled_jacobian(mechanism, q, t)
     rates = as_states(mechanism, "qd", qd)
     units = mechanism.arrays.units
@@ -108,7 +110,7 @@ def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: Arr
 
 
 def singular_kind(mechanism: Mechanism, q: ArrayLike, t: float) -> str:
-    """ "dead centre", "change point", or "" for one closed configuration q (n,)."""
+    """Return "dead centre", "change point", or "" for one closed configuration q (n,)."""
     if not mechanism.rows:
         return ""
     Psi, passive = scaled_jacobian(mechanism, q, t), list(mechanism.passive)
@@ -125,7 +127,7 @@ def singular_kind(mechanism: Mechanism, q: ArrayLike, t: float) -> str:
 
 
 def near_dead_centre(mechanism: Mechanism, q: Array, t: float) -> bool:
-    """Whether the actuated joints have little hold of the others at q (n, or more: a state)."""
+    """Return whether the actuated joints hardly hold the others at q (n, or a state)."""
     passive = list(mechanism.passive)
     if not mechanism.rows or not passive:
         return False
@@ -136,10 +138,10 @@ def near_dead_centre(mechanism: Mechanism, q: Array, t: float) -> bool:
 
 
 def check_way_on(mechanism: Mechanism, q: Array, qd: Array) -> None:
-    """Raise SingularError for the first of the states (T, n) that rests at a change point.
+    """Raise SingularError for the first of the states (T, n) at rest at a change point.
 
-    From there the mechanism can go on in two ways; one that moves has chosen its way.  Closures
-    that depend on one another everywhere make no change point.
+    From there the mechanism can move on in two ways; a moving one has chosen its way.  Closures
+    that are dependent everywhere make no change point.
     """
     resting = q[~np.any(qd, axis=-1)]
     if not mechanism.rows or mechanism.driven or not len(resting):
@@ -159,7 +161,7 @@ def check_closed(
     *,
     t: ArrayLike,
 ) -> tuple[int, InputError] | None:
-    """The first of the states (..., n) that does not keep the closures, with the error to raise."""
+    """Return index and error of the first state (..., n) that violates the closures, or None."""
     if not mechanism.rows or q.size == 0:
         return None
     if mechanism.laws:
@@ -198,7 +200,7 @@ def _first_open(
     q: Array,
     t: ArrayLike,
 ) -> tuple[int, InputError] | None:
-    """The first state whose gap (..., r) is more than input may miss of a size, and the error."""
+    """Return index and error of the first state with a gap (..., r) beyond tolerance."""
     wrong = np.abs(gap) > GAP_ALLOWED * size
     if not wrong.any():
         return None
@@ -213,9 +215,10 @@ def _first_open(
 def _first_impossible(
     mechanism: Mechanism, q: Array, qd: Array, Psi: Array
 ) -> tuple[int, InputError] | None:
-    """The first state (..., n) whose rates no motion has, where Psi loses rank, and the error.
+    """Return index and error of the first state with rates that no motion has.
 
-    With u a left null vector of Psi there, no accelerations close u . gapdd = u . (Psidot qd).
+    This is possible where Psi loses rank.  With u a left null vector of Psi there, no acceleration
+    closes u . gapdd = u . (Psidot qd).
     """
     r, n = Psi.shape[-2:]
     units, size = mechanism.arrays.units, loop_size(mechanism)
@@ -249,12 +252,12 @@ def _first_impossible(
 
 @lru_cache(maxsize=64)
 def _sizes(mechanism: Mechanism) -> Array:
-    """Of each row the sum of its terms' sizes, (r,) m."""
+    """Return the sum of the sizes of each row's terms, (r,), m."""
     return np.array([row.size for row in mechanism.rows])
 
 
 def _turned_over(mechanism: Mechanism, at: Placed) -> Array | float:
-    """What is added to the gap, (..., r) m, of angles that are kept, but for half a turn.
+    """Return an addition to the gap (..., r), m, for fixed angles that are off by half a turn.
 
     Their gap is a sine, which vanishes there too.
     """
@@ -273,7 +276,7 @@ def _turned_over(mechanism: Mechanism, at: Placed) -> Array | float:
 def _open(
     mechanism: Mechanism, gap: Array, what: str, unit: str, most: float, q: Array, t: float
 ) -> InputError:
-    """The error of a state q (n,) whose closures, or else couplings, are open by `gap` (r,)."""
+    """Return the error for a state q (n,) whose closures or couplings are open by `gap` (r,)."""
     limit = "give a closed motion of this mechanism, or the actuated joints only "
     limit += "(the rest is assembled)"
     pins = [k for k, row in enumerate(mechanism.rows) if row.closure is not None]
@@ -301,7 +304,7 @@ def _open(
 
 
 def _smallest(mechanism: Mechanism, Psi: Array) -> Array:
-    """The least singular value of Psi or of some of its columns, relative to the loop's size."""
+    """Return the least singular value of Psi, or of some of its columns, over the loop's size."""
     s = np.linalg.svd(Psi, compute_uv=False)
     return np.asarray(s[..., -1] / loop_size(mechanism), dtype=float)
 
@@ -309,7 +312,7 @@ def _smallest(mechanism: Mechanism, Psi: Array) -> Array:
 def closing_rates(
     mechanism: Mechanism, q: Array, actuated: Array, bias: Array | float, t: ArrayLike
 ) -> Array:
-    """x with Psi x = -bias, given its actuated part."""
+    """Return x with Psi x = -bias for given actuated components."""
     driven, passive = list(mechanism.actuated), list(mechanism.passive)
     values = np.zeros((*np.broadcast_shapes(q.shape[:-1], actuated.shape[:-1]), mechanism.n))
     values[..., driven] = actuated

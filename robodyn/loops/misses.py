@@ -1,8 +1,8 @@
-"""Motions that pass a near miss of a change point: steps short enough to stay on their branch.
+"""Motions past a nearly missed change point: steps short enough to stay on their branch.
 
-A loop that misses a change point by gamma turns back from it within sqrt(gamma), and a step as long
-as the distance leaps to the other branch before any error shows.  So steps near one are held, and
-one that leapt is taken again: the orientation of a loop's rows in Psi turns over on its way.
+A loop that misses a change point by gamma turns back within sqrt(gamma) of it.  A step as long as
+this distance leaps to the other branch without any visible error.  So steps nearby are bounded, and
+a step that leapt is repeated: the orientation of the loop's rows in Psi turns over across the leap.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ FAR = 1.0  # rad, within which steps that are not held are no use
 
 
 def orientation(mechanism: Mechanism, Psi: Matrix, other: Matrix) -> list[Value]:
-    """Of each loop a value that is negative if its rows turn over between two states' Psi.
+    """Return per loop a value that is negative if its rows turn over between two states' Psi.
 
-    They are the determinants of Psi Psi'^T up to this loop over those up to the one before, so
+    They are determinants of Psi Psi'^T up to this loop, divided by those up to the one before, so
     that loops which leap together do not hide one another.
     """
     loops: dict[object, list[int]] = {}
@@ -75,7 +75,7 @@ def orientation(mechanism: Mechanism, Psi: Matrix, other: Matrix) -> list[Value]
 
 
 def sparse_rows(mechanism: Mechanism, at: Placed, t: ArrayLike) -> list[dict[int, Value]]:
-    """Psi in x where the mechanism is `at`, at times t, each entry (...)."""
+    """Return the nonzero entries (...) of each row of Psi, in absolute coordinates, at t."""
     found: list[dict[int, Value]] = []
     laws = laws_of(mechanism)
     slopes = None
@@ -109,15 +109,15 @@ def sparse_rows(mechanism: Mechanism, at: Placed, t: ArrayLike) -> list[dict[int
 
 
 def _columns_of(rows: Array) -> list[int]:
-    """Where rows (..., n) are not zero everywhere."""
+    """Return the columns in which rows (..., n) are not zero everywhere."""
     return [int(k) for k in np.flatnonzero(rows.reshape(-1, rows.shape[-1]).any(axis=0))]
 
 
 class Misses:
-    """The change points, missed or not, that one run of a mechanism has met.
+    """The singular configurations that one run of a mechanism has met.
 
-    They tell how long the steps of an integrator may be.  Another run starts without any: what it
-    does must not depend on runs before it.
+    They bound the steps of an integrator.  Another run starts without any, so that it does not
+    depend on earlier runs.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -127,11 +127,11 @@ class Misses:
         self._guards = regular and not mechanism.driven
 
     def nearest(self, q: Array) -> Singular | None:
-        """Return the singular configuration that q (n,) is near, and count it as met, or None."""
+        """Return the singular configuration near q (n,) and record it; None if there is none."""
         return nearest_singular(self.mechanism, q, self.met)
 
     def distance(self, q: Array | Sequence[float]) -> float:
-        """To the nearest known one, rad; infinite where none is known."""
+        """Return the distance to the nearest recorded miss, rad; infinite if there is none."""
         missed = [each for each in self.met if not each.crosses]
         least = min(
             (float(apart(self.mechanism, np.asarray(q), each.q)) for each in missed), default=np.inf
@@ -139,9 +139,9 @@ class Misses:
         return max(least, CLOSEST)
 
     def holds(self, y: Array | Sequence[float]) -> tuple[float, float, float]:
-        """How long a step from y = (q, qd, ...) may be, s, and what it may err by, rad.
+        """Return for a step from y = (q, qd, ...): longest step (s), error (rad), rate noise.
 
-        And what its rates err by in any case, rad/s: no tolerance below that can be met.
+        The rate noise (rad/s) is an error of the rates that no tolerance can avoid.
         """
         n = self.mechanism.n
         fastest = max(*map(abs, y[n : 2 * n]), SLOWEST)
@@ -152,12 +152,12 @@ class Misses:
         return longest, FINE * distance, ROUNDING * fastest / distance
 
     def near(self, q: Array) -> bool:
-        """Whether the nearest configuration that is known, if q is near one, is a miss."""
+        """Return whether the nearest recorded configuration around q is a miss."""
         found = nearest_of(self.mechanism, self.met, q, SAME)
         return found is not None and not found.crosses
 
     def crosses(self, q: Array) -> bool:
-        """Whether a state of suspect quality is near a change point, not near a miss of one."""
+        """Return whether a state of suspect quality is near a change point, not near a miss."""
         found = self.nearest(q)
         if found is None:  # what it is near to is not known
             Psi = closed_form.scaled_jacobian(self.mechanism, q, 0.0)
@@ -165,9 +165,9 @@ class Misses:
         return found.crosses
 
     def leaps(self, t: Array, y: Array) -> list[int]:
-        """The steps between states y (T + 1, N) at t (T + 1) that leap over a missed change point.
+        """Return the steps between states y (T + 1, N) at t (T + 1,) that leapt over a miss.
 
-        What was met so is known from then on, and holds the next steps.
+        A miss found here is recorded and bounds the next steps.
         """
         q = y[:, : self.mechanism.n]
         if not self._guards or len(q) < 2 or not np.isfinite(q).all():
@@ -190,7 +190,7 @@ class Misses:
         ]
 
     def _between(self, begin: Array, end: Array) -> bool:
-        """Whether what lies between two states is a missed change point."""
+        """Return whether a miss lies between two states."""
         way = begin + np.linspace(0.0, 1.0, 33)[:, None] * (end - begin)
         far = [(float(apart(self.mechanism, way, x.q).min()), x.crosses) for x in self.met]
         nearest, crosses = min(far, default=(np.inf, False))

@@ -1,9 +1,9 @@
 """Loops that are no chain of dyads: closed along a path from the pose of the scene's `start`.
 
-The start of a scene need not be closed: its pose is the closed one for which all joints, the
-actuated ones among them, change least.  From there the actuated joints are led to where they are to
-be; at each step dyads before the other loops are closed by their words, and Newton's method
-closes the others from where they were.  Dyads behind them follow at the end.
+The start of a scene need not be closed.  Its pose is the closed one for which all joints, actuated
+ones included, change least.  From there the actuated joints are moved to their targets in steps.
+In each step, dyads before the other loops are closed by their words, and Newton's method closes the
+other loops from the previous step.  Dyads that depend on these follow at the end.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SAME = 1e-6  # rad, or lengths of the mechanism: poses that differ by less are o
 
 
 class Closed(NamedTuple):
-    """Poses q (..., n), the distance each misses (...), m, and the sines of their dyads."""
+    """Poses q (..., n), the distance (...) by which each fails to close (m), and dyads' sines."""
 
     q: Array
     missing: Array
@@ -47,10 +47,10 @@ def closed_near(
     *,
     t: ArrayLike,
 ) -> Closed:
-    """Close all loops at the actuated joints of `near` (..., n), and the times t (...).
+    """Close all loops for the actuated joints of `near` (..., n) at times t (...).
 
-    Dyads are closed by their words, other loops by Newton's method from `near`.  `behind` tells
-    whether dyads that need these other loops are closed too; `exact` is that of `close_positions`.
+    Dyads are closed by their words, other loops by Newton's method from `near`.  With `behind`,
+    dyads that depend on these loops are closed too.  `exact` is passed to `close_positions`.
     """
     q, off = known_joints(mechanism, plan, near[..., list(mechanism.actuated)], t)
     q[..., list(plan.later)] = near[..., list(plan.later)]
@@ -72,10 +72,10 @@ def closed_near(
 
 
 def start_pose(mechanism: Mechanism, plan: Plan, words: Sequence[str], near: Array) -> Closed:
-    """The closed poses nearest to `near` (..., n) whose dyads are closed by their words.
+    """Return the closed poses nearest to `near` (..., n) with dyads closed by their words.
 
-    All joints may change, but the actuated ones that the scene's `start` leaves out.  Laws of the
-    time are those at t = 0.
+    All joints may change, except actuated ones that the scene's `start` leaves out.  Laws of time
+    are taken at t = 0.
     """
     start = mechanism.description.start or ()
     unsaid = [k for k in mechanism.actuated if start[k] is None]
@@ -97,9 +97,9 @@ def start_pose(mechanism: Mechanism, plan: Plan, words: Sequence[str], near: Arr
 
 
 def _searched(mechanism: Mechanism, plan: Plan, words: Sequence[str], near: Array) -> Closed | None:
-    """The nearest pose (n,) on these words' branch that Newton's method finds around `near` (n,).
+    """Return the nearest pose (n,) that Newton's method finds from random poses around `near`.
 
-    The actuated joints stay.
+    It is on the branch of `words`, with the actuated joints of `near`.  None if no pose closes.
     """
     turns = np.random.default_rng(0).uniform(-np.pi, np.pi, (AROUND, len(plan.rest)))
     rest = list(plan.rest)
@@ -116,14 +116,14 @@ def _searched(mechanism: Mechanism, plan: Plan, words: Sequence[str], near: Arra
 
 
 def _each(chosen: Mask, one: Closed, other: Closed) -> Closed:
-    """The poses of `one` where `chosen` is true, elsewhere those of `other`."""
+    """Return the poses of `one` where `chosen` is true, else those of `other`."""
     sines = [np.where(chosen, a, b) for a, b in zip(one.sines, other.sines, strict=True)]
     q = np.where(chosen[..., None], one.q, other.q)
     return Closed(q, np.where(chosen, one.missing, other.missing), sines)
 
 
 def _changed(mechanism: Mechanism, way: Array, start: Sequence[float | None]) -> Array:
-    """By how much (...) the joints that a start names change; displacements in lengths."""
+    """Return the change (...) of the joints that a start names; displacements in lengths."""
     told = [k for k, value in enumerate(start) if value is not None]
     found: Array = np.linalg.norm(wrapped(mechanism, way)[..., told], axis=-1)
     return found
@@ -138,12 +138,11 @@ def from_start(
     *,
     t: ArrayLike,
 ) -> Closed:
-    """Close loops along a path of the actuated joints from the start's pose to `target` (..., a).
+    """Close loops along a path of the actuated joints from the start's pose to `target`.
 
-    On this path the time goes from 0 to t (...).
-
-    If the short way of one joint that turns does not close, the other way round is tried.  `watch`
-    is told what part of the path is gone.
+    `target` is (..., a).  Time goes from 0 to t (...) along the path.  If the short way of a single
+    turning joint does not close, the other way round is tried.  `watch` is called with the finished
+    part of the path.
     """
     actuated = list(mechanism.actuated)
     begin = _begin(mechanism, plan, target, words)
@@ -184,7 +183,7 @@ def from_start(
 
 
 def _begin(mechanism: Mechanism, plan: Plan, target: Array, words: Sequence[str]) -> Closed:
-    """The start's pose for each target (..., a); joints that the start leaves out are there."""
+    """Return the start's pose for each target (..., a), with joints left out as in the target."""
     start = mechanism.description.start
     assert start is not None  # the plan checks it
     near = np.array([value or 0.0 for value in start])
@@ -208,10 +207,10 @@ def _led(
     goes: Mask,
     watch: Callable[[float], object] | None,
 ) -> tuple[Array, Mask]:
-    """Poses (k, n) led from `begin` (k, n) by `way` (k, a) of the actuated joints, to times (k,).
+    """Move poses (k, n) from `begin` (k, n) by `way` (k, a) of the actuated joints, to times (k,).
 
-    And which of those that go (k,) arrived; beyond a limit nothing closes, or only after a leap to
-    another branch: there a path ends.
+    Returns the poses, and which of the states `goes` (k,) arrived.  A path ends where nothing
+    closes, or where a joint leaps to another branch.
     """
     actuated, rest = list(mechanism.actuated), list(plan.rest)
     units = mechanism.arrays.units
@@ -244,7 +243,10 @@ def _led(
 def reachable_from_start(
     mechanism: Mechanism, plan: Plan, q_actuated: Array, joint: int, words: Sequence[str], t: float
 ) -> list[tuple[float, float]]:
-    """The interval of one actuated joint about its start that a path can reach at t, rad."""
+    """Return the interval of one actuated joint that a path from its start reaches.
+
+    In rad or m, at time t.
+    """
     start = mechanism.description.start
     assert start is not None  # the plan checks it
     moved = mechanism.actuated[joint]
@@ -277,14 +279,14 @@ def reachable_from_start(
 def open_by(
     mechanism: Mechanism, q: Array, rows: Sequence[int] | None = None, *, t: ArrayLike
 ) -> Array:
-    """How far states (..., n) are open, in these rows or in all, as a part of the loop's size."""
+    """Return the gap of states (..., n) in `rows`, or all rows, over the loop's size, (...)."""
     gap = closure_gap(mechanism, q, t)
     gap = gap if rows is None else gap[..., list(rows)]
     return np.asarray(np.linalg.norm(gap, axis=-1) / loop_size(mechanism))
 
 
 def farthest(mechanism: Mechanism) -> float:
-    """A displacement that no loop of the mechanism reaches, m."""
+    """Return a displacement beyond the reach of all loops, m."""
     links = mechanism.description.links
     sides = [x for c in mechanism.description.closures for x in (c.first.at, c.second.at)]
     return sum(abs(x.l) + abs(x.hangs_from.at) for x in links) + sum(map(abs, sides)) or 1.0

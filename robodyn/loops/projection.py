@@ -1,10 +1,10 @@
-"""The nearest state that keeps the closures: Newton steps of least norm.
+"""Projection onto the closures: Newton steps of least norm to the nearest closed state.
 
     q - Psi^T (Psi Psi^T)^-1 gap(q)    and    qd - Psi^T (Psi Psi^T)^-1 Psi qd
 
-Written out as straight-line floats for small mechanisms, and with singular values where Psi is
-near singular, its rows depend on one another, or the code would be long.  Each tells
-how regular Psi is there, about d^2 at a distance d from a configuration where it loses rank.
+Small mechanisms use generated straight-line code.  Singular values serve if Psi is nearly singular,
+if its rows are dependent, or if the code would be long.  Each solver also returns the quality of
+Psi, about d^2 at distance d from a configuration where it loses rank.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ STEEP = 0.1 / LOST  # times the loop's size: larger derivatives of a law are why
 
 
 def dense_closing(mechanism: Mechanism) -> Closing:
-    """By singular values; directions that the closures hardly hold are left alone."""
+    """Return a projection by singular values; directions hardly held are left alone."""
     n, size, units = mechanism.n, singular_size(mechanism), mechanism.arrays.units
     rank = regular_rank(mechanism)
 
@@ -80,7 +80,7 @@ def dense_closing(mechanism: Mechanism) -> Closing:
 
 
 def best_closing(mechanism: Mechanism) -> Closing:
-    """What is fastest for its size: straight-line floats, or singular values."""
+    """Return the fastest projection for the mechanism's size."""
     if not written_out(mechanism):
         return dense_closing(mechanism)
     close = float_closing(mechanism)
@@ -94,9 +94,9 @@ def best_closing(mechanism: Mechanism) -> Closing:
 
 @lru_cache(maxsize=64)
 def float_closing(mechanism: Mechanism) -> FloatClosing:
-    """`best_closing` on lists, for steps that never leave plain floats.
+    """Return `best_closing` for lists, for steps that never leave plain floats.
 
-    Straight-line code leaves to `dense_closing` the states at which a pivot is too small.
+    States with small pivots are passed from straight-line code to `dense_closing`.
     """
     otherwise = dense_closing(mechanism)
     formula = projection_formula(mechanism) if written_out(mechanism) else None
@@ -122,7 +122,7 @@ def float_closing(mechanism: Mechanism) -> FloatClosing:
 
 
 def written_out(mechanism: Mechanism) -> bool:
-    """Whether straight-line code serves."""
+    """Return whether straight-line code is the fastest for a mechanism."""
     most = STRAIGHT if mechanism.rows else STRAIGHT_OPEN
     return loop_terms(mechanism) <= max(most, FEW * mechanism.n)
 
@@ -130,7 +130,7 @@ def written_out(mechanism: Mechanism) -> bool:
 def state_led_across(
     mechanism: Mechanism, q: Array, qd: Array, evaluate: Callable[[Array, Array], Array]
 ) -> Array | None:
-    """`lead_across` of a function of q and qd (k, n); None beside no change point."""
+    """Apply `lead_across` to a function of q and qd (k, n); None if no change point is near."""
     near = nearest_singular(mechanism, q)
     if near is None or not near.crosses:
         return None
@@ -141,10 +141,10 @@ def state_led_across(
 
 
 def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
-    """Raise LawError, which names the law and the time, if q (n,) does not keep a law of the time.
+    """Raise LawError, with the law and the time, if q (n,) does not keep a law of time.
 
-    So it is where laws contradict one another, or lead a loop beyond its reach, or nearly to where
-    its joints are not determined.
+    This happens if laws contradict one another, lead a loop beyond its reach, or lead it close to a
+    singular configuration.
     """
     if not np.isfinite(q).all():
         there = np.where(np.isfinite(q), q, 0.0)
@@ -167,7 +167,7 @@ def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
 
 
 def law_error(mechanism: Mechanism, row: int, limit: str) -> LawError:
-    """Return the error of the law in a row, which it names."""
+    """Return the error for the law in a row, with its name."""
     law = mechanism.rows[row].law
     assert law is not None
     what = f"couplings[{row - mechanism.first_coupling}]"
@@ -175,7 +175,7 @@ def law_error(mechanism: Mechanism, row: int, limit: str) -> LawError:
 
 
 def _check_steep(mechanism: Mechanism, q: Array, t: float, Psi: Array) -> None:
-    """Raise LawError, which names the law, if a law's derivative by a joint is too large at q (n,).
+    """Raise LawError if a law's derivative by a joint is too large at q (n,).
 
     Psi is (r, n), scaled.
     """
@@ -194,7 +194,7 @@ def _check_steep(mechanism: Mechanism, q: Array, t: float, Psi: Array) -> None:
 
 
 def _check_domain(mechanism: Mechanism, q: Array, qd: Array, t: float) -> None:
-    """Raise LawError: no closed state near (q, qd), (n,) each, is within the domain of its laws."""
+    """Raise LawError: no closed state near (q, qd) is within the domain of the laws."""
     check_laws(mechanism, q, qd, t)
     gap = np.abs(closed_form.closure_gap(mechanism, q, t))
     rows = [r for r, row in enumerate(mechanism.rows) if row.law is not None]
@@ -204,10 +204,9 @@ def _check_domain(mechanism: Mechanism, q: Array, qd: Array, t: float) -> None:
 
 
 class Projection:
-    """The nearest closed state; next to a change point that of the branch which leads across.
+    """Projects to the nearest closed state; next to a change point, along the crossing branch.
 
-    `misses` are the change points that the run has met; those that the mechanism only nearly has
-    hold an integrator.
+    `misses` records the singular configurations that the run meets; near misses bound its steps.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
-"""What Python callers know loops by: as the functions inside, but t is 0 if it is left out.
+"""The functions on loops for Python callers, with t = 0 as default.
 
-Inside every call tells its time: one that is forgotten would be wrong in silence.
+Inside the package every call states its time: a forgotten one would be wrong without notice.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ def assemble(
     branches: Sequence[str] | None = None,
     t: ArrayLike = 0.0,
 ) -> Array:
-    """All joint angles (..., n) from those of the actuated joints (..., actuated), radians.
+    """Return all joint positions (..., n) from those of the actuated joints (..., actuated).
 
-    Joints that laws of the time give are where these have them at t (...), s.
-    `branches` has "open" or "crossed" for each closure; None takes the scene's.  Raises InputError
-    where a joint is neither actuated nor in a loop, SingularError where the loops close with joints
-    at any value, and AssemblyError where the loops cannot close: it tells the distance missing and
-    the range of the actuated joints that can be reached.
+    Positions are in rad, or m for joints that slide.  Joints driven by laws of time take their
+    values at t (...), s.  `branches` has "open" or "crossed" for each closure; None takes the
+    scene's.  Raises InputError if a joint is neither actuated nor in a loop, SingularError if the
+    loops close with a joint at any value, and AssemblyError if they cannot close; its message has
+    the missing distance and the range in which the actuated joints can move.
     """
     return assembly.assemble(mechanism, q_actuated, branches, t=t)
 
@@ -35,10 +35,10 @@ def assemble(
 def loop_velocities(
     mechanism: Mechanism, q: ArrayLike, qd_actuated: ArrayLike, t: ArrayLike = 0.0
 ) -> Array:
-    """All joint rates (..., n) from those of the actuated joints (..., actuated), rad/s.
+    """Return all joint rates (..., n) from those of the actuated joints (..., actuated).
 
-    q (..., n) is a closed configuration at t (...), s.  Raises SingularError at a dead centre or
-    change point.
+    In rad/s or m/s. q (..., n) is a closed configuration at t (...), s.  Raises SingularError at a
+    dead centre or change point.
     """
     return loop_rates.loop_velocities(mechanism, q, qd_actuated, t)
 
@@ -50,23 +50,24 @@ def loop_accelerations(
     qdd_actuated: ArrayLike,
     t: ArrayLike = 0.0,
 ) -> Array:
-    """All joint accelerations (..., n) from the actuated joints', rad/s^2.
+    """Return all joint accelerations (..., n) from those of the actuated joints.
 
-    q and qd (..., n) are closed at t (...), s.  Raises SingularError at a dead centre or change
-    point; next to a change point they are those of the motion which leads across.
+    In rad/s^2 or m/s^2. q and qd (..., n) are closed at t (...), s.  Raises SingularError at a dead
+    centre or change point.  Next to a change point, the accelerations belong to the motion that
+    leads across it.
     """
     return loop_rates.loop_accelerations(mechanism, q, qd, qdd_actuated, t)
 
 
 def closure_gap(mechanism: Mechanism, q: ArrayLike, t: ArrayLike = 0.0) -> Array:
-    """How far the closures are from closing at t (...), first side minus second, (..., r), m.
+    """Return the closure gap at t (...), first side minus second, (..., r), m.
 
-    Two components (x, y) for a pin, one (normal to the line) for a slider, and one for a coupling:
-    what its joint is ahead, rad, times a length of the mechanism.
+    A pin has two components (x, y), a slider one (normal to its line), and a coupling one: the lead
+    of its joint (rad) times a length of the mechanism.
     """
     return closed_form.closure_gap(mechanism, q, t)
 
 
 def closure_jacobian(mechanism: Mechanism, q: ArrayLike, t: ArrayLike = 0.0) -> Array:
-    """Psi = d gap/dq at t (...), (..., r, n), m/rad, or 1 for joints that slide."""
+    """Return Psi = d gap/dq at t (...), (..., r, n), in m/rad, or 1 for joints that slide."""
     return closed_form.closure_jacobian(mechanism, q, t)
