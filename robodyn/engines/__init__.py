@@ -1,1 +1,1 @@
-"""What evaluates recorded formulas: Python text, arrays, machine code."""
+"""Evaluators of recorded formulas: Python code, numpy arrays, machine code."""

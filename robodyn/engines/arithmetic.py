@@ -1,7 +1,7 @@
-"""Numbers that series are made of: what an engine must tell of them, and their planar products.
+"""Arithmetic over which series are computed, and products of planar numbers.
 
-Plain floats 0.0 and 1.0 are structural: they are there whatever the scene's numbers are, and
-products and sums with them cost nothing.
+The plain floats 0.0 and 1.0 are structural: they do not depend on the scene's numbers, and products
+and sums with them cost nothing.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ ZERO: Planar = (0.0, 0.0)
 
 
 def chosen(x: Value, knots: Sequence[float], values: Sequence[float]) -> Value:
-    """One of the values, by the interval between increasing knots in which a number x is."""
+    """Return the value for the interval between increasing `knots` that contains x."""
     return values[bisect_right(knots, x)]
 
 
 def times(a: Value, b: Value) -> Value:
-    """a b, without the products of a structural zero or one."""
+    """Return a b; a structural zero or one costs no product."""
     if type(a) is float:
         if a == 0.0:
             return 0.0
@@ -40,7 +40,7 @@ def times(a: Value, b: Value) -> Value:
 
 
 def plus(a: Value, b: Value) -> Value:
-    """a + b, without adding a structural zero."""
+    """Return a + b; a structural zero costs no sum."""
     if type(a) is float and a == 0.0:
         return b
     if type(b) is float and b == 0.0:
@@ -49,14 +49,14 @@ def plus(a: Value, b: Value) -> Value:
 
 
 def over(a: Value, k: Value) -> Value:
-    """a / k; of recorded numbers a product with 1/k, of longer ones to their last digit."""
+    """Return a / k; recorded numbers are multiplied by 1/k."""
     if type(a) is float and a == 0.0:
         return 0.0
     return a / float(k) if type(k) is int else a * (1.0 / (1.0 * k))
 
 
 def convolution(x: Any, y: Any, m: int, first: int, last: int) -> Value:
-    """Sum of x_j y_{m-j} for j from `first` to `last`."""
+    """Return the sum of x_j y_{m-j} for j from `first` to `last`."""
     total: Value = 0.0
     if x is y and first + last == m:  # a square: equal terms once
         for j in range(first, (m + 1) // 2):
@@ -78,7 +78,7 @@ def weighted(
     level: Value = 0.0,
     keep: Callable[[Value], Value] = lambda value: value,
 ) -> Value:
-    """Sum of (slope j + level) x_j y_{m-j} for j from `first` to `last`."""
+    """Return the sum of (slope j + level) x_j y_{m-j} for j from `first` to `last`."""
     total: Value = 0.0
     for j in range(first, last + 1):
         total = plus(total, times(keep(times(slope * j + level, x[j])), y[m - j]))
@@ -87,7 +87,7 @@ def weighted(
 
 @dataclass(eq=False, repr=False)
 class Arithmetic:
-    """The functions of one kind of numbers; +, -, *, / are the numbers' own."""
+    """Functions of one kind of numbers; +, -, *, / are operators of the numbers themselves."""
 
     cos: Callable[[Value], Value]
     sin: Callable[[Value], Value]
@@ -112,7 +112,7 @@ FLOATS = Arithmetic(
 
 
 def planar_times(a: Planar, b: Planar) -> Planar:
-    """a b of complex numbers."""
+    """Return the complex product a b."""
     return (
         plus(times(a[0], b[0]), times(-1.0, times(a[1], b[1])) if some(a[1], b[1]) else 0.0),
         plus(times(a[0], b[1]), times(a[1], b[0])),
@@ -124,14 +124,14 @@ def some(*values: Value) -> bool:
 
 
 def difference(a: Value, b: Value) -> Value:
-    """a - b, without a structural zero."""
+    """Return a - b; a structural zero costs nothing."""
     if type(b) is float and b == 0.0:
         return a
     return a - b
 
 
 def conjugate_times(a: Planar, b: Planar) -> Planar:
-    """conj(a) b."""
+    """Return conj(a) b."""
     return (
         plus(times(a[0], b[0]), times(a[1], b[1])),
         difference(times(a[0], b[1]), times(a[1], b[0])),
@@ -139,18 +139,18 @@ def conjugate_times(a: Planar, b: Planar) -> Planar:
 
 
 def planar_plus(a: Planar, b: Planar) -> Planar:
-    """a + b of complex numbers."""
+    """Return the complex sum a + b."""
     return plus(a[0], b[0]), plus(a[1], b[1])
 
 
 def entries(values: Sequence[Value] | Mapping[int, Value]) -> dict[int, Value]:
-    """Those that are not zero at every state, by their places."""
+    """Return the entries that are not structurally zero, by index."""
     items = values.items() if isinstance(values, Mapping) else enumerate(values)
     return {k: value for k, value in items if some(value)}
 
 
 def dot(a: Mapping[int, Value], b: Mapping[int, Value] | Sequence[Value]) -> Value:
-    """The sum of products of what stands in the same places; a sequence has all of them."""
+    """Return the dot product of two vectors; a mapping lists its nonzero entries."""
     total: Value = 0.0
     for k, x in a.items():
         if not isinstance(b, Mapping) or k in b:

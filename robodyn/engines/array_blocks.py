@@ -1,8 +1,7 @@
-"""Recorded formulas on arrays of many states: blocks that stay in cache, shared among threads.
+"""Recorded formulas on arrays of many states, in blocks that fit the cache, on several threads.
 
-numpy lets other threads run while it works on a block, and so does machine code; threads share the
-blocks of one call.  Block size and thread limit are where `make bench` found the least time a
-state.
+numpy and machine code let other threads run while they work on a block, so threads share the blocks
+of one call.  Block size and number of threads were chosen by `make bench`.
 """
 
 from __future__ import annotations
@@ -23,9 +22,10 @@ MAX_THREADS = 4
 
 
 def shared(total: int, share: int, piece: int, run: Callable[[int, int, int], object]) -> None:
-    """run(thread, first, stop) over pieces of 0 .. total, `share` of which are worth a thread.
+    """Call run(thread, first, stop) for pieces of 0 .. total, in several threads.
 
-    What one thread raises, Ctrl-C too, ends all after their pieces.
+    A thread is started per `share` items.  An exception in one thread, Ctrl-C included, stops all
+    others after their current piece.
     """
     threads = max(1, min(MAX_THREADS, total // share))
     if threads > 1:  # the system is asked for those there are
@@ -63,10 +63,10 @@ _CALLS["choose"] = _choose
 
 
 class ArrayFormula:
-    """A recorded formula on arrays of states: one numpy call for each node and block of states.
+    """A recorded formula on arrays of states: one numpy call per node and block of states.
 
-    `inputs` are the names of the columns of states, `outputs` the columns of results.  Parameters
-    have the values that the graph knows of them.
+    `inputs` are names of the columns of states, `outputs` the columns of results.  Parameters take
+    their values from the graph.
     """
 
     def __init__(self, inputs: Sequence[str], outputs: Sequence[Value]) -> None:
@@ -113,9 +113,9 @@ class ArrayFormula:
                 self._calls.append((np.positive, itemgetter(target[end.index], to)))
 
     def fill(self, states: Sequence[Array], results: Sequence[Array]) -> None:
-        """Fill the columns of `results` (T, k) by the rows of `states` (T, n).
+        """Fill the columns of `results` (T, k) from the rows of `states` (T, n).
 
-        A singular state raises no warning: what is not finite is the caller's to find.
+        A singular state raises no warning; the caller has to look for values that are not finite.
         """
         total = len(states[0])
         numbers = self._numbers[::-1]
@@ -134,12 +134,12 @@ class ArrayFormula:
 
 
 def _meant(a: Any) -> Any:
-    """The node that a kept one stands for; the number of a constant one."""
+    """Return the node behind `keep` nodes; the number of a constant node."""
     while isinstance(a, Expression) and a.op == "keep":
         a = a.args[0]
     return a.number if isinstance(a, Expression) and a.constant else a
 
 
 def _is_node(a: object) -> bool:
-    """Whether it is a node that is computed."""
+    """Return whether it is a node that must be computed."""
     return isinstance(a, Expression) and a.op != "var"

@@ -1,10 +1,9 @@
-"""The kernel language: functions of machine code, written as the text of LLVM's IR.
+"""The kernel language: functions of machine code, written as LLVM's IR text.
 
-A `Word` is a value that an instruction left: numbers of W lanes, a mask over them, a whole number,
-an address.  `Instructions` are those of a function under way, one after the other.  A `Kernel` is
-such a function with its loops and branches; each method writes an instruction or a control
-structure, and returns the word it makes.  Recorded graphs and sines go in by
-`segment.py`.
+A `Word` is the value of an instruction: numbers in W lanes, a mask over them, a whole number, or an
+address.  `Instructions` collects the instructions of one function.  A `Kernel` adds loops and
+branches.  Each method writes an instruction or a control structure and returns its word.  Recorded
+graphs and sines are added by `segment.py`.
 
     with kernel.loop(count) as i:              # i = 0 .. count - 1
         x = kernel.load(kernel.at(data, i))
@@ -25,7 +24,7 @@ WHOLE, SCALAR, ADDRESS, TRUTH = "i64", "double", "ptr", "i1"
 
 
 class Word(NamedTuple):
-    """A value: how the text names it, and its LLVM type."""
+    """A value, with its name in the text and its LLVM type."""
 
     text: str
     type: str
@@ -35,7 +34,7 @@ class Word(NamedTuple):
 
 
 class Module:
-    """The text of one object: kernels, and the functions of the C library that they call."""
+    """The text of one object file: kernels, and declarations of C library functions they call."""
 
     def __init__(self, lanes: int, short: bool = False, together: int = 0) -> None:
         self.lanes = lanes
@@ -53,7 +52,7 @@ class Module:
 
 
 class Instructions:
-    """One function: its instructions so far."""
+    """The instructions of one function under construction."""
 
     def __init__(
         self, module: Module, name: str, arguments: Sequence[str], result: str = WHOLE
@@ -75,7 +74,7 @@ class Instructions:
         return str(self._count)
 
     def op(self, type: str, text: str) -> Word:
-        """The word of type `type` that the instruction `text` makes."""
+        """Write an instruction with a result of `type`; return its word."""
         word = Word(f"%v{self.fresh()}", type)
         self._lines.append(f"  {word.text} = {text}")
         return word
@@ -84,7 +83,7 @@ class Instructions:
         self._lines.append(f"  {text}")
 
     def done(self, value: Word | None = None) -> None:
-        """Return, and put the function into its module."""
+        """Write the return instruction and add the function to its module."""
         self.line("ret void" if value is None else f"ret {value}")
         arguments = ", ".join(map(str, self.arguments))
         head = f"define {self.result} @{self.name}({arguments}) nounwind {{\nentry:"
@@ -94,27 +93,27 @@ class Instructions:
     # -- constants -------------------------------------------------------------------------------
 
     def number(self, value: float) -> Word:
-        """The same number in every lane."""
+        """Return a word with the same number in every lane."""
         return self._everywhere(self.scalar(value))
 
     def scalar(self, value: float) -> Word:
-        """One number, every bit of it."""
+        """Return a single number, exact to the bit."""
         return Word("0x" + struct.pack(">d", value).hex().upper(), SCALAR)
 
     def whole(self, value: int) -> Word:
-        """A whole number."""
+        """Return a whole number."""
         return Word(str(value), WHOLE)
 
     def whole_lanes(self, value: int) -> Word:
-        """The same whole number in every lane."""
+        """Return a word with the same whole number in every lane."""
         return self._everywhere(self.whole(value))
 
     def all_lanes(self, value: bool) -> Word:
-        """A mask, the same in every lane."""
+        """Return a mask with the same value in every lane."""
         return self._everywhere(Word(str(value).lower(), TRUTH))
 
     def vector(self, values: Sequence[float]) -> Word:
-        """These numbers side by side, one a lane."""
+        """Return a word with one number per lane."""
         return Word(f"<{', '.join(str(self.scalar(value)) for value in values)}>", self.numbers)
 
     def _everywhere(self, one: Word) -> Word:
@@ -125,18 +124,18 @@ class Instructions:
     # -- calls -----------------------------------------------------------------------------------
 
     def call(self, function: str | Word, *arguments: Word) -> None:
-        """Call a function without a result, by its name or by its address."""
+        """Call a function without result, by name or by address."""
         target = function.text if isinstance(function, Word) else f"@{function}"
         self.line(f"call void {target}({', '.join(map(str, arguments))})")
 
     def result_of(self, type: str, name: str, *arguments: Word) -> Word:
-        """What the function of this name gives, which is of this type."""
+        """Call the function `name` and return its result of `type`."""
         return self.op(type, f"call {type} @{name}({', '.join(map(str, arguments))})")
 
     # -- arithmetic ------------------------------------------------------------------------------
 
     def binary(self, op: str, a: Word, b: Word) -> Word:
-        """An instruction on two words of one type; floats by `fadd contract` and the like."""
+        """Write a binary instruction, such as `fadd contract`, on words of one type."""
         return self.op(a.type, f"{op} {a}, {b.text}")
 
     def add(self, a: Word, b: Word) -> Word:
@@ -155,7 +154,7 @@ class Instructions:
         return self.op(a.type, f"fneg {a}")
 
     def intrinsic(self, name: str, *args: Word) -> Word:
-        """llvm.sqrt, llvm.fabs and the like of numbers."""
+        """Call an LLVM intrinsic on numbers: sqrt, fabs, ..."""
         type = args[0].type
         suffix = "f64" if type == SCALAR else f"v{type[1:].split()[0]}f64"
         full = f"llvm.{name}.{suffix}"
@@ -163,23 +162,23 @@ class Instructions:
         return self.result_of(type, full, *args)
 
     def convert(self, op: str, a: Word, type: str) -> Word:
-        """bitcast, sitofp, zext and the like."""
+        """Write a conversion: bitcast, sitofp, zext, ..."""
         return self.op(type, f"{op} {a} to {type}")
 
     # -- masks -----------------------------------------------------------------------------------
 
     def compare(self, how: str, a: Word, b: Word) -> Word:
-        """Lane by lane; `how` as in LLVM: olt, oge, une (floats), slt, eq, ult (wholes)."""
+        """Compare lane by lane; `how` as in LLVM: olt, oge, une (floats), slt, eq, ult."""
         op = "fcmp" if _floats(a) else "icmp"
         type = self.mask if a.type in (self.numbers, self.wholes) and self.lanes > 1 else TRUTH
         return self.op(type, f"{op} {how} {a}, {b.text}")
 
     def less(self, a: Word, b: Word) -> Word:
-        """a < b; false where one is nan."""
+        """Return the mask of a < b; false if one is nan."""
         return self.compare("olt", a, b)
 
     def select(self, mask: Word, a: Word, b: Word) -> Word:
-        """a where the mask is set, b elsewhere."""
+        """Return a where the mask is set, else b."""
         return self.op(a.type, f"select {mask}, {a}, {b}")
 
     def both(self, a: Word, b: Word) -> Word:
@@ -193,14 +192,14 @@ class Instructions:
         return self.binary("xor", mask, Word("true", TRUTH) if single else self.all_lanes(True))
 
     def any(self, mask: Word) -> Word:
-        """Whether the mask is set in any lane."""
+        """Return whether the mask is set in any lane."""
         if mask.type == TRUTH:
             return mask
         bits = self.convert("bitcast", mask, f"i{self.lanes}")
         return self.op(TRUTH, f"icmp ne {bits}, 0")
 
     def count(self, mask: Word) -> Word:
-        """In how many lanes it is set."""
+        """Return in how many lanes the mask is set."""
         if mask.type == TRUTH:
             return self.convert("zext", mask, WHOLE)
         bits = self.convert("bitcast", mask, f"i{self.lanes}")
@@ -211,7 +210,7 @@ class Instructions:
     # -- lanes -----------------------------------------------------------------------------------
 
     def spread(self, value: Word, lanes: int = 0) -> Word:
-        """A scalar, in every lane, or so often."""
+        """Return a scalar copied to every lane, or to `lanes` lanes."""
         lanes = lanes or self.lanes
         if lanes == 1:
             return value
@@ -221,19 +220,19 @@ class Instructions:
         return self.op(type, f"shufflevector {first}, {type} poison, {zeros}")
 
     def shuffled(self, value: Word, places: Sequence[int]) -> Word:
-        """A vector of what stands in these lanes of another."""
+        """Return a vector of the given lanes of another."""
         listed = ", ".join(f"i32 {i}" for i in places)
         text = f"shufflevector {value}, {value.type} poison, <{len(places)} x i32> <{listed}>"
         return self.op(f"<{len(places)} x {value.type.split()[-1]}", text)
 
     def lane(self, value: Word, i: int) -> Word:
-        """What stands in lane i."""
+        """Return the value in lane i."""
         if self.lanes == 1:
             return value
         return self.op(value.type.split()[-1][:-1], f"extractelement {value}, i64 {i}")
 
     def gathered(self, values: Sequence[Word]) -> Word:
-        """Scalars side by side."""
+        """Return a vector of scalars."""
         if len(values) == 1:
             return values[0]
         type = f"<{len(values)} x {values[0].type}>"
@@ -245,12 +244,12 @@ class Instructions:
     # -- memory ----------------------------------------------------------------------------------
 
     def at(self, base: Word, index: Word | int, type: str = SCALAR) -> Word:
-        """The address of item `index` of an array of `type`."""
+        """Return the address of item `index` of an array of `type`."""
         index = self.whole(index) if isinstance(index, int) else index
         return self.op(ADDRESS, f"getelementptr {type}, {base}, {index}")
 
     def load(self, address: Word, type: str | None = None) -> Word:
-        """Numbers side by side, or one word of another type; 8 bytes aligned."""
+        """Load a vector of numbers, or a word of another type, aligned to 8 bytes."""
         type = type or self.numbers
         return self.op(type, f"load {type}, {address}, align 8")
 
@@ -258,13 +257,13 @@ class Instructions:
         self.line(f"store {value}, {address}, align 8")
 
     def slot(self, start: Word) -> Word:
-        """A variable that begins as `start`."""
+        """Allocate a variable with start value `start`; return its address."""
         address = self.room(start.type, 1)
         self.set(address, start)
         return address
 
     def room(self, type: str, count: int) -> Word:
-        """Room for so many words on the stack."""
+        """Allocate `count` words of `type` on the stack."""
         word = Word(f"%s{self.fresh()}", ADDRESS)
         self._slots.append(f"{word.text} = alloca {type}, i64 {count}, align 64")
         return word
@@ -284,7 +283,7 @@ def _floats(word: Word) -> bool:
 
 
 class Kernel(Instructions):
-    """One function, and where it goes on."""
+    """A function with loops and branches under construction."""
 
     def __init__(
         self, module: Module, name: str, arguments: Sequence[str], result: str = WHOLE
@@ -294,7 +293,7 @@ class Kernel(Instructions):
         self._loops: list[dict[Word, tuple[str, str]]] = []  # what each carries: start and next
 
     def start(self, label: str) -> None:
-        """What follows belongs to this block."""
+        """Begin the basic block `label`."""
         self._lines.append(f"{label}:")
         self.block = label
 
@@ -306,7 +305,7 @@ class Kernel(Instructions):
 
     @contextmanager
     def loop(self, stop: Word, first: Word | None = None, step: int = 1) -> Iterator[Word]:
-        """Over whole numbers first, first + step, ... below stop."""
+        """Loop over whole numbers first, first + step, ... below stop."""
         before, name = self.block, self.fresh()
         head, body, after = f"head{name}", f"body{name}", f"after{name}"
         self.jump(head)
@@ -327,23 +326,23 @@ class Kernel(Instructions):
         self.start(after)
 
     def carried(self, start: Word) -> Word:
-        """What the innermost loop changes: its value as a pass begins, and after the last."""
+        """Return a value of the innermost loop that changes with every pass."""
         word = Word(f"%c{self.fresh()}", start.type)
         self._loops[-1][word] = start.text, ""
         return word
 
     def becomes(self, carried: Word, value: Word) -> None:
-        """What it is in the next pass."""
+        """Set the next pass's value of a carried word."""
         self._loops[-1][carried] = self._loops[-1][carried][0], value.text
 
     def each(self, count: int, write: Callable[[Word], None]) -> None:
-        """Write something for 0 .. count - 1."""
+        """Call `write(i)` in a loop over i = 0 .. count - 1."""
         with self.loop(self.whole(count)) as i:
             write(i)
 
     @contextmanager
     def forever(self) -> Iterator[str]:
-        """Until a branch leaves for the label that it yields."""
+        """Loop until a branch jumps to the label that is yielded."""
         name = self.fresh()
         again, after = f"again{name}", f"after{name}"
         self.jump(again)
@@ -353,14 +352,14 @@ class Kernel(Instructions):
         self.start(after)
 
     def leave(self, condition: Word, label: str) -> None:
-        """Go to the label where the condition holds, and on otherwise."""
+        """Jump to `label` if the condition holds."""
         on = f"on{self.fresh()}"
         self.branch(condition, label, on)
         self.start(on)
 
     @contextmanager
     def when(self, condition: Word) -> Iterator[None]:
-        """Only where the condition (of all lanes) holds."""
+        """Execute the body only if the scalar condition holds."""
         name = self.fresh()
         self.branch(condition, f"then{name}", f"else{name}")
         self.start(f"then{name}")
@@ -369,6 +368,6 @@ class Kernel(Instructions):
         self.start(f"else{name}")
 
     def joined(self, value: Word, from_block: str, other: Word, other_block: str) -> Word:
-        """What came with the block that led here."""
+        """Return the value for the block from which control arrived (phi)."""
         come = f"[ {value.text}, %{from_block} ], [ {other.text}, %{other_block} ]"
         return self.op(value.type, f"phi {value.type} {come}")

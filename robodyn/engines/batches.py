@@ -1,12 +1,12 @@
-"""A recorded formula over many states: by machine code where that is the faster, else by numpy.
+"""A recorded formula over many states: by machine code for large batches, else by numpy.
 
-Which of the two is decided by the formula and the size of the call alone: their last digits differ,
-and the same call must give the same bytes whatever the process did before.
+The choice depends only on the formula and the size of the call: their last digits differ, and the
+same call must give the same bytes whatever the process did before.
 
-Machine code takes W rows at a time, threads side by side.  The kernel `rows(first, stop, table,
-numbers)` reads inputs where they stand (any distance from row to row), and marks rows that are
-doubtful: an input or output that is not finite, or a pivot that is not large enough.  The last W
-rows are done together, some of them twice: no other code runs.
+Machine code takes W rows at a time, on several threads.  The kernel `rows(first, stop, table,
+numbers)` reads inputs in place, with any stride from row to row.  It marks doubtful rows: those
+with an input or output that is not finite, or with a pivot that is too small.  The last W rows are
+done together, some of them twice, so that no other code is needed.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ Evaluate = Callable[[Sequence[Array], Sequence[Array]], NDArray[np.int64]]
 
 
 class Rows:
-    """The code of one formula.
+    """Machine code of one formula over rows.
 
-    `inputs` are the names of the columns, array by array; `outputs` the columns, array by array.
-    A row is doubtful unless each of `pivots` exceeds `least` and all numbers are finite.
+    `inputs` are the names of the columns of each input array, `outputs` the columns of each output
+    array.  A row is doubtful unless each of `pivots` exceeds `least` and all numbers are finite.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Rows:
         self.parameters = dict((graphs[0] if graphs else Graph()).parameters)
 
     def compile(self, level: int | None = None, family: str = "") -> Evaluate | None:
-        """`evaluate`, made; None where there is no machine code."""
+        """Return a function that evaluates rows, or None if machine code is not available."""
         code = machine.make(self.text, level=level, family=family)
         if code is None:
             return None
@@ -95,7 +95,7 @@ class Rows:
         return np.flatnonzero(doubtful) if any(met) else np.zeros(0, np.int64)
 
     def text(self, processor: Processor) -> str:
-        """The kernel as text."""
+        """Return the kernel as text."""
         module = Module(processor.lanes)
         k = Kernel(module, "rows", (WHOLE, WHOLE, ADDRESS, ADDRESS))
         first, stop, table, numbers = k.arguments
@@ -141,7 +141,7 @@ class Rows:
     def _mark(
         self, k: Kernel, words: Sequence[Word], pivots: Sequence[Word], flags: Word, worst: Word
     ) -> None:
-        """Set the flags of doubtful rows, and `worst` where there are any."""
+        """Set the flags of doubtful rows, and `worst` if there are any."""
         zero = k.number(0.0)
         total = zero
         for word in words:  # 0 x is nan of what is not finite
@@ -157,7 +157,7 @@ class Rows:
 
 
 def _readable(array: Array) -> Array:
-    """The array itself where code can read it: columns side by side, rows whole doubles apart."""
+    """Return the array, copied only if machine code cannot read its strides."""
     beside = array.shape[1] == 1 or array.strides[1] == 8
     if beside and array.strides[0] % 8 == 0 and array.ctypes.data % 8 == 0:
         return array
@@ -174,9 +174,9 @@ WORTH = 1e8
 class FormulaBatches:
     """A recorded formula of one mechanism, for batches.
 
-    The outputs are split into `widths`, such as joint values and multipliers; states are doubtful
-    where a pivot does not exceed `least`, or the first outputs are not finite.  Machine code takes
-    the graph's parameters as arguments.
+    Outputs are split into arrays of `widths`, such as joint values and multipliers.  States are
+    doubtful if a pivot does not exceed `least`, or if the first outputs are not finite.  Machine
+    code takes the graph's parameters as arguments.
     """
 
     def __init__(self, formula: Formula, widths: Sequence[int], least: float) -> None:
@@ -185,9 +185,9 @@ class FormulaBatches:
         self._machine: dict[int, Evaluate | None] = {}
 
     def run(self, states: Sequence[Array], wanted: int, check: Callable[[], object]) -> Found:
-        """The first `wanted` arrays of outputs, and the indices of doubtful states.
+        """Return the first `wanted` output arrays, and the indices of doubtful states.
 
-        States are (T, n).  `check` raises where one is not finite; machine code sees that itself.
+        `states` are (T, n).  `check` raises an error if a state is not finite.
         """
         total = len(states[0])
         if total * self.cost >= WORTH and not streams.get():
@@ -202,7 +202,7 @@ class FormulaBatches:
         return self.by_arrays(states, wanted)
 
     def machine(self, wanted: int) -> Evaluate | None:
-        """Machine code for the first `wanted` arrays of outputs; None where there is none."""
+        """Return machine code for the first `wanted` output arrays, or None."""
         if wanted not in self._machine:
             names = self.formula.inputs
             wide = len(names) // 3  # q, qd, and accelerations or torques; and the time
@@ -215,7 +215,7 @@ class FormulaBatches:
         return self._machine[wanted]
 
     def by_arrays(self, states: Sequence[Array], wanted: int) -> Found:
-        """The same by numpy calls on blocks of states."""
+        """Do the work of `run` by numpy, on blocks of states."""
         total, pivots = len(states[0]), len(self.formula.pivots)
         outputs = [np.empty((total, width)) for width in (*self.widths, pivots)]
         self._arrays.fill(states, outputs)
@@ -233,7 +233,7 @@ class FormulaBatches:
 
 
 def _side_by_side(total: int, widths: Sequence[int]) -> list[Array]:
-    """Arrays (total, width) in one piece of memory: the system gives a large one in large pages."""
+    """Return arrays (total, width) in one piece of memory, which gets large pages."""
     room = np.empty(total * sum(widths))
     ends = [total * x for x in accumulate(widths, initial=0)]
     return [room[a:b].reshape(total, -1) for a, b in pairwise(ends)]

@@ -1,7 +1,7 @@
-"""Values of the laws of couplings, and their derivatives, at states: by numpy, or one by floats.
+"""Values and derivatives of coupling laws at states, by numpy or, for one state, by floats.
 
-The rows are those of the equations of motion (`mechanics/law_rows.py`), recorded once for each
-mechanism over joints that are numbers themselves.
+The rows are those of the equations of motion (`mechanics/law_rows.py`), recorded once per
+mechanism, with joint positions as independent numbers.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ LONG["pow"] = np.power
 
 
 class CouplingLaws:
-    """The laws of a mechanism's rows: `places` are those rows, `arms` (L,) their lengths, m.
+    """The laws in a mechanism's rows `places`, with lever arms `arms` (L,), m.
 
-    `ties` are pairs of a law's number and a joint that it depends on, one for each slope.  Times t
-    broadcast to states.
+    `ties` lists (law, joint) for each derivative that is not zero.  Times t broadcast to the
+    states.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -46,11 +46,11 @@ class CouplingLaws:
         self.ties, self._values, self._bends = _codes(laws, self.n)
 
     def values(self, q: NDArray[Any], t: ArrayLike) -> Array:
-        """The laws at q (..., n), (..., L), rad or m."""
+        """Return the laws at q (..., n), as (..., L), rad or m."""
         return self._values(t, q)[..., : self.count]
 
     def slopes(self, q: NDArray[Any], t: ArrayLike) -> Array:
-        """Their derivatives by joints at q (..., n), (..., L, n)."""
+        """Return the derivatives of the laws by joints at q (..., n), (..., L, n)."""
         each = self._values(t, q)[..., 2 * self.count :]
         found = np.zeros((*each.shape[:-1], self.count, self.n), each.dtype)
         for i, (law, joint) in enumerate(self.ties):
@@ -58,19 +58,19 @@ class CouplingLaws:
         return found
 
     def drifts(self, q: NDArray[Any], t: ArrayLike) -> Array:
-        """Their derivatives by the time, joints held, at q (..., n), (..., L)."""
+        """Return the partial derivatives of the laws by time at q (..., n), (..., L)."""
         return self._values(t, q)[..., self.count : 2 * self.count]
 
     def bends(self, q: NDArray[Any], qd: NDArray[Any], t: ArrayLike, rate: float = 1.0) -> Array:
-        """Their second derivatives by the time where no joint accelerates, (..., L).
+        """Return the laws' second time derivatives for zero joint accelerations, (..., L).
 
-        The time itself goes on at `rate`.
+        Time itself advances at `rate`.
         """
         q, qd = np.broadcast_arrays(q, qd)
         return self._bends(t, q, qd, np.full((*q.shape[:-1], 1), rate))
 
     def relative(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Values of joints (..., n) of those of coordinates x = J q."""
+        """Return joint values (..., n) from coordinates x = J q."""
         q = np.array(x)
         for k, above in enumerate(self.above):
             if above is not None:
@@ -82,7 +82,7 @@ class CouplingLaws:
         gap[..., self.places] -= self.arms * self.values(self.relative(x), t)
 
     def add_jacobian(self, x: NDArray[Any], t: ArrayLike, Psi: NDArray[Any]) -> None:
-        """Subtract the slopes of the laws from d gap/dx (..., r, n) at coordinates x (..., n)."""
+        """Subtract the laws' slopes from d gap/dx (..., r, n) at x (..., n)."""
         slopes = self.slopes(self.relative(x), t) * self.arms[:, None]
         Psi[..., self.places, :] -= slopes
         for k, above in enumerate(self.above):
@@ -90,16 +90,16 @@ class CouplingLaws:
                 Psi[..., self.places, above] += slopes[..., k]
 
     def add_drift(self, x: NDArray[Any], t: ArrayLike, drift: NDArray[Any]) -> None:
-        """Subtract the slopes of the laws by the time from d gap/dt (..., r)."""
+        """Subtract the laws' partial time derivatives from d gap/dt (..., r)."""
         drift[..., self.places] -= self.arms * self.drifts(self.relative(x), t)
 
     def add_bias(self, x: NDArray[Any], xd: NDArray[Any], t: ArrayLike, bias: NDArray[Any]) -> None:
-        """Subtract the second derivatives of the laws from the gap's acceleration (..., r)."""
+        """Subtract the laws' second derivatives from the gap's acceleration (..., r)."""
         bias[..., self.places] -= self.arms * self.bends(self.relative(x), self.relative(xd), t)
 
 
 class _Code:
-    """A formula of t and of states: numpy on many of them, floats on one."""
+    """A formula of t and states: by numpy for many states, by floats for one."""
 
     def __init__(self, formula: Formula) -> None:
         self.width = len(formula.outputs)
@@ -108,7 +108,7 @@ class _Code:
         self._arrays = ArrayFormula(formula.inputs, formula.outputs)
 
     def __call__(self, t: ArrayLike, *states: NDArray[Any]) -> Array:
-        """The outputs (..., width) at times t (...) and states that each are (..., k)."""
+        """Return the outputs (..., width) at times t (...) and states (..., k)."""
         shape = states[0].shape[:-1]
         times = np.broadcast_to(np.asarray(t)[..., None], (*shape, 1))
         each = [x.reshape(-1, x.shape[-1]) for x in (times, *states)]
@@ -128,9 +128,9 @@ class _Code:
 
 
 def _codes(laws: list[Law | Curve], n: int) -> tuple[list[tuple[int, int]], _Code, _Code]:
-    """The joints that laws depend on; code of their values and slopes, and of second derivatives.
+    """Return the ties of the laws, the code of values and slopes, and that of second derivatives.
 
-    Slopes by the time come first, one a law, and then one for each pair of a law and a joint.
+    Slopes by time come first, one per law, then one per pair of law and joint.
     """
     program, graph = Program(), Graph()
 
@@ -168,12 +168,12 @@ def _codes(laws: list[Law | Curve], n: int) -> tuple[list[tuple[int, int]], _Cod
 
 @lru_cache(maxsize=64)
 def laws_of(mechanism: Mechanism) -> CouplingLaws | None:
-    """The laws of a mechanism; None if it has none."""
+    """Return the laws of a mechanism, or None if it has none."""
     return CouplingLaws(mechanism) if mechanism.laws else None
 
 
 def law_values(mechanism: Mechanism, coupling: int, q: ArrayLike, t: ArrayLike) -> Array:
-    """The value (...) of a coupling's law at q (..., n) and t (...), rad or m."""
+    """Return the value (...) of a coupling's law at q (..., n) and t (...), rad or m."""
     laws = laws_of(mechanism)
     assert laws is not None
     return laws.values(np.asarray(q, float), t)[..., _place(mechanism, coupling)]
@@ -182,9 +182,9 @@ def law_values(mechanism: Mechanism, coupling: int, q: ArrayLike, t: ArrayLike) 
 def law_derivatives(
     mechanism: Mechanism, coupling: int, joint: int, q: ArrayLike, t: ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """The law f of a coupling at q (..., n) and t, and f' and f'' by one of its joints, (...) each.
+    """Return a coupling's law f, and f', f'' by one of its joints, at q (..., n) and t.
 
-    The other joints and the time stay as they are.  Of a linear coupling f is its right side.
+    Each is (...).  The other joints and time are held.  For a linear coupling f is its right side.
     """
     said = mechanism.description.couplings[coupling]
     at = np.asarray(q, float)
@@ -203,11 +203,9 @@ def law_derivatives(
 
 
 def check_laws(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike | None, t: ArrayLike) -> None:
-    """Raise LawError for a law that is not finite at states q, qd (..., n), t, or its derivatives.
+    """Raise LawError if a law or one of its derivatives is not finite at q, qd (..., n), t.
 
-    Without qd its value is looked at alone.
-
-    It names the law, and the first such state.
+    Without qd only the values are checked.  The error names the law and the first such state.
     """
     laws = laws_of(mechanism)
     if laws is None:
@@ -238,6 +236,6 @@ def check_laws(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike | None, t: Arra
 
 
 def _place(mechanism: Mechanism, coupling: int) -> int:
-    """The number of a coupling's law among those of the mechanism."""
+    """Return the number of a coupling's law among the mechanism's laws."""
     before = mechanism.description.couplings[:coupling]
     return sum(x.law is not None for x in before)

@@ -1,14 +1,15 @@
-"""One step of a motion's Taylor series as a formula: the series, the step's length, its end.
+"""One step of a motion's Taylor series as a formula: its coefficients, length and end state.
 
-Every engine that takes steps runs this formula or writes it out.
+Every engine that takes steps evaluates this formula or generates code from it.
 
-With the order as a loop (`LoopSeries`) the formulas do not grow with it.  The first orders are
-recorded one by one, as they are special; one more is recorded for an order p that is not
-known.  Coefficients lie in memory, a series a column: what was found at earlier orders is read
-there, and sums over j run there, but for the terms that this order itself finds.
+With the order as a loop (`LoopSeries`) the size of the formulas does not depend on the order.  The
+first orders are special and recorded one by one; one more is recorded for a symbolic order p.
+Coefficients are stored in memory, one column per series.  The loop reads coefficients of earlier
+orders from there, and sums over j run over memory, except for terms that this order itself
+produces.
 
-A step may go beyond what its series know, and come back (`Strays`): what is flat where a step
-begins, or a line of a table, tells nothing of what lies beyond.
+A function may be flat at the start of a step, or on one line of a table; its series then knows
+nothing of what lies beyond.  `strays` finds steps in which the argument leaves this region.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ _STEEP = {"exp": 1.0, "sinh": 1.0, "cosh": 1.0, "tanh": 2.0}  # as exp(-steep |x
 
 
 class Span(NamedTuple):
-    """A slot whose way in a step must not go where its series know nothing: see `strays`.
+    """The argument of a function whose series holds only nearby: see `strays`.
 
-    It stands in a function that is flat, but for exp(-`steep` |x|), where x is large; or `line` is
-    its place among those of `bends`, and it goes from 1 to 2 on a line of a table.
+    The function is flat up to exp(-`steep` |x|) for large |x|. Or `line` is its index in `bends`,
+    and the argument moves from 1 to 2 on one line of a table.
     """
 
     slot: Slot
@@ -48,7 +49,7 @@ class Span(NamedTuple):
 
 
 def spans(program: Program, wanted: Sequence[Slot]) -> list[Span]:
-    """What the motion changes of what is wanted, where that may be flat, or a line of a table."""
+    """Return the spans of functions among `wanted` slots that depend on the motion."""
     rows, bends = program.rows, program.named["bends"]
     steep: dict[Slot, float] = {}
     moving: set[Slot] = set()
@@ -70,13 +71,12 @@ def strays(
     small: Value,
     relative: Value,
 ) -> Value:
-    """Above zero where a step x may go where its series do not hold, and come back.
+    """Return a positive number if an argument may leave the region of its series in a step x.
 
-    What is spanned stays within the hull of the control points of its first three terms, widened by
-    the sizes of the other terms.  In the series of exp(-steep |x|) the term of the order steep
-    |change of x| is the largest: the steps' own control sees it where the series has so many
-    terms.  A line of a table may be left by what moves a torque by `small`, N m, or by the part
-    `relative`.
+    An argument stays within the hull of the Bezier points of its first three terms, widened by the
+    sizes of the other terms.  The series of exp(-steep |x|) has its largest term at order steep
+    |change of x|; step control sees it if the series has so many terms.  A line of a table may be
+    left if a torque changes by less than `small` (N m) or the part `relative`.
     """
     found: Value = -1.0
     for span, each in zip(spanned, series, strict=True):
@@ -105,11 +105,12 @@ TURN = 2.0  # rad: a link that turns farther in a step may not have its turns co
 
 
 class Coefficients(NamedTuple):
-    """The series of one motion: `rho`, `theta` (n, order + 2) are the links' turns from its start.
+    """The series of one motion.
 
-    `power` (order + 1) is that of what changes the energy, but for constant torques, whose work is
-    tau times the way (empty where nothing does); `watched` (k, order) are values that may bend
-    where the series do not tell, `spanned` (order each) those whose whole way in a step says so.
+    `rho`, `theta` (n, order + 2) are the links' turns from the start of the step.  `power` (order +
+    1) is the power of what changes the energy; the work of constant torques is tau times the
+    displacement instead (empty if none).  `watched` (k, order) are values that may bend unseen,
+    `spanned` (order each) arguments to be checked by `strays`.
     """
 
     rho: list[list[Value]]
@@ -129,10 +130,10 @@ class Start(NamedTuple):
 
 
 class MotionProgram:
-    """The program of a mechanism under its torques, and how it is expanded.
+    """The program of a mechanism with its torques, and its expansion.
 
-    `arms` make torques of what is watched.  `held` tells how the switches of an expression stand.
-    Raises InputError where a torque has no series.
+    `arms` convert watched values to torques.  `held` has the values of switches in expressions.
+    Raises InputError if a torque has no series.
     """
 
     def __init__(
@@ -155,9 +156,10 @@ class MotionProgram:
         self.steady = actuation.constants is not None and not mechanism.timed
 
     def start(self, generic: bool = False) -> Start:
-        """Where the formulas of a step begin, and what they take.
+        """Return the start state of a step as formulas.
 
-        With `generic` the numbers of the rows are parameters c0, c1, ..., constant torques u0, ...
+        With `generic`, numbers of the rows are parameters c0, c1, ..., and constant torques u0, u1,
+        ...
         """
         names = ("qd", "tau", "dtau")
         recorded = Recorded(self.mechanism, names, by_direction=True, generic=generic)
@@ -178,10 +180,10 @@ class MotionProgram:
         torques: tuple[Sequence[Value], Sequence[Value]],
         steady: Sequence[Value] = (),
     ) -> State:
-        """Where the series start at the state y = (q, qd, ...) and the time t.
+        """Return the state at which the series start, y = (q, qd, ...) at time t.
 
-        `torques` are values and slopes of what is linear; `steady` (n) are in place of constant
-        torques, where they are formulas.
+        `torques` are values and slopes of torques linear in time.  `steady` (n) are formulas for
+        constant torques.
         """
         n, constants = self.mechanism.n, steady or self.actuation.constants
         state = start(self.mechanism, arithmetic, (y[:n], y[n : 2 * n]))
@@ -200,7 +202,7 @@ class MotionProgram:
         order: int,
         state: State,
     ) -> Coefficients:
-        """The series to an order; raises ZeroDivisionError where there are none."""
+        """Return the series up to an order; raise ZeroDivisionError if there are none."""
         series = Series(
             self.program,
             arithmetic,
@@ -233,19 +235,18 @@ def longest_step(
     slides: Sequence[int] = (),
     steady: bool = True,
 ) -> Value:
-    """The step at which the last coefficients are as large as the tolerance.
+    """Return the step at which the last coefficients reach the tolerance.
 
-    Of two orders, as every other coefficient may vanish; a rate errs by atol + rtol |w|, an angle
-    by atol + rtol, and no link turns so far that its turns cannot be counted.  The displacements of
-    `slides` (m) and their rates count as these.
+    Two orders are compared, since every other coefficient may vanish.  A rate may err by atol +
+    rtol |w|, an angle by atol + rtol, and no link may turn so far that its turns are lost.
+    Displacements of `slides` (m) and their rates count like angles.
 
-    Where what acts is not `steady` most coefficients may vanish, as of E = exp(i c t^m), and the
-    last ones tell nothing.  What is left out begins with the order p + 2 there: after a last term x
-    of an order k, with less than x^((p + 2)/k)/2, and its rate with p + 2 times that.
-
-    Work may need shorter steps than a displacement does: if the rate of a slide is exp(-a t), the
-    power of its damper has terms 2^k times as large.  So where something slides, the last terms of
-    the work are no larger than atol + rtol of h times the sizes of the power's terms at h/2.
+    If forces are not `steady`, most coefficients may vanish, as in E = exp(i c t^m), and the last
+    ones show nothing.  Then the remainder from order p + 2 on is estimated: after a last term x of
+    order k it is less than x^((p + 2)/k)/2, and p + 2 times that for rates.  Work may need shorter
+    steps than a displacement: if the rate of a slide is exp(-a t), the power of its damper has
+    terms 2^k times as large.  So with slides, the last terms of the work must be below atol + rtol
+    of h times the sizes of the power's terms at h/2.
     """
     rho, theta = series.rho, series.theta
     p = len(rho[0]) - 2
@@ -283,7 +284,7 @@ def longest_step(
 
 
 def rough(a: Value, exponent: float) -> Value:
-    """A power that errs by some percent, rather below than above."""
+    """Return a power, too small by some percent."""
     return 0.96 * expression.rough_power(a, exponent)
 
 
@@ -295,7 +296,7 @@ def _largest(values: Sequence[Value]) -> Value:
 
 
 def horner(coefficients: Sequence[Value], x: Value) -> tuple[Value, Value]:
-    """A polynomial's value at x, and its slope."""
+    """Return the value of a polynomial at x, and its slope."""
     value: Value = coefficients[-1]
     slope: Value = 0.0
     for coefficient in reversed(coefficients[:-1]):
@@ -305,7 +306,7 @@ def horner(coefficients: Sequence[Value], x: Value) -> tuple[Value, Value]:
 
 
 def turning(z: Planar, slope: Planar) -> Value:
-    """Im(conj(z) z')/|z|^2."""
+    """Return the rate of the angle of z, Im(conj(z) z')/|z|^2."""
     (r, t), (dr, dt) = z, slope
     return (r * dt - t * dr) / (r * r + t * t)
 
@@ -318,9 +319,9 @@ def ends(
     work: bool,
     given: Callable[[str], Value],
 ) -> list[Value]:
-    """q, qd (n each) and, if `work`, the work done, at the end of a step.
+    """Return q, qd (n each) and, if `work`, the work done, at the end of a step.
 
-    They follow from rho + i theta of the coordinates, their slopes, and the work of a power.
+    `turns` are rho + i theta of the coordinates with slopes; `power` is the integral of the power.
     """
     slides = set(mechanism.slides)
     ways: list[Value] = []
@@ -345,7 +346,7 @@ def ends(
 
 
 def integral(coefficients: Sequence[Value], x: Value) -> Value:
-    """The integral of a series from 0 to x."""
+    """Return the integral of a series from 0 to x."""
     total: Value = coefficients[-1] * (1.0 / len(coefficients))
     for k in reversed(range(len(coefficients) - 1)):
         total = total * x + coefficients[k] * (1.0 / (k + 1))
@@ -353,7 +354,7 @@ def integral(coefficients: Sequence[Value], x: Value) -> Value:
 
 
 class Order:
-    """p + offset, past all special cases: no whole number equals it, and all are below."""
+    """A symbolic order p + offset.  It compares greater than every int: special cases never match."""
 
     def __init__(self, p: Value, offset: int = 0) -> None:
         self.p, self.offset = p, offset
@@ -384,7 +385,7 @@ class Order:
 
 
 class Stored:
-    """The coefficients of a series, as a list has them: of the first orders, and of this one."""
+    """The coefficients of a series as a list: those of the first orders, and of order p."""
 
     def __init__(self, loop: Loop, index: int) -> None:
         self.loop, self.index = loop, index
@@ -409,7 +410,7 @@ class Stored:
 
 
 class Sum(NamedTuple):
-    """Of (slope j + level) x_j y_{p+m-j} for j from `first` to p + `last`, all of it in memory."""
+    """The sum of (slope j + level) x_j y_{p+m-j} for j from `first` to p + `last`, from memory."""
 
     x: Stored
     y: Stored
@@ -421,7 +422,7 @@ class Sum(NamedTuple):
 
 
 class Loop:
-    """Numbers whose series are `Stored`, and the sums over them that were asked for."""
+    """Arithmetic whose series are `Stored`, with the sums that were requested."""
 
     def __init__(self, graph: Graph) -> None:
         self.graph, self.p = graph, graph.variable("p")
@@ -461,7 +462,7 @@ class Loop:
 
 
 class _PlanarStored(dict[Any, Framed]):
-    """The coefficients of a planar slot: those of earlier orders are read in the ground's frame."""
+    """The coefficients of a planar slot; earlier orders are read in the ground's frame."""
 
     def __init__(self, series: LoopSeries, slot: Slot) -> None:
         self.series, self.slot = series, slot
@@ -471,10 +472,10 @@ class _PlanarStored(dict[Any, Framed]):
 
 
 class LoopSeries(Series):
-    """A series of which one order stands for all but the first.
+    """A series in which one symbolic order stands for all but the first orders.
 
-    There each order waits for the one before, so that the second derivative of a direction is
-    (p + 1) (p + 2) times its square's coefficient, and the unknown u itself: no product of theta.
+    Each order needs the one before.  So the second derivative of a direction is (p + 1)(p + 2)
+    times the coefficient of its square plus the unknown u itself, without a product of theta.
     """
 
     def known(self, slot: Slot, row: Row, m: Any) -> Any:
@@ -498,7 +499,7 @@ class LoopSeries(Series):
         return ((link, None, (0.0, unknown)),)
 
     def _bent(self, row: Row) -> Slot | None:
-        """The coordinate that a row is the second derivative of."""
+        """Return the coordinate of which a row is the second derivative, or None."""
         rate = self.program.rows[row.x] if isinstance(row, rows.Derivative) else None
         if isinstance(rate, rows.Derivative) and isinstance(self.program.rows[rate.x], COORDINATES):
             return rate.x
@@ -515,14 +516,14 @@ class LoopSeries(Series):
 
     @cached_property
     def _square(self) -> dict[Slot, Value]:
-        """What is known of a direction's square at the present order."""
+        """Return the known parts of squares of directions; the loop knows none."""
         return {}
 
     def planar_room(self, slot: Slot, orders: int) -> Any:
         return _PlanarStored(self, slot)
 
     def earlier(self, slot: Slot, m: Any) -> Framed:
-        """A planar coefficient of an order before this one."""
+        """Return a planar coefficient of an earlier order."""
         row = self.program.rows[slot]
         if isinstance(row, rows.Turn):
             rho, theta = self._moment[slot]
@@ -540,9 +541,9 @@ class LoopSeries(Series):
 class LoopExpansion(NamedTuple):
     """Formulas of all orders.
 
-    `columns` are the series that are kept: first rho and theta of each link, then those of
-    `watched`, then the power, where there is one; `spanned` are the places of what is so.  Orders
-    below `first` are recorded one by one; that of the loop ends at `last`.
+    `columns` are the stored series: rho and theta of each link, then `watched` ones, then the power
+    if any; `spanned` are indices of columns.  Orders below `first` are recorded one by one; the
+    loop ends at order `last`.
     """
 
     start: Start
@@ -556,17 +557,17 @@ class LoopExpansion(NamedTuple):
     last: int
 
     def known(self) -> Iterator[tuple[int, int, Value]]:
-        """Column, order and coefficient of what is found before the loop."""
+        """Yield column, order and coefficient of what is computed before the loop."""
         for column, series in enumerate(self.columns):
             yield from ((column, m, value) for m, value in series.first.items())
 
     def grown(self) -> Iterator[tuple[int, int, Value]]:
-        """Column, offset from p and coefficient of what the loop finds."""
+        """Yield column, offset from p and coefficient of what the loop computes."""
         for column, series in enumerate(self.columns):
             yield from ((column, m, value) for m, value in series.now.items())
 
     def steady(self) -> list[Value]:
-        """What the loop takes that is the same at every order."""
+        """Return the values used in the loop that do not depend on the order."""
         moving: set[int] = set()
         found: list[Value] = []
         for node in needed([value for *_, value in self.grown()]):
@@ -581,13 +582,13 @@ class LoopExpansion(NamedTuple):
 
     @property
     def outputs(self) -> list[Value]:
-        """All formulas."""
+        """Return all formulas."""
         found = [value for part in (self.known(), self.grown()) for *_, value in part]
         return [*found, *(x.level for _, x in self.sums)]
 
 
 def loop_expansion(motion: MotionProgram, order: int) -> LoopExpansion:
-    """The formulas of a step's series, numbers and torques as parameters; see `expansion`."""
+    """Return the formulas of a step's series, with numbers and torques as parameters."""
     start = motion.start(generic=True)
     loop = Loop(start.graph)
     slots = [*motion.power, *motion.bends]

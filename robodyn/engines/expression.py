@@ -1,15 +1,15 @@
 """Arithmetic recorded as a graph.
 
-A formula evaluated on `Expression`s instead of floats leaves a graph behind: constants folded,
-zero terms gone, equal subexpressions shared.  `engines/straightline.py` writes it out again as
-straight-line Python, `engines/segment.py` as machine code; `engines/array_blocks.py` walks it.
+A formula evaluated on `Expression`s instead of floats leaves a graph: constants are folded, zero
+terms dropped, equal subexpressions shared.  `engines/straightline.py` writes it out as
+straight-line Python, `engines/segment.py` as machine code; `engines/array_blocks.py` evaluates it
+on arrays.
 
-A number that code takes as an argument is a parameter.  What is computed of parameters alone is
-as good as a constant: it gathers in front of products, and code evaluates it once a call.
+A number that code takes as an argument is a parameter.  Values computed from parameters alone count
+as constants: they move to the front of products, and code evaluates them once per call.
 
-Derivatives are exact: each node's rule by those of its arguments, forward along the graph, from the
-inputs to the outputs; what does not depend on an input has no tangent in it, so that zeros which
-the structure of a mechanism makes cost nothing.
+Derivatives are exact: tangents are propagated forward along the graph, from inputs to outputs.  A
+node that does not depend on an input has no tangent in it, so structural zeros cost nothing.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _NUMBER["choose"] = lambda x, y, a, b: a if x < y else b
 class Graph:
     """The shared nodes of one formula.
 
-    A parameter of 0, 1 or -1 is that number, and belongs to the shape of the code.
+    A parameter equal to 0, 1 or -1 is folded, and belongs to the shape of the code.
     """
 
     def __init__(self) -> None:
@@ -50,18 +50,18 @@ class Graph:
         self._known: dict[tuple[object, ...], Expression] = {}
 
     def variable(self, name: str) -> Expression:
-        """The input called `name`."""
+        """Return the input called `name`."""
         return self.node("var", (name,))
 
     def parameter(self, name: str, number: float) -> Value:
-        """A number that may be another in the next call."""
+        """Return a parameter: a number that may differ in the next call."""
         if number in (0.0, 1.0, -1.0):
             return float(number)
         self.parameters[name] = float(number)
         return self.node("par", (name,))
 
     def node(self, op: str, args: tuple[Value | str, ...]) -> Expression:
-        """The one node of this operation on these arguments."""
+        """Return the only node with this operation and these arguments."""
         found = self._known.get((op, args))
         if found is None:
             found = self._known[op, args] = Expression(self, op, args, len(self.nodes))
@@ -70,7 +70,7 @@ class Graph:
 
 
 def negate(a: Value) -> Value:
-    """-a, the sign moved inward where that is free."""
+    """Return -a; the sign moves inward if that costs nothing."""
     if not isinstance(a, Expression):
         return -a
     x = a.args
@@ -84,7 +84,7 @@ def negate(a: Value) -> Value:
 
 
 def add(a: Value, b: Value) -> Value:
-    """a + b; a sum with a negated term becomes a difference."""
+    """Return a + b; a sum with a negated term becomes a difference."""
     if not isinstance(a, Expression):
         if not isinstance(b, Expression):
             return a + b
@@ -104,7 +104,7 @@ def add(a: Value, b: Value) -> Value:
 
 
 def _unless_zero(a: Expression) -> Value:
-    """A sum; 0 where parameters cancel: zeros belong to the shape."""
+    """Return a sum, or 0 if its parameters cancel, which belongs to the code's shape."""
     if a.number != 0.0:
         return a
     a.graph.zeros.append(a)
@@ -112,7 +112,7 @@ def _unless_zero(a: Expression) -> Value:
 
 
 def multiply(a: Value, b: Value) -> Value:
-    """a b; zeros, ones and constant factors fold, signs move out."""
+    """Return a b; zeros, ones and constant factors are folded, signs move out."""
     if not isinstance(a, Expression):
         if not isinstance(b, Expression):
             return a * b
@@ -139,7 +139,7 @@ def multiply(a: Value, b: Value) -> Value:
 
 
 def _scaled(a: Value, b: Expression) -> Value:
-    """a b of a constant a."""
+    """Return a b for a constant a."""
     if _has_factor(b):
         return multiply(multiply(a, _value(b.args[0])), _value(b.args[1]))
     if b.op == "neg":
@@ -151,7 +151,7 @@ def _scaled(a: Value, b: Expression) -> Value:
 
 
 def _factored(a: Value | str, depth: int = 8) -> bool:
-    """Whether a constant stands in front of it, or of each term of a sum of few."""
+    """Return whether a, or each term of a short sum, has a constant factor."""
     if not isinstance(a, Expression) or not depth:
         return False
     if a.op == "*":
@@ -160,7 +160,7 @@ def _factored(a: Value | str, depth: int = 8) -> bool:
 
 
 def divide(a: Value, b: Value) -> Value:
-    """a / b; division by a constant is a multiplication."""
+    """Return a / b; division by a constant becomes a multiplication."""
     if not isinstance(b, Expression):
         return a * (1.0 / b)
     if not isinstance(a, Expression) and a == 0.0:
@@ -173,7 +173,7 @@ def divide(a: Value, b: Value) -> Value:
 
 
 class Expression:
-    """One node: an operation on earlier nodes and constants.  Operators fold and simplify."""
+    """A node: an operation on earlier nodes and constants.  Operators fold and simplify."""
 
     __slots__ = ("args", "graph", "index", "number", "op")
     imag = 0.0
@@ -184,12 +184,12 @@ class Expression:
 
     @property
     def real(self) -> Expression:
-        """Itself, as of any real number."""
+        """The node itself: all expressions are real numbers."""
         return self
 
     @property
     def constant(self) -> bool:
-        """Whether it is computed of parameters alone."""
+        """Whether it is computed from parameters alone."""
         return self.number is not None
 
     def _number(self) -> float | None:
@@ -226,14 +226,14 @@ class Expression:
 
 
 def power(a: Value, exponent: float) -> Value:
-    """a to a constant power."""
+    """Return a to a constant exponent."""
     if isinstance(a, Expression):
         return a.graph.node("pow", (a, exponent))
     return math.pow(a, exponent)
 
 
 def call(name: str, a: Value) -> Value:
-    """Any of the functions."""
+    """Return the function `name` of a."""
     if not isinstance(a, Expression):
         return float(getattr(math, name)(a))
     if a.op != "neg" or name not in ("cos", "sin"):
@@ -246,13 +246,13 @@ cos, sin = partial(call, "cos"), partial(call, "sin")
 
 
 def rough_power(a: Value, exponent: float) -> Value:
-    """The same of a >= 0 within 7 %, and finite at 0: for the length of a step."""
+    """Return a power of a >= 0 within 7 %, finite at 0, for step lengths."""
     a = greatest(a, 1e-300)
     return a.graph.node("rough", (a, exponent)) if isinstance(a, Expression) else a**exponent
 
 
 def arctangent(y: Value, x: Value) -> Value:
-    """The angle of (x, y), atan2(y, x)."""
+    """Return the angle of (x, y), atan2(y, x)."""
     node = y if isinstance(y, Expression) else x
     if isinstance(node, Expression):
         return node.graph.node("atan2", (y, x))
@@ -260,14 +260,14 @@ def arctangent(y: Value, x: Value) -> Value:
 
 
 def keep(a: Value) -> Value:
-    """a, from here on as it is: no factor of it moves into what is made of it."""
+    """Return a as an opaque node: its factors do not move into later products."""
     if not isinstance(a, Expression) or a.op in (*INPUTS, "keep"):
         return a
     return a.graph.node("keep", (a,))
 
 
 def choose(x: Value, y: Value, a: Value, b: Value) -> Value:
-    """a where x < y, b elsewhere and where one of x, y is nan.  Both sides are evaluated."""
+    """Return a if x < y, else b (also if x or y is nan).  Both are evaluated."""
     for known in (x, y, a, b):
         if isinstance(known, Expression):
             return a if a is b else known.graph.node("choose", (x, y, a, b))
@@ -275,22 +275,22 @@ def choose(x: Value, y: Value, a: Value, b: Value) -> Value:
 
 
 def least(a: Value, b: Value) -> Value:
-    """The smaller one, as `min(a, b)`."""
+    """Return the smaller number, as `min(a, b)`."""
     return choose(b, a, b, a)
 
 
 def greatest(a: Value, b: Value) -> Value:
-    """The larger one, as `max(a, b)`."""
+    """Return the larger number, as `max(a, b)`."""
     return choose(a, b, b, a)
 
 
 def cost(outputs: Sequence[Value]) -> float:
-    """Cost of evaluating the outputs, in additions."""
+    """Return the cost of evaluating the outputs, in additions."""
     return sum(COST.get(node.op, 0.0) for node in needed(outputs) if not node.constant)
 
 
 def _has_factor(a: Expression) -> bool:
-    """Whether a constant stands in front of what is none, or a number before parameters."""
+    """Return whether a product has a leading constant, or a number before parameters."""
     if a.op != "*":
         return False
     return _constant(a.args[0]) and not (a.constant and isinstance(a.args[0], Expression))
@@ -320,7 +320,7 @@ def _negative(a: Expression) -> bool:
 def rewritten(
     outputs: Sequence[Value], rule: Callable[[Expression, tuple[Any, ...]], Value]
 ) -> list[Value]:
-    """The outputs with what `rule(node, arguments)` makes of each node and its new arguments."""
+    """Return the outputs with every node replaced by `rule(node, new arguments)`."""
     found: dict[int, Value] = {}
 
     def now(a: Any) -> Any:
@@ -332,7 +332,7 @@ def rewritten(
 
 
 def needed(outputs: Sequence[Value], there: Container[int] = ()) -> list[Expression]:
-    """The nodes that the outputs need, each after its arguments; those `there` need no more."""
+    """Return the nodes that the outputs need, each after its arguments, except those in `there`."""
     found: dict[int, Expression] = {}
     stack = [out for out in outputs if isinstance(out, Expression)]
     while stack:
@@ -371,10 +371,9 @@ def tangents(
     inputs: Sequence[str] | Mapping[str, Tangents],
     nodes: Mapping[int, Tangents] = MappingProxyType({}),
 ) -> list[Tangents]:
-    """The derivatives of each output by the inputs, which are variables or parameters.
+    """Return the derivatives of each output by the inputs (variables or parameters).
 
-    Inputs that depend on others are given with their own derivatives, and so may be `nodes`, by
-    their places in the graph.
+    Inputs that depend on others are given with their own derivatives; so may be `nodes`, by index.
     """
     if not isinstance(inputs, Mapping):
         return tangents(outputs, {name: {name: 1.0} for name in inputs})
@@ -419,13 +418,13 @@ def slopes_by(
     inputs: Sequence[str] | Mapping[str, Tangents],
     names: Sequence[str] | None = None,
 ) -> list[Value]:
-    """The derivatives of each output by each of the names, those of all inputs unless given."""
+    """Return the derivatives of each output by each of `names` (default: all inputs)."""
     wanted = list(inputs) if names is None else names
     return [slope.get(name, 0.0) for slope in tangents(outputs, inputs) for name in wanted]
 
 
 def _combined(parts: Any) -> Tangents:
-    """The sum of factors times tangents."""
+    """Return the sum of factors times tangents."""
     found: Tangents = {}
     for factor, tangent in parts:
         for name, value in tangent.items():
@@ -440,7 +439,7 @@ def _chosen(x: Sequence[Any], one: Tangents, other: Tangents) -> Tangents:
 
 
 def substituted(outputs: Sequence[Value], values: Mapping[str, Value]) -> list[Value]:
-    """The outputs with values in place of variables; what does not depend on them stays."""
+    """Return the outputs with values in place of variables."""
 
     def rule(node: Expression, args: tuple[Any, ...]) -> Value:
         if node.op == "var":

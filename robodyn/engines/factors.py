@@ -1,13 +1,12 @@
-"""L D L^T of the matrix [M Psi^T; Psi 0] of a program's unknowns, over any kind of numbers.
+"""L D L^T factors of the matrix [M Psi^T; Psi 0], over any kind of numbers.
 
-There is no pivoting: a closure stands after links that have a positive definite M of their own,
-on which closures that are independent have full rank, so no pivot vanishes but at singular states.
-The pivots tell how near those are; what is rank-deficient or ill-scaled goes to the null-space
-solver.
+There is no pivoting.  Each closure follows links that have a positive definite M and on which
+independent closures have full rank, so no pivot vanishes except at singular states.  Small pivots
+show how near these are; rank-deficient or ill-scaled systems go to the null-space solver.
 
-Singular value decompositions are such that always end.  LAPACK's divide and conquer, which numpy
-takes, gives up on some matrices near singular ones (of 100 closures in a row, say); its QR
-iteration does not.
+Singular value decompositions fall back on LAPACK's QR iteration, which always converges.  The
+divide-and-conquer method of numpy fails on some nearly singular matrices (of 100 closures in
+series, say).
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ SMALL = 24  # unknowns up to which closures stand behind all links: no search fo
 
 
 class Factors:
-    """Factors of a symmetric matrix, given by rows with both triangles; the first are of links.
+    """Factors of a symmetric matrix given by full rows; the first `links` rows belong to links.
 
-    `keep` marks a factor that is used again and again.
+    `keep` marks factors that are used again and again.
     """
 
     def __init__(
@@ -63,7 +62,7 @@ class Factors:
                     upper[j][k] = -product if before is None else before - product
 
     def solve(self, right: Sequence[Value]) -> list[Value]:
-        """The unknowns for a right side, in the order of the matrix."""
+        """Return the unknowns for a right side, in the order of the matrix."""
         x: list[Value] = [0.0] * len(right)
         for unknown, value in enumerate(right):
             x[self.place[unknown]] = value
@@ -83,7 +82,7 @@ class Factors:
 def small_system(
     rows: Sequence[Sequence[Value]], right: Sequence[Value]
 ) -> tuple[list[Value], Value]:
-    """x of one equation, or of two, rows x = right; and the determinant."""
+    """Solve one or two linear equations `rows` x = right; return x and the determinant."""
     if len(rows) == 1:
         return [right[0] / rows[0][0]], rows[0][0]
     (a, b), (c, d) = rows
@@ -92,9 +91,10 @@ def small_system(
 
 
 def elimination_order(matrix: Sequence[dict[int, Value]], links: int) -> list[int]:
-    """The place of each unknown: links, then closures; where there are many, each closure soon.
+    """Return the position of each unknown in the elimination.
 
-    A closure comes right after the last of its links, and links that act on one another are near.
+    Links come first, then closures.  In large systems a closure follows the last of its links, and
+    links that interact stay close together.
     """
     size = len(matrix)
     if size <= SMALL:
@@ -124,7 +124,7 @@ WELL = 1e7  # condition number below which a matrix may be inverted
 
 
 def svd(a: Array, full: bool = False) -> tuple[Array, Array, Array]:
-    """U, s, Vt of matrices (..., r, n), which must be finite; with `full` U and Vt are square."""
+    """Return U, s, Vt of finite matrices (..., r, n); with `full`, U and Vt are square."""
     try:
         U, s, Vt = np.linalg.svd(a, full_matrices=full)
     except np.linalg.LinAlgError:
@@ -141,10 +141,10 @@ def svd(a: Array, full: bool = False) -> tuple[Array, Array, Array]:
 
 
 def least_solution(matrices: Array, right: Array, cut: float) -> Array:
-    """x (k, n) of least norm that makes |matrices x - right| least, of (k, r, n) and (k, r).
+    """Return the x (k, n) of least norm that minimises |matrices x - right|.
 
-    Singular values up to the part `cut` of the largest count as zero.  Square matrices that lose
-    less than half of the digits are inverted instead, which takes a tenth of the time.
+    Matrices are (k, r, n), right (k, r).  Singular values below `cut` times the largest count as
+    zero.  Well-conditioned square matrices are inverted instead, ten times as fast.
     """
     x, left = np.zeros((len(right), matrices.shape[-1])), np.ones(len(right), bool)
     if matrices.shape[-1] == matrices.shape[-2]:
@@ -163,9 +163,10 @@ def least_solution(matrices: Array, right: Array, cut: float) -> Array:
 
 
 def damped(matrix: Array, right: Array, damping: Array | float, least: float = 0.0) -> Array:
-    """x (..., n) of least |matrix x - right|^2 + damping |x|^2: a step of Levenberg and Marquardt.
+    """Return the x (..., n) that minimises |matrix x - right|^2 + damping |x|^2.
 
-    Singular values up to `least` count as zero, along which x is none; right is (..., r).
+    This is a Levenberg-Marquardt step.  Singular values up to `least` count as zero. right is (...,
+    r).
     """
     U, s, Vt = svd(matrix)
     kept = s > least

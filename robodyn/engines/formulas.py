@@ -1,14 +1,14 @@
-"""A mechanism's dynamics as formulas: the program run on recorded arithmetic, at one state.
+"""A mechanism's dynamics as formulas: its program evaluated on recorded arithmetic.
 
-Products of directions are written with the cosines of angle differences, as textbooks do, or with
-the links' directions (c_k, s_k) alone.  The tree and its loops decide which (`by_directions`).
+Products of directions are written with cosines of angle differences, as in textbooks, or with the
+links' directions (c_k, s_k).  `by_directions` decides by the tree and its loops.
 
-Derivatives are tangents of the program's residuals.  These, R = r(q, qd, tau) + K(q) u, vanish at
-the unknowns u: the accelerations a of x, and mu = -lambda.  With u held,
+Derivatives are tangents of the program's residuals R = r(q, qd, tau) + K(q) u.  R vanishes at the
+unknowns u: the accelerations a of x, and mu = -lambda.  With u held,
 
     du = -K^-1 dR
 
-so that what is eliminated once serves all directions.
+so one factorisation serves all directions.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from robodyn.scene.syntax import Node
 
 
 def _power(a: Value, exponent: float) -> Value:
-    """a to a constant exponent, by a square root where that serves."""
+    """Return a to a constant exponent, by a square root for exponents of +-1/2."""
     if abs(exponent) != 0.5:
         return expression.power(a, exponent)
     root = expression.call("sqrt", a)
@@ -52,7 +52,7 @@ def _power(a: Value, exponent: float) -> Value:
 
 
 def _or_nan(function: Callable[..., Value], *values: Value) -> Value:
-    """The function of the values; nan of constants where it is undefined, as at every state."""
+    """Return the function of constants, or nan if it is undefined at every state."""
     try:
         return function(*values)
     except (ArithmeticError, ValueError):
@@ -60,7 +60,7 @@ def _or_nan(function: Callable[..., Value], *values: Value) -> Value:
 
 
 def _chosen(x: Value, knots: Sequence[float], values: Sequence[float]) -> Value:
-    """One of the values, by the interval between increasing knots in which x is: a tree."""
+    """Return the value for the interval between increasing `knots` that contains x, as a tree."""
     if len(values) == 1:
         return values[0]
     k = len(knots) // 2
@@ -92,9 +92,9 @@ WRITTEN: dict[str, Callable[..., Any]] = {
 
 
 def evaluated(node: Node, variables: Mapping[str, Value]) -> Any:
-    """What a tree of an expression is of recorded numbers.
+    """Evaluate an expression's tree on recorded numbers.
 
-    KeyError, TypeError, ValueError or AttributeError where it has what they have not.
+    Raises KeyError, TypeError, ValueError or AttributeError if it uses what they do not have.
     """
     return value_in(node, variables, WRITTEN)
 
@@ -110,15 +110,15 @@ streams: ContextVar[bool] = ContextVar("streams", default=False)
 
 
 def anything(i: int) -> float:
-    """A number that stands for any: it is no 0, 1 or -1, and no sum of products of them is."""
+    """Return a generic number: neither it nor sums of products of such numbers are 0, 1 or -1."""
     return 1.5 + 0.4 * math.sin(37.0 * (i + 1) ** 2)
 
 
 class Formula(NamedTuple):
     """Inputs by name, outputs (n joint values, r multipliers, ...), and the closures' pivots.
 
-    A pivot is relative to its size in a good configuration.  Where one is near zero the
-    configuration is near singular and the result must be computed another way.
+    A pivot is relative to its size in a good configuration.  If one is near zero, the configuration
+    is nearly singular and another method must be used.
     """
 
     inputs: tuple[str, ...]
@@ -129,11 +129,12 @@ class Formula(NamedTuple):
 
 
 class Recorded:
-    """The program of a mechanism at one state of nodes: q, qd, and what else is given, by name.
+    """The program of a mechanism at one recorded state: q, qd, and other inputs by name.
 
-    With `parameters` the mechanism's numbers are parameters of the graph, else they are folded;
-    with `generic` too, and nothing is read from what they are: the formula serves all of a shape.
-    One whose numbers are formulas has them on a `graph` that is given.
+    With `parameters`, the mechanism's numbers are parameters of the graph; otherwise they are
+    folded.  With `generic` they are parameters too, and their values are not used: the formula
+    serves all mechanisms of one shape.  A mechanism whose numbers are formulas has them on the
+    `graph` given.
     """
 
     def __init__(
@@ -158,19 +159,19 @@ class Recorded:
         }
 
     def builder(self) -> EquationsOfMotion:
-        """What writes the rows."""
+        """Return the writer of the rows."""
         return EquationsOfMotion(self.mechanism)
 
     def more(self, equations: EquationsOfMotion) -> Mapping[str, Any]:
-        """What else is given in the rows that were written."""
+        """Return further inputs of the rows that were written."""
         return {}
 
     def absolute(self, name: str) -> list[Value]:
-        """J times the relative values called `name`."""
+        """Return J times the relative values called `name`."""
         return absolute(self.mechanism, self.relative[name])
 
     def to_joints(self, values: Sequence[Value]) -> list[Value]:
-        """J^T times values in alpha."""
+        """Return J^T times values in alpha."""
         sums = list(values)
         for k in reversed(self.mechanism.order):
             above = self.mechanism.above[k]
@@ -179,7 +180,7 @@ class Recorded:
         return sums
 
     def half_slopes(self, values: Sequence[Value]) -> list[list[Value]]:
-        """Half of the derivatives of values by each absolute rate (n), row by row."""
+        """Return half of the derivatives of values by each absolute rate (n), row by row."""
         from robodyn.engines.expression import Tangents, tangents  # a state's torques start without
 
         rates = self.absolute("qd")
@@ -196,7 +197,10 @@ class Recorded:
         chained: bool = False,
         accelerated: bool = False,
     ) -> Series:
-        """The series from this state; `torques` (n) are constant, or None: those called tau."""
+        """Return the series from this state.
+
+        `torques` (n) are constant; None takes the inputs called tau.
+        """
         mechanism = self.mechanism
         self.equations = equations = self.builder()
         program = equations.program
@@ -229,19 +233,19 @@ class Recorded:
         )
 
     def numbers(self, program: Program) -> list[Value]:
-        """The numbers of the program, as they are or as parameters."""
+        """Return the numbers of the program, folded or as parameters."""
         if not self.parameters:
             return list(program.numbers)
         return [self.parameter(f"c{i}", x) for i, x in enumerate(program.numbers)]
 
     def parameter(self, name: str, number: float) -> Value:
-        """A parameter of the graph, if they are wanted."""
+        """Return a number as a parameter if `parameters` or `generic` is set."""
         if self.generic:
             return self.graph.parameter(name, anything(len(self.graph.parameters)))
         return self.graph.parameter(name, number) if self.parameters else number
 
     def _turn(self, j: int, k: int) -> Planar:
-        """conj(E_j) E_k by the angles between them."""
+        """Return conj(E_j) E_k from the angles between the two links."""
         above, q = self.mechanism.above, self.relative["q"]
         for first, last, sign in ((j, k, 1.0), (k, j, -1.0)):
             angle: Value = 0.0
@@ -256,9 +260,9 @@ class Recorded:
 
 
 def by_directions(mechanism: Mechanism) -> bool:
-    """Whether formulas are written with the links' directions.
+    """Return whether formulas are written with the links' directions.
 
-    They are where loops close, and from LONG links in a chain on.
+    They are if there are loops, or chains of at least LONG links.
     """
     depths = [1] * mechanism.n
     for k in mechanism.order:
@@ -269,9 +273,9 @@ def by_directions(mechanism: Mechanism) -> bool:
 
 
 def written(mechanism: Mechanism, write: Callable[[bool], Formula]) -> Formula | None:
-    """The formula by `write(by_direction)` as the mechanism asks for.
+    """Return the formula by `write(by_direction)`.
 
-    None where it divides by what is zero at every state: dense algebra says what that means.
+    None if it divides by a structural zero; dense algebra then explains the fault.
     """
     try:
         return write(by_directions(mechanism))
@@ -280,9 +284,9 @@ def written(mechanism: Mechanism, write: Callable[[bool], Formula]) -> Formula |
 
 
 def inverse_formula(mechanism: Mechanism, parameters: bool = False) -> Formula | None:
-    """tau (n, zero at passive joints) and lambda (r) from q, qd, qdd, by the equation of motion.
+    """Return the formula of tau (n, 0 at passive joints) and lambda (r) from q, qd, qdd.
 
-    None where the solve for lambda is no 1x1 or 2x2 system, as where `written` gives none.  With
+    None if the system for lambda is larger than 2x2, or if `written` returns None.  With
     `parameters` the mechanism's numbers are parameters.
     """
     rows, passive = len(mechanism.rows), mechanism.passive
@@ -294,7 +298,7 @@ def inverse_formula(mechanism: Mechanism, parameters: bool = False) -> Formula |
 
 
 def inverse_of(state: Recorded) -> Formula:
-    """The same of a state whose rates and accelerations may be formulas themselves."""
+    """Return `inverse_formula` of a state whose rates and accelerations may be formulas."""
     mechanism, n = state.mechanism, state.mechanism.n
     deep = len(mechanism.A) > 2 * n
     series = state.series([0.0] * n, chained=state.by_direction and deep, accelerated=True)
@@ -321,7 +325,7 @@ def inverse_of(state: Recorded) -> Formula:
 
 
 def balance(state: Recorded, series: Series) -> list[Value]:
-    """M qdd + C qd + D qd + G - Q (n); after `series.residuals(0)`."""
+    """Return M qdd + C qd + D qd + G - Q (n,), after `series.residuals(0)`."""
     load = state.to_joints([series.real[slot][0] for slot in series.program.named["load"]])
     for j, slot in enumerate(state.equations.torques):
         if slot is not None:  # not summed and taken off again: no rounding of what is large
@@ -330,7 +334,7 @@ def balance(state: Recorded, series: Series) -> list[Value]:
 
 
 def joint_jacobian(state: Recorded, series: Series) -> list[list[Value]]:
-    """Psi, row by row; after `series.residuals(0)`."""
+    """Return Psi row by row, after `series.residuals(0)`."""
     n = state.mechanism.n
     rows = series.matrix()[n:]
     return [state.to_joints([row.get(k, 0.0) for k in range(n)]) for row in rows]
@@ -344,13 +348,11 @@ def forward_formula(
     power: bool = False,
     parameters: bool = False,
 ) -> Formula | None:
-    """qdd (n) and lambda (r) from q, qd, tau, by the equation of motion and gap'' = 0.
+    """Return the formula of qdd (n) and lambda (r) from q, qd, tau.
 
-    The time t is an input more where loads depend on it.
-
-    With `power` that of torques and of what else has no potential follows.  Constant `torques` (n)
-    are folded in.  A `baumgarte` rate b (1/s) makes the closures obey gapdd + 2 b gapd + b^2 gap
-    = 0 instead of gapdd = 0.
+    Closures satisfy gap'' = 0, or gap'' + 2 b gap' + b^2 gap = 0 with the rate b = `baumgarte`
+    (1/s).  Time t is another input if loads depend on it.  With `power`, the power of torques and
+    of forces without a potential follows.  Constant `torques` (n) are folded.
     """
 
     def write(by_direction: bool) -> Formula:
@@ -379,7 +381,7 @@ def _forward(
 def forward_system(
     state: Recorded, torques: Sequence[float] | None, baumgarte: float, power: bool
 ) -> tuple[Series, Factors, list[Value]]:
-    """The series of a state, and the equations of its unknowns: their factors and right side."""
+    """Return the series of a state, the factors of its equations, and their right side."""
     n = state.mechanism.n
     series = state.series(torques, power)
     right = [-x for x in series.residuals(0)]
@@ -393,13 +395,13 @@ def forward_system(
 
 
 def series_power(series: Series, power: bool) -> list[Value]:
-    """The power of a completed series that was asked for it; else nothing."""
+    """Return the power from a completed series, if it was requested."""
     found = [series.real[slot][0] for slot in series.program.named.get("power", [])]
     return found or ([0.0] if power else [])
 
 
 def closure_pivots(state: Recorded, factors: Factors) -> tuple[Value, ...]:
-    """The pivots of the closures, relative to their sizes in a good configuration."""
+    """Return the pivots of the closures, relative to their size in a good configuration."""
     mechanism = state.mechanism
     diagonal, pivots = mechanism.inertias, factors.pivots[mechanism.n :]
     sizes = [
@@ -413,11 +415,10 @@ def closure_pivots(state: Recorded, factors: Factors) -> tuple[Value, ...]:
 
 
 def projection_formula(mechanism: Mechanism, generic: bool = False) -> Formula | None:
-    """q and qd (2n) brought nearer to closing by one Newton step of least norm; gap (r).
+    """Return the formula of one Newton step of least norm on q, qd (2n), and gap (r).
 
-    q - Psi^T (Psi Psi^T)^-1 gap(q)    and    qd - Psi^T (Psi Psi^T)^-1 Psi qd
-
-    None if it divides by what is zero at every state.
+    The step is q - Psi^T (Psi Psi^T)^-1 gap(q) and qd - Psi^T (Psi Psi^T)^-1 Psi qd.  None if it
+    divides by a structural zero.
     """
     try:
         moving = without_rubbing(mechanism)  # of which the closures alone are asked for
@@ -461,9 +462,9 @@ def _projection(state: Recorded) -> Formula:
 def energies(
     mechanism: Mechanism, number: Callable[[float], Value], q: Sequence[Value], qd: Sequence[Value]
 ) -> tuple[Value, Value]:
-    """KE and PE less the mechanism's constant, J, at q, qd (n).
+    """Return KE and PE, J, at q, qd (n), without the mechanism's constant energy.
 
-    `number` gives what stands for a number of the scene.
+    `number` maps a number of the scene to its value in the formula.
     """
     equations = EquationsOfMotion(mechanism)
     wanted = [equations.kinetic(), equations.potential()]
@@ -479,7 +480,7 @@ KINDS = ("q", "qd", "tau")
 
 
 def residuals(state: Recorded) -> tuple[Series, list[Value], list[dict[int, Value]], list[Value]]:
-    """The series, r, K and R of a state whose unknowns are the inputs u0, u1, .."""
+    """Return series, r, K and R of a state with the unknowns as inputs u0, u1, ..."""
     series = state.series(None)
     r = series.residuals(0)
     K = series.matrix()
@@ -493,9 +494,9 @@ def _directions(mechanism: Mechanism) -> list[str]:
 
 
 def forward_derivatives_formula(mechanism: Mechanism) -> Formula | None:
-    """qdd (n), then its derivatives by q, qd and tau, each (n, n), row by row.
+    """Return the formula of qdd (n) and its derivatives by q, qd and tau.
 
-    None as by `forward_formula`.
+    Each derivative is (n, n), row by row.  None if `forward_formula` is None.
     """
     return written(mechanism, lambda way: _qdd_tangents(Recorded(mechanism, KINDS[1:], way, True)))
 
@@ -517,7 +518,10 @@ def _qdd_tangents(state: Recorded) -> Formula:
 
 
 def residual_derivatives_formula(mechanism: Mechanism) -> Formula:
-    """K (N, N), then dR by q, qd and tau (N, 3n), row by row, at given unknowns u (N)."""
+    """Return the formula of K (N, N) and of dR by q, qd and tau (N, 3n).
+
+    Row by row, at given unknowns u (N).
+    """
     state = Recorded(mechanism, KINDS[1:], True)
     _, r, K, R = residuals(state)
     size = len(r)

@@ -1,11 +1,10 @@
-"""Text of kernels made native by llvmlite, where it is there and allowed; else None, silently.
+"""Compiles kernel text with llvmlite, if it is installed and allowed; otherwise returns None.
 
-What llvmlite makes is an object file; it is loaded into an engine of an
-empty module, which takes a tenth of the time that making it does, and kept on disk, in the user's
-cache folder, for its owner alone.
+llvmlite produces an object file.  Loading it takes a tenth of the time of compiling.  So it is kept
+on disk, in the user's cache folder, readable by the owner only.
 
-Whatever is wrong with the file (damaged, of another owner, not writable, a full disk) reads as "not
-there": the code is made anew.  `ROBODYN_CACHE` names another folder or, empty, turns it off.
+A file that is damaged, of another owner, or not writable counts as absent, and the code is compiled
+again.  `ROBODYN_CACHE` names another folder; if it is empty, nothing is kept.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _DIGEST = 32  # bytes of a digest in front of the object
 
 
 def folder() -> Path | None:
-    """Where objects are kept; None: nowhere."""
+    """Return the folder for object files, or None if they are not kept."""
     named = os.environ.get("ROBODYN_CACHE")
     if named is not None:
         return Path(named).expanduser() if named else None
@@ -53,7 +52,7 @@ def folder() -> Path | None:
 
 
 def load(folder: Path | None, name: str) -> bytes | None:
-    """The object of this name; None unless it is there, whole, and nobody else could write it."""
+    """Return the object `name`, or None if it is absent, incomplete, or writable by others."""
     if folder is None:
         return None
     try:
@@ -72,7 +71,7 @@ def load(folder: Path | None, name: str) -> bytes | None:
 
 
 def store(folder: Path | None, name: str, content: bytes) -> None:
-    """Keep an object; readers see the whole of it or nothing."""
+    """Store an object; readers see all of it or nothing."""
     if folder is None:
         return
     try:
@@ -97,7 +96,7 @@ _BINARY = getattr(os, "O_BINARY", 0)
 
 
 def _own(status: os.stat_result) -> bool:
-    """Whether it belongs to this user, and no other may write it."""
+    """Return whether a file belongs to this user and cannot be written by others."""
     if not hasattr(os, "geteuid"):
         return True
     return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
@@ -130,7 +129,7 @@ PLAIN = "plain"  # the processor's family without what is optional: for tests
 
 
 class Processor(NamedTuple):
-    """What code is made for."""
+    """The processor that code is made for."""
 
     name: str
     features: str
@@ -139,13 +138,13 @@ class Processor(NamedTuple):
 
 
 class Code:
-    """Loaded machine code.  It lives as long as this object, and so does what calls it."""
+    """Loaded machine code; it must stay alive as long as its functions are used."""
 
     def __init__(self, engine: Any, processor: Processor) -> None:
         self.engine, self.processor = engine, processor
 
     def function(self, name: str, *types: Any, result: Any = ctypes.c_int64) -> Callable[..., Any]:
-        """The kernel of this name as a function; other threads run while it does."""
+        """Return a kernel as a Python function, which releases the GIL while it runs."""
         call = ctypes.CFUNCTYPE(result, *types)(self.engine.get_function_address(name))
         call.code = self  # type: ignore[attr-defined]  # keeps the machine code
         return call
@@ -156,7 +155,7 @@ _lock = threading.RLock()
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Without searches for garbage: graphs are many small objects, all of them in use."""
+    """Disable garbage collection: graphs are many small objects that stay in use."""
     searches = gc.isenabled()
     gc.disable()
     try:
@@ -182,12 +181,12 @@ def make(
     family: str = "",
     lanes: int = 0,
 ) -> Code | None:
-    """The code of the text that `write(processor)` gives; None where there can be none.
+    """Compile the text returned by `write(processor)`; return None if that is impossible.
 
-    `key`, where given, is all that decides the text besides the processor and the engines' own
-    sources: with it a text whose object is on disk is not written.  The `level` of code generation
-    is 0 to 3, and depends on the text's length where it is not said.  `family` "plain" leaves out
-    what is optional in processors; `lanes` are as many as its vectors hold, where not said.
+    `key`, if given, must determine the text, together with the processor and the engines' sources:
+    a stored object then saves writing the text.  `level` is LLVM's optimisation level 0 to 3; by
+    default it depends on the text's length.  `family` "plain" uses no optional processor features.
+    `lanes` defaults to the width of the processor's vectors.
     """
     if not available():
         return None
@@ -229,7 +228,7 @@ def _made(
 
 
 def _parts(text: str, level: int | None) -> list[tuple[str, int]]:
-    """The text in pieces, and the level of each; every piece declares the functions of others."""
+    """Return the text in pieces with their levels; each piece declares the others' functions."""
     if level is not None:
         return [(text, level)]
     if text.count("\n") < LARGE:
@@ -273,7 +272,7 @@ def _loaded(content: bytes, processor: Processor) -> Code:
 
 @lru_cache(maxsize=1)
 def available() -> bool:
-    """Whether machine code can be made and run here."""
+    """Return whether machine code can be made and run here."""
     if find_spec("llvmlite") is None or not executable_memory():
         return False
     with _lock:
@@ -301,7 +300,7 @@ def _c_library() -> ctypes.CDLL:
 
 
 def executable_memory() -> bool:
-    """Whether the system lets this process write code and run it; some forbid it."""
+    """Return whether the system lets this process write and execute code."""
     if sys.platform != "linux":
         return True
     try:
@@ -320,7 +319,7 @@ def executable_memory() -> bool:
 
 @lru_cache(maxsize=2)
 def this_processor(family: str = "") -> Processor:
-    """The processor, and as many lanes as its vectors hold."""
+    """Return the processor, with as many lanes as its vectors hold."""
     from llvmlite import binding as llvm
 
     features = {} if family == PLAIN else dict(llvm.get_host_cpu_features())
@@ -333,7 +332,7 @@ def this_processor(family: str = "") -> Processor:
 
 @lru_cache(maxsize=1)
 def generator() -> str:
-    """What tells the sources of ROOMS from other versions of them."""
+    """Return a hash of the sources of ROOMS."""
     digest = hashlib.sha256()
     for room in ROOMS:
         for path in sorted((Path(__file__).parent.parent / room).glob("*.py")):

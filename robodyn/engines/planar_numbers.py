@@ -1,4 +1,4 @@
-"""Complex numbers whose parts are formulas: they take the place of points in a scene."""
+"""Complex numbers with formulas as parts, in place of points in a scene."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ from robodyn.engines.expression import call
 
 @dataclass(frozen=True, slots=True)
 class Planar:
-    """A complex number x + i y of two sums of symbols, or of two recorded numbers.
-
-    It takes the place of complex numbers in formulas.
-    """
+    """A complex number x + i y of two recorded or symbolic numbers."""
 
     real: Any
     imag: Any
@@ -45,5 +42,5 @@ class Planar:
         return call("sqrt", self.real * self.real + self.imag * self.imag)
 
     def conjugate(self) -> Planar:
-        """x - i y."""
+        """Return x - i y."""
         return Planar(self.real, -self.imag)

@@ -1,8 +1,9 @@
-"""Numbers f that depend on their own effect: f = part |N + f B|.
+"""Solves f = part |N + f B|, for forces that depend on their own effect.
 
-Friction by the forces in pins and slides is such.  With planar N (c) and B (c, c), where B[j][i] is
-what f_j adds to the N of f_i, rounds from f = part |N| on settle if friction is small.  Where they
-are slow Newton's method goes on; what it finds counts if rounds beside it come to it.
+Friction by the forces in pins and slides is of this kind.  N (c,) and B (c, c) are planar; B[j][i]
+is what f_j adds to the N of f_i.  Fixed-point rounds from f = part |N| converge if friction is
+small.  If they are slow, Newton's method goes on; its result counts only if rounds nearby converge
+to it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ MOST_STEPS = 60  # of it
 
 
 class Rounds(NamedTuple):
-    """`part` (c), N (c) and B (c, c) as formulas; the formula they stand in has f0, f1, ..."""
+    """`part` (c), N (c) and B (c, c) as formulas, in a formula with unknowns f0, f1, ..."""
 
     part: Sequence[Value]
     N: Sequence[Planar]
@@ -32,13 +33,16 @@ class Rounds(NamedTuple):
 
     @property
     def values(self) -> list[Value]:
-        """All of its formulas: those of `part`, then x and y of N, then those of B, row by row."""
+        """Return all its formulas: `part`, then x and y of N, then B row by row."""
         planar = [*self.N, *(z for row in self.B for z in row)]
         return [*self.part, *(x for z in planar for x in z)]
 
 
 def by_rounds(part: Array, N: Complex, B: Complex) -> tuple[Array, NDArray[np.bool_]]:
-    """f (T, c) of states, and whether a state (T,) has none; of one that is not finite f is nan."""
+    """Return f (T, c) for states, and whether each state (T,) has no solution.
+
+    f is nan for states that are not finite.
+    """
     f: Array = part * np.abs(N)
     finite = np.asarray(np.isfinite(f).all(axis=-1) & np.isfinite(B).all(axis=(-1, -2)))
     left = finite
@@ -59,7 +63,7 @@ def by_rounds(part: Array, N: Complex, B: Complex) -> tuple[Array, NDArray[np.bo
 
 
 def of_one(part: Array, N: Complex, B: Complex) -> Array | None:
-    """f (c) of one state, on plain numbers, which are faster there; None if it has none."""
+    """Return f (c,) of one state by plain numbers, which are faster; None if there is none."""
     parts, forces, columns = part.tolist(), N.tolist(), B.T.tolist()
     each = list(zip(parts, forces, columns, strict=True))
     f = [p * abs(z) for p, z in zip(parts, forces, strict=True)]
@@ -73,7 +77,7 @@ def of_one(part: Array, N: Complex, B: Complex) -> Array | None:
 
 
 def by_newton(part: Array, N: Complex, B: Complex, f: Array) -> Array | None:
-    """f (c) of one state by Newton's method from an f that rounds left; None if there is none."""
+    """Return f (c,) of one state by Newton's method from an approximate f; None if it fails."""
     one = np.eye(len(f))
     if not np.isfinite(f).all():
         f = part * np.abs(N)

@@ -1,6 +1,6 @@
-"""What the rows of a scene's program are at states q and qd: by numpy, or of one state by floats.
+"""Values of the rows of a scene's program at states q, qd: by numpy, or by floats for one state.
 
-The rows are recorded once; each name that is asked for is a formula of its own.
+The rows are recorded once; each name asked for becomes a formula of its own.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ DIRECTED = ("torques", "forces")  # they are lost where a spring has no directio
 
 
 class TableLeftError(SignalError):
-    """A state lies beyond the rows of a table."""
+    """A state is beyond the rows of a table."""
 
     def __init__(self, mechanism: Mechanism, table: Table, x: float) -> None:
         name = table.over if table.over in ("t", "x") else f"q{int(table.over[1:]) + 1}"
@@ -45,7 +45,7 @@ class TableLeftError(SignalError):
 
 
 class _Code:
-    """The code of a formula whose pivots are squares of lengths that must not be zero."""
+    """Code of a formula whose pivots are squared lengths that must not be zero."""
 
     def __init__(self, formula: Formula) -> None:
         self.formula = formula
@@ -60,12 +60,12 @@ class _Code:
 
 
 class RowValues:
-    """The rows of a mechanism at states, by name.
+    """Rows of a mechanism at states, by name.
 
-    "torques" (n) are what joints must carry, N m; "forces" (2p) those of `acting`, x and y side by
-    side, N; "moments" those of `couples`, N m; "tables" are what they are over, "laws" what
-    expressions are; "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J and
-    "PE rate" (1) W.
+    "torques" (n): load of the joints, N m; "forces" (2p): forces of `acting`, x and y, N;
+    "moments": those of `couples`, N m; "tables": arguments of tables; "laws": values of
+    expressions; "power" (1): power without a potential, W; "gap" (r), m; "PE" (1), J; "PE rate"
+    (1), W.
     """
 
     def __init__(self, mechanism: Mechanism, graph: Graph | None = None) -> None:
@@ -76,11 +76,10 @@ class RowValues:
     def __call__(
         self, name: str, q: ArrayLike, qd: ArrayLike | None = None, t: ArrayLike = 0.0
     ) -> Array:
-        """The values (..., k) at q and qd (..., n), which broadcast; at rest unless qd is given.
+        """Return values (..., k) at q and qd (..., n), which broadcast, and time t (...).
 
-        The time t (...) is that of loads.  Raises SingularError where the ends of a spring that
-        needs a direction coincide, SignalError where a table has ended or an expression is not
-        finite.
+        qd is zero by default.  Raises SingularError if the ends of a spring that needs a direction
+        coincide, and SignalError if a table has ended or an expression is not finite.
         """
         if name not in self._codes:
             self._codes[name] = _Code(self._formula(name))
@@ -110,9 +109,9 @@ class RowValues:
         return values.reshape(shape)
 
     def check_signals(self, q: ArrayLike, qd: ArrayLike, t: ArrayLike = 0.0) -> None:
-        """Raise SignalError if a table does not reach to a state, or an expression is not finite.
+        """Raise SignalError if a table ends before a state or an expression is not finite.
 
-        States that are not finite themselves are left out.
+        States that are not finite themselves are ignored.
         """
         if self.mechanism.has_tables:
             places = self("tables", q, qd, t)
@@ -132,7 +131,7 @@ class RowValues:
                 raise self._not_finite(law, [x[tuple(lost[0])] for x in states])
 
     def _not_finite(self, law: Law, state: Sequence[Array]) -> SignalError:
-        """The error for an expression that is not finite at a state q (n,), qd (n,), t (n,)."""
+        """Return the error for an expression not finite at q (n,), qd (n,), t (n,)."""
         q, qd, t = (x.tolist() for x in state)
         values = {f"q{k}": (f"q{k + 1}", x) for k, x in enumerate(q)}
         values |= {f"qd{k}": (f"qd{k + 1}", x) for k, x in enumerate(qd)} | {"t": ("t", t[0])}
@@ -144,7 +143,7 @@ class RowValues:
     def planar(
         self, name: str, q: ArrayLike, qd: ArrayLike | None = None, t: ArrayLike = 0.0
     ) -> Complex:
-        """What comes as x and y, as complex numbers (..., k/2)."""
+        """Return values that come as x and y as complex numbers (..., k/2)."""
         found = self(name, q, qd, t)
         return found[..., ::2] + 1j * found[..., 1::2]
 
@@ -154,7 +153,7 @@ class RowValues:
         return Formula(self._recorded.inputs + self._recorded.timed, rows, squares)
 
     def nodes(self, name: str) -> Sequence[Value]:
-        """The formulas of the values."""
+        """Return the formulas of the values called `name`."""
         match name:
             case "torques":
                 return balance(self._recorded, self._series)
@@ -176,17 +175,17 @@ class RowValues:
 
     @property
     def tables(self) -> list[tuple[Table, int]]:
-        """Those that are asked for what they are over."""
+        """Tables with the index of their argument."""
         return self._written.tables
 
     @property
     def acting(self) -> list[PointForce]:
-        """The forces at points."""
+        """Forces at points."""
         return self._written.forces
 
     @property
     def couples(self) -> list[LinkMoment]:
-        """The torques on links."""
+        """Torques on links."""
         return self._written.couples
 
     @property
@@ -209,13 +208,13 @@ class RowValues:
             yield by if x.force is None else planar_times(by, self._series.ground(x.force, 0))
 
     def _squares(self) -> list[tuple[Element, Value]]:
-        """|d|^2 of each element that needs a direction."""
+        """Return |d|^2 for each element that needs a direction."""
         real = self._series.real
         return [(x.element, real[x.square][0]) for x in self.acting if x.square is not None]
 
 
 def near_table_end(mechanism: Mechanism, t: float, y: Array) -> str:
-    """Which table ends next to a state y = (q, qd, ...), where one does, in words; else nothing."""
+    """Return a sentence on a table that ends next to state y = (q, qd, ...), or ""."""
     rows, n = rows_of(parts.acting, mechanism), mechanism.n
     places = rows("tables", y[:n], y[n : 2 * n], t)
     for (table, _), x in zip(rows.tables, places.tolist(), strict=True):
@@ -228,5 +227,5 @@ def near_table_end(mechanism: Mechanism, t: float, y: Array) -> str:
 
 @lru_cache(maxsize=64)
 def rows_of(part: Callable[[Mechanism], Mechanism], mechanism: Mechanism) -> RowValues:
-    """The rows of a part of a mechanism (`parts.py`)."""
+    """Return the rows of a part of a mechanism (`parts.py`), cached."""
     return RowValues(part(mechanism))

@@ -1,13 +1,13 @@
-"""A recorded graph written into a kernel: the third way to run it, beside Python text and arrays.
+"""Writes a recorded graph into a kernel of machine code.
 
-The sine and the cosine of an angle are written together.
+The sine and the cosine of an angle are computed together.
 
-Sine, cosine, arctangent and rough powers go lane by lane without branches.  An angle x up to 1e5
-rad is reduced by n quarter turns, n = round(x 2/pi) < 2^16.  pi/2 is the sum of two numbers of 37
-bits and a rest, so n times either is exact, and the reduced angle is known as y + tail to
-2^-110.  The polynomials are those of fdlibm (degree 13 and 14), which are good to an ulp with the
-tail.  Larger angles, infinities and nan go to the C library, those lanes alone: what a lane gets
-does not depend on its neighbours.
+Sine, cosine, arctangent and rough powers work lane by lane without branches.  An angle x up to 1e5
+rad is reduced by n quarter turns, n = round(x 2/pi) < 2^16. pi/2 is split into two numbers of 37
+bits and a rest, so n times each is exact, and the reduced angle is known as y + tail to 2^-110.
+The polynomials are those of fdlibm (degree 13 and 14), accurate to one ulp with the tail.  Larger
+angles, infinities and nan are passed to the C library, lane by lane: the result of a lane does not
+depend on its neighbours.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ _ATAN_Q = (
 def _called(
     kernel: Kernel, name: str, args: Sequence[Word], write: Callable[..., Sequence[Word]]
 ) -> list[Word]:
-    """The numbers that `write` makes of others, by a function of this name."""
+    """Return the results of a shared function, whose body `write` makes the first time."""
     if name not in kernel.module.functions:
         kernel.module.functions[name] = ""  # keeps its place
         k = Kernel(kernel.module, name, [kernel.numbers] * len(args), _PAIR.format(kernel.numbers))
@@ -77,7 +77,7 @@ def _called(
 
 
 def sine_cosine(kernel: Kernel, angle: Word) -> Sequence[Word]:
-    """Both of an angle."""
+    """Return sine and cosine of an angle."""
     if kernel.module.short:
         return _called(kernel, "sine_cosine", [angle], _sine_cosine)
     return _sine_cosine(kernel, angle)
@@ -99,7 +99,7 @@ def _sine_cosine(k: Kernel, x: Word) -> list[Word]:
 
 
 def _large(k: Kernel, x: Word, *found: Word) -> list[Word]:
-    """Sine and cosine, by the C library where an angle is large."""
+    """Replace sine and cosine of large angles by those of the C library."""
     beyond = k.compare("uge", k.intrinsic("fabs", x), k.number(LARGEST))
     names = ("sin", "cos")
     return [
@@ -109,7 +109,7 @@ def _large(k: Kernel, x: Word, *found: Word) -> list[Word]:
 
 
 def _reduced(kernel: Kernel, x: Word) -> tuple[Word, Word]:
-    """Of angles up to LARGEST."""
+    """Return sine and cosine of angles up to LARGEST."""
     k, number = kernel, kernel.number
     shifted = k.add(k.multiply(x, number(float(1 / _HALF_PI))), number(_ROUND))
     n = k.subtract(shifted, number(_ROUND))
@@ -141,7 +141,7 @@ def _reduced(kernel: Kernel, x: Word) -> tuple[Word, Word]:
 
 
 def _signed(kernel: Kernel, value: Word, quarter: Word) -> Word:
-    """Negated where the second bit of the count of quarter turns is set."""
+    """Negate a value if the second bit of the number of quarter turns is set."""
     bit = kernel.binary("and", quarter, kernel.whole_lanes(2))
     sign = kernel.binary("shl", bit, kernel.whole_lanes(62))
     turned = kernel.binary("xor", kernel.convert("bitcast", value, kernel.wholes), sign)
@@ -149,14 +149,14 @@ def _signed(kernel: Kernel, value: Word, quarter: Word) -> Word:
 
 
 def each_lane(kernel: Kernel, name: str, *args: Word) -> Word:
-    """A function of the C library, lane by lane."""
+    """Call a C library function lane by lane."""
     kernel.module.declare(name, SCALAR, *[SCALAR] * len(args))
     given = ([kernel.lane(a, i) for a in args] for i in range(kernel.lanes))
     return kernel.gathered([kernel.result_of(SCALAR, name, *lane) for lane in given])
 
 
 def polynomial(kernel: Kernel, x: Word, coefficients: Sequence[float]) -> Word:
-    """By Horner's rule, the constant term first."""
+    """Evaluate a polynomial by Horner's rule, constant term first."""
     total = kernel.number(coefficients[-1])
     for value in reversed(coefficients[:-1]):
         total = kernel.add(kernel.multiply(total, x), kernel.number(value))
@@ -164,7 +164,7 @@ def polynomial(kernel: Kernel, x: Word, coefficients: Sequence[float]) -> Word:
 
 
 def arctangent(kernel: Kernel, y: Word, x: Word) -> Word:
-    """atan2(y, x) within 3 ulp; 0 of (0, 0), nan of nan or two infinities."""
+    """Return atan2(y, x) within 3 ulp; 0 for (0, 0), nan for nan or two infinities."""
     if kernel.module.short:
         return _called(kernel, "arctangent", [y, x], lambda *given: [_arctangent(*given)] * 2)[0]
     return _arctangent(kernel, y, x)
@@ -192,10 +192,10 @@ def _arctangent(kernel: Kernel, y: Word, x: Word) -> Word:
 
 
 def rough_power(kernel: Kernel, x: Word, exponent: float) -> Word:
-    """x^exponent of x >= 0 within 7 % for |exponent| <= 1, without a logarithm.
+    """Return x^exponent for x >= 0 within 7 % for |exponent| <= 1, without a logarithm.
 
-    The bits of x, read as a whole number, are its logarithm to base 2, but for a scale, a shift
-    and 9 % of one.  Zero counts as 2^-1023; nan and infinity give nan.
+    The bits of x, read as a whole number, are its logarithm to base 2, up to scale, shift and an
+    error of 9 %. Zero counts as 2^-1023; nan and infinity give nan.
     """
     k = kernel
     whole = k.convert("sitofp", k.convert("bitcast", x, k.wholes), k.numbers)
@@ -217,9 +217,9 @@ _INSTRUCTIONS: dict[str, Callable[..., Word]] = {
 
 
 class Segment:
-    """Nodes of one graph in one kernel.  What is written stays known to later `write`s.
+    """Writes nodes of one graph into one kernel; nodes written earlier are reused.
 
-    `inputs` gives the word of each variable and parameter by its name.
+    `inputs` returns the word of each variable and parameter by name.
     """
 
     def __init__(
@@ -232,7 +232,7 @@ class Segment:
         self.words: dict[int, Word] = {}
 
     def write(self, outputs: Sequence[Value]) -> list[Word]:
-        """The words of the outputs, W lanes each."""
+        """Write the outputs; return their words."""
         order = needed(outputs, self.words)
         for node in order:
             if node.op not in _CIRCULAR:
@@ -244,11 +244,11 @@ class Segment:
         return [self.word(output) for output in outputs]
 
     def constants(self, outputs: Sequence[Value]) -> None:
-        """Write what `outputs` need of parameters alone: before a loop, once."""
+        """Write what the outputs need of parameters alone, before a loop."""
         self.write([node for node in needed(outputs) if node.constant])
 
     def word(self, value: Value | str) -> Word:
-        """The word of a node that is written, or of a number."""
+        """Return the word of a written node or of a number."""
         if isinstance(value, Expression):
             return self.words[value.index]
         return self.kernel.number(float(value))

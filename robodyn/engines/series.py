@@ -1,26 +1,26 @@
-"""Evaluates a program of rows as power series in time, order by order, over any kind of numbers.
+"""Evaluates a program of rows as power series in time, order by order, over any numbers.
 
-The numbers are what `Arithmetic` says: floats, nodes of a recorded formula, numpy arrays over
-lanes, or numbers of many digits.  One order is enough for values: the accelerations at a state.
+`Arithmetic` defines the numbers: floats, nodes of a recorded formula, numpy arrays over lanes, or
+numbers of many digits.  One order is enough for values: the accelerations at a state.
 
-At order p every slot gets the coefficient that the program's schedule wants: first what is known of
-it (the unknowns of this order taken as zero), then, once the residuals are solved for the unknowns,
-the rest.  The unknowns of every order enter through the same matrix K = [M Psi^T; Psi 0], which
-follows from the rows by walking them; it is factored once.
+At order p every slot gets the coefficient that the program's schedule wants.  First its known part
+is computed, with the unknowns of this order set to zero.  Then the residuals are solved for the
+unknowns, and the rest is added.  The unknowns of every order enter through the same matrix K = [M
+Psi^T; Psi 0], which is found by walking the rows, and factored once.
 
-A direction is E_m = (rho_m + i theta_m) E_0.  As |E| = 1 its radial coefficient is known,
+A direction is E_m = (rho_m + i theta_m) E_0.  As |E| = 1, its radial coefficient is known,
 
     rho_m = -1/2 sum_{0<j<m} (rho_j rho_{m-j} + theta_j theta_{m-j}),
 
-and theta_m = u/(m (m-1)) with the unknown u of order m - 2, which at order 0 is the link's angular
-acceleration.  Planar coefficients stay sums over such frames E_0, and a moment about a link is
-taken in the frame of that link: products of two directions are found once.
+and theta_m = u/(m (m-1)) with the unknown u of order m - 2, at order 0 the link's angular
+acceleration.  Planar coefficients stay sums over the frames E_0, and a moment about a link is taken
+in the link's frame, so products of two directions are computed once.
 
-The rule of a row, which gives its next coefficient, has two halves: what is known before the
-unknowns of an order are (`known`), and what these add (`change`).
+The rule of a row for its next coefficient has two halves: the part known before the unknowns of the
+order (`known`), and what the unknowns add (`change`).
 
-A coefficient of the program that stands before a part of a planar one is multiplied when a frame is
-asked for, and once.
+A program coefficient before a component of a planar slot is multiplied once, when the frame is
+requested.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ from robodyn.mechanics.planar_model import Mechanism
 
 
 class State(NamedTuple):
-    """Where a series starts: directions E (n), rates w of x = J q, and the values of `Given`s.
+    """The start of a series: directions E (n), rates w of x = J q, and the values of `Given` rows.
 
-    A joint that slides has no E; its displacement is given like other values.
-    `given` maps a name to its first coefficients, or to a function of the order that returns one.
-    `turn` (j, k) gives conj(E_j) E_k where there is a cheaper way than to multiply.  Where the
-    links' `accelerations` (n) are given, the residuals of order 0 are what they leave open.
+    A sliding joint has no E; its displacement is given like other values.  `given` maps a name to
+    its first coefficients, or to a function that returns the coefficient of an order.  `turn(j, k)`
+    returns conj(E_j) E_k if there is a cheaper way than a product.  If `accelerations` (n) of the
+    links are given, the residuals of order 0 include them.
     """
 
     E: Sequence[Planar]
@@ -73,7 +73,7 @@ class State(NamedTuple):
 
 
 def absolute(mechanism: Mechanism, relative: Sequence[Any]) -> list[Any]:
-    """J times values of the joints, of any kind."""
+    """Return J times joint values of any kind."""
     values = list(relative)
     for k in mechanism.order:
         above = mechanism.above[k]
@@ -83,7 +83,7 @@ def absolute(mechanism: Mechanism, relative: Sequence[Any]) -> list[Any]:
 
 
 def relative(mechanism: Mechanism, absolute: Sequence[Any]) -> list[Any]:
-    """J^-1 times values of the links."""
+    """Return J^-1 times link values."""
     above = [None if k is None else absolute[k] for k in mechanism.above]
     return [x if y is None else x - y for x, y in zip(absolute, above, strict=True)]
 
@@ -96,9 +96,9 @@ def start(
     turn: Callable[[int, int], Planar] | None = None,
     accelerations: Sequence[Value] | None = None,
 ) -> State:
-    """Where series start, by q and qd (n), and x = J q and its rates if they are known already.
+    """Return the start of series from q and qd (n), or also from x = J q and its rates `links`.
 
-    `given` may be added to.
+    The caller may add to its `given`.
     """
     x, rates = links or (absolute(mechanism, joints[0]), absolute(mechanism, joints[1]))
     named = {"q": joints[0], "qd": joints[1], "alpha": x}
@@ -124,7 +124,7 @@ _PARTNERS = {
 
 
 def planar_scaled(scale: Value, z: Planar) -> Planar:
-    """A planar number times a real one."""
+    """Return a real number times a planar one."""
     return times(scale, z[0]), times(scale, z[1])
 
 
@@ -136,8 +136,8 @@ Framed = tuple[tuple[int | None, PlanarCoefficient | None, Planar], ...]
 class Series:
     """The coefficients of a program's slots along one motion.
 
-    `orders` of unknowns are expanded; `slots` are wanted besides the residuals.  With `grounded`
-    forces are summed in the ground's frame, which pays on deep trees.
+    `orders` is the number of orders of the unknowns.  `slots` are wanted besides the residuals.
+    With `grounded`, forces are summed in the ground's frame, which is cheaper for deep trees.
     """
 
     program: Program
@@ -185,13 +185,13 @@ class Series:
         self.p = 0
 
     def planar_room(self, slot: Slot, orders: int) -> Any:
-        """Room for the coefficients of a planar slot."""
+        """Return storage for the coefficients of a planar slot."""
         return [()] * orders
 
     # -- planar coefficients -----------------------------------------------------------------------
 
     def coefficient(self, c: Coefficient) -> Value:
-        """The number that a coefficient is."""
+        """Return the number of a program coefficient."""
         if isinstance(c, float):
             return c
         return times(c.sign, self.numbers[c.place])
@@ -200,7 +200,7 @@ class Series:
         return self.coefficient(c[0]), self.coefficient(c[1])
 
     def factor(self, to: int | None, frame: int | None, c: PlanarCoefficient | None) -> Planar:
-        """c E_frame in the frame `to`: conj(E_to) c E_frame."""
+        """Return c E_frame in the frame `to`: conj(E_to) c E_frame."""
         key = (to, frame, c)
         found = self._factor.get(key)
         if found is None:
@@ -223,14 +223,14 @@ class Series:
         return found
 
     def into(self, to: int | None, framed: Framed) -> Planar:
-        """The value of a planar coefficient in one frame."""
+        """Return a planar coefficient in one frame."""
         total = ZERO
         for frame, c, value in framed:
             total = planar_plus(total, planar_times(self.factor(to, frame, c), value))
         return total
 
     def real_part(self, framed: Framed) -> Value:
-        """Re of a planar coefficient."""
+        """Return the real part of a planar coefficient."""
         total: Value = 0.0
         for frame, c, value in framed:
             by = self.factor(None, frame, c)
@@ -239,7 +239,7 @@ class Series:
         return total
 
     def ground(self, z: Slot, m: int) -> Planar:
-        """Coefficient m of a planar slot in the ground's frame."""
+        """Return coefficient m of a planar slot in the ground's frame."""
         return self.into(None, self.planar[z][m])
 
     # -- rows --------------------------------------------------------------------------------------
@@ -253,7 +253,7 @@ class Series:
             self.real[slot][m] = value
 
     def columns(self, z: Slot, last: int, frame: int | None = None) -> tuple[Any, Any]:
-        """The series of a planar slot in one frame, kept as it grows."""
+        """Return the series of a planar slot in one frame; it is stored and grows."""
         kept = self._kept.setdefault(z, {})
         if frame not in kept:
             room = self.arithmetic.room
@@ -267,24 +267,24 @@ class Series:
         x[m], y[m] = self.into(frame, self.planar[z][m])
 
     def convolve(self, x: Any, y: Any, m: Any, first: int = 0, last: Any = None) -> Value:
-        """Sum of x_j y_{m-j} for j from `first` to `last` (m, unless given)."""
+        """Return the sum of x_j y_{m-j} for j from `first` to `last` (default m)."""
         last = m if last is None else last
         if last < first:
             return 0.0
         return self.arithmetic.convolve(x, y, m, first, last)
 
     def slope(self, x: Any, y: Any, m: int) -> Value:
-        """Coefficient m of the integral of x' y: 1/m sum j x_j y_{m-j}."""
+        """Return coefficient m of the integral of x' y: 1/m sum j x_j y_{m-j}."""
         return over(self.arithmetic.weigh(x, y, m, 1, m, 1.0, 0.0), m)
 
     # -- what is known of a coefficient ------------------------------------------------------------
 
     def known(self, slot: Slot, row: Row, m: int) -> Any:
-        """Coefficient m of a slot; of unknowns of the present order nothing."""
+        """Return coefficient m of a slot with the unknowns of the present order set to zero."""
         return _KNOWN[type(row)](self, slot, row, m)
 
     def _given(self, slot: Slot, row: Row, m: int) -> Any:
-        """What is given, and the coordinates with their rates; of unknowns nothing."""
+        """Return the known part of given values and of coordinates with their rates."""
         match row:
             case rows.Given(name=name):
                 given = self.state.given[name]
@@ -305,16 +305,16 @@ class Series:
         return self._linear(row, m, self._found, m == 0)
 
     def _first(self, name: str) -> Value:
-        """What is given as the first coefficient."""
+        """Return the first coefficient of a given value."""
         given = self.state.given[name]
         return given(0) if callable(given) else given[0]
 
     def _found(self, x: Slot, m: int) -> Any:
-        """Coefficient m of a slot, which is there."""
+        """Return a stored coefficient m of a slot."""
         return self.planar[x][m] if x in self.planar else self.real[x][m]
 
     def _product(self, slot: Slot, row: Row, m: int) -> Any:
-        """Products of two series; those with a direction in its own frame."""
+        """Return products of two series; those with a direction in its own frame."""
         match row:
             case rows.Product(x=x, y=y):
                 return self.convolve(self.real[x], self.real[y], m)
@@ -333,7 +333,7 @@ class Series:
         raise AssertionError(row)
 
     def _function(self, slot: Slot, row: Row, m: int) -> Value:
-        """By its value at order 0, and its differential equation from there on."""
+        """Return a function by its value at order 0, then by its differential equation."""
         real, weigh, divide = self.real, self.arithmetic.weigh, self.arithmetic.divide
         match row:
             case rows.Quotient(x=x, y=y):
@@ -356,7 +356,7 @@ class Series:
         raise AssertionError(row)
 
     def _stepped(self, row: rows.Step, x: Value) -> Value:
-        """The value of x's interval."""
+        """Return the value of a step function at x."""
         arithmetic = self.arithmetic
         if not row.period:
             return arithmetic.chosen(x, row.knots, row.values)
@@ -365,7 +365,7 @@ class Series:
         return plus(value, times(row.rise, periods))
 
     def _accumulate(self, total: Value, c: Coefficient, value: Value) -> Value:
-        """total + c value, with the sign of a coefficient 1 or -1 free."""
+        """Return total + c value; a coefficient of +-1 costs no product."""
         negative = c < 0.0 if isinstance(c, float) else c.sign < 0.0
         if not negative or (type(total) is float and total == 0.0):
             return plus(total, times(self.coefficient(c), value))
@@ -374,9 +374,9 @@ class Series:
     def _linear(
         self, row: Row, m: int, of: Callable[[Slot, int], Any], begins: bool = False
     ) -> Any:
-        """A row that is a sum of others, by what `of(slot, order)` gives; None adds nothing.
+        """Return a linear row from `of(slot, order)`; None there adds nothing.
 
-        Where it `begins`, with its constant.
+        With `begins`, the row's constant is included.
         """
         match row:
             case rows.Sum(constant=constant, terms=terms):
@@ -440,7 +440,7 @@ class Series:
         return over(known[joint], 2) if known is not None and m == 2 else 0.0
 
     def _half_square(self, x: Any, m: int) -> Value:
-        """1/2 sum of x_j x_{m-j} for 0 < j < m."""
+        """Return 1/2 sum of x_j x_{m-j} for 0 < j < m."""
         total = self.convolve(x, x, m, 1, (m - 1) // 2)
         if m % 2 == 0:
             half = x[m // 2]
@@ -448,13 +448,13 @@ class Series:
         return total
 
     def _rate(self, slot: Slot, E: Slot, m: int) -> Value:
-        """Of w in z' = i w z: the terms that are known."""
+        """Return the known terms of w in z' = i w z."""
         rho, theta = self._moment[E]
         known = self.convolve(self.real[slot], rho, m, 0, m - 1)
         return difference(times(m + 1.0, theta[m + 1]), known)
 
     def _known_moment(self, slot: Slot, row: rows.Moment, m: int) -> Value:
-        """Im(conj(z) F) in the frame of the link, with its own part inertia P in F."""
+        """Return Im(conj(z) F) in the link's frame, with the link's own inertia in F."""
         rho, theta = self._moment[row.turn]
         own = self.coefficient(row.inertia)
         _, _, bend = self.planar[row.bend][m][0]
@@ -466,7 +466,7 @@ class Series:
         return difference(total, self.convolve(theta, x, m, 1, m))
 
     def _smooth(self, slot: Slot, name: str, x: Any, m: int) -> Value:
-        """By the function's differential equation; `_extra` holds the other series it takes."""
+        """Return a function by its differential equation; `_extra` stores its auxiliary series."""
         y, other, functions = self.real[slot], self._extra[slot], self.arithmetic.functions
         if name == "exp":
             return functions["exp"](x[0]) if m == 0 else self.slope(x, y, m)
@@ -488,7 +488,10 @@ class Series:
     # -- what the unknowns change ------------------------------------------------------------------
 
     def change(self, slot: Slot, row: Row, m: int, change: dict[Slot, Any]) -> Any:
-        """What the unknowns add to coefficient m of a live slot, given what they add to others."""
+        """Return what the unknowns add to coefficient m of a live slot.
+
+        `change` has what they add to other slots.
+        """
         real = self.real
 
         def of(x: Slot) -> Value:
@@ -531,7 +534,7 @@ class Series:
         return self._function_change(slot, row, of)
 
     def _function_change(self, slot: Slot, row: Row, of: Callable[[Slot], Value]) -> Value:
-        """What unknowns add to a function of parts: its slope at order 0 times what they add."""
+        """Return the function's slope at order 0 times what its arguments change."""
         real, divide = self.real, self.arithmetic.divide
         match row:
             case rows.Quotient(x=x, y=y):
@@ -551,7 +554,7 @@ class Series:
         raise AssertionError(row)
 
     def _moment_change(self, row: rows.Moment, change: dict[Slot, Any]) -> Planar:
-        """What the unknowns add to the force F + inertia P on a link, in the link's frame."""
+        """Return what unknowns add to the force F + inertia P, in the link's frame."""
         force, own = ZERO, ZERO
         if row.F in change:
             force = self.into(self._link(row.turn), change[row.F])
@@ -561,7 +564,7 @@ class Series:
         return plus(force[0], times(by, own[0])), plus(force[1], times(by, own[1]))
 
     def _frame(self, z: Slot) -> int | None:
-        """That of a direction is its own, of others the ground's."""
+        """Return the frame of a direction, which is its own; None (ground) for other slots."""
         return self._link(z) if z in self._moment else None
 
     def _link(self, turn: Slot) -> int:
@@ -572,7 +575,7 @@ class Series:
     # -- one order ---------------------------------------------------------------------------------
 
     def residuals(self, p: int) -> list[Value]:
-        """What the residuals are at order p with the unknowns of that order zero."""
+        """Return the residuals at order p, with the unknowns of that order set to zero."""
         self.p, self.unknown_values = p, {}
         for slot, row in self.rows:
             m = p + self.ahead[slot]
@@ -581,7 +584,10 @@ class Series:
         return self._residuals
 
     def complete(self, unknowns: Sequence[Value], balanced: bool = False) -> None:
-        """Add what the unknowns of this order make; `balanced`: they solve the residuals."""
+        """Add the contributions of the unknowns of this order.
+
+        If `balanced`, the unknowns solve the residuals.
+        """
         self._balance = self._balances() if balanced else {}
         p, program = self.p, self.program
         self.unknown_values = dict(zip(program.unknowns, unknowns, strict=True))
@@ -620,11 +626,11 @@ class Series:
                         other[m] = plus(other[m], times(back, gained))
 
     def expand(self, factors: Factors | None = None) -> list[list[Value]]:
-        """All orders; the unknowns of each."""
+        """Compute all orders; return the unknowns of each."""
         return [self.advance(p, factors) for p in range(self.orders)]
 
     def advance(self, p: Any, factors: Factors | None = None) -> list[Value]:
-        """One order after those before it; its unknowns."""
+        """Compute order p after all lower orders; return its unknowns."""
         right = [times(-1.0, x) if type(x) is float else -x for x in self.residuals(p)]
         self.factors = self.factors or factors or self.factorise()
         solution = self.factors.solve(right)
@@ -632,7 +638,7 @@ class Series:
         return solution
 
     def turn(self, slot: Slot) -> tuple[Any, Any]:
-        """The coefficients rho and theta of a direction; of a displacement s 1 and s.
+        """Return the coefficients rho and theta of a direction; 1 and s of a displacement s.
 
         So a rate is Im(conj(z) z') of z = rho + i theta for both.
         """
@@ -641,17 +647,17 @@ class Series:
         return self._extra[slot], self.real[slot]
 
     def factorise(self) -> Factors:
-        """K factored; after `residuals(0)`."""
+        """Factor K, after `residuals(0)`."""
         return Factors(self.matrix(), self.first_unknowns, self.arithmetic.keep)
 
     @property
     def first_unknowns(self) -> int:
-        """How many of the unknowns are accelerations."""
+        """The number of unknowns that are accelerations."""
         program = self.program
         return sum(isinstance(program.rows[x], COORDINATES) for x in program.unknowns)
 
     def _balances(self) -> dict[Slot, int]:
-        """The moments that the unknowns change by as much as they change a residual."""
+        """Return moments that change with the unknowns exactly as a residual does."""
         found: dict[Slot, int] = {}
         for place, slot in enumerate(self.program.residuals):
             while isinstance(row := self.program.rows[slot], rows.Sum):
@@ -664,7 +670,7 @@ class Series:
         return found
 
     def matrix(self) -> list[dict[int, Value]]:
-        """The rows of K, the tangents of the residuals in the unknowns; after `residuals(0)`."""
+        """Return the rows of K, the derivatives of residuals by unknowns, after `residuals(0)`."""
         place = {slot: i for i, slot in enumerate(self.program.unknowns)}
         tangents: dict[Slot, dict[Slot, Any]] = {}
         for slot, row in self.rows:

@@ -1,8 +1,8 @@
-"""The closed form of one mechanism as straight-line code, generated and compiled once.
+"""Straight-line Python code of formulas, generated and compiled once per mechanism.
 
-An integrator evaluates one state ten thousand times, where numpy's call overhead is twenty times
-the arithmetic.  So the formulas of `engines/formulas.py` are written out as Python on floats; on
-blocks of many states `array_blocks.py` walks their nodes.
+An integrator evaluates one state at a time, ten thousand times.  There numpy's call overhead is
+twenty times the arithmetic.  So the formulas of `engines/formulas.py` are written out as Python on
+floats.  Blocks of many states are evaluated by `array_blocks.py`.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ def float_source(
     readable: bool = False,
     conditional: str = "{2} if {0} < {1} else {3}",
 ) -> tuple[list[str], list[str]]:
-    """Python statements on floats, and the expression of each output.
+    """Return Python statements on floats, and the expression of each output.
 
-    A node used once stands where it is used; one used more often, or that nests more than DEEPEST
-    operations, gets a local name.  `names` has those of nodes by their index: such a node always
-    gets its own, or with "" none.  Statements keep to `longest` characters where names do; inputs
-    are called as `symbol` says.  Where it is to be `readable`, local names count from 1, brackets
-    that do no more than order a sum or a product are left out, and x (1/y) is x/y.
+    A node used once is written where it is used.  A node used more often, or nested deeper than
+    DEEPEST, gets a local name.  `names` gives nodes, by index, a fixed name; "" gives none.
+    Statements keep to `longest` characters if names do.  `symbol` translates input names.  With
+    `readable`, local names count from 1, needless brackets are left out, and x (1/y) is written
+    x/y.
     """
     uses, text = _uses(outputs), _Statements(names, symbol, readable, conditional)
     for node in needed(outputs):
@@ -64,7 +64,7 @@ def float_source(
 
 @dataclass
 class _Statements:
-    """The text of nodes as `float_source` writes them, and the statements that name some."""
+    """Text of nodes as `float_source` writes them, and the statements for named nodes."""
 
     names: Mapping[int, str]
     symbol: Callable[[str], str]
@@ -76,11 +76,11 @@ class _Statements:
     _numbers: Iterator[int] = field(default_factory=lambda: count(1))
 
     def of(self, node: Expression) -> str:
-        """What is written for a node."""
+        """Return the text of a node."""
         return self._text[node.index][0]
 
     def shown(self, a: Value | str, least: int) -> str:
-        """An argument, in brackets where its precedence is below the least."""
+        """Return the text of an argument, in brackets if its precedence is below `least`."""
         if isinstance(a, Expression):
             shown, precedence = self._text[a.index]
         elif isinstance(a, str):
@@ -90,14 +90,14 @@ class _Statements:
         return shown if precedence >= least else f"({shown})"
 
     def name(self, node: Expression) -> None:
-        """A statement that gives the node a name of its own."""
+        """Add a statement that gives the node a name."""
         number = next(self._numbers) if self.readable else node.index
         name = self.names.get(node.index) or f"t{number}"
         self.lines.append(f"{name} = {self.of(node)}")
         self._text[node.index], self.depths[node.index] = (name, 9), 0
 
     def write(self, node: Expression) -> str:
-        """A node by the text of its arguments."""
+        """Return the text of a node from its arguments' text."""
         op, args = node.op, node.args
         if (precedence := _BINARY.get(op)) is not None:
             left = self.shown(args[0], precedence)
@@ -124,7 +124,7 @@ class _Statements:
 
 
 def _readable(left: str, op: str, right: str) -> str:
-    """A product or quotient; x (1/y) is x/y."""
+    """Return a product or quotient as text; x (1/y) is x/y."""
     if op == "*" and left.startswith("1.0/"):
         left, right = right, left
     if op == "*" and right.startswith("1.0/"):
@@ -133,7 +133,7 @@ def _readable(left: str, op: str, right: str) -> str:
 
 
 def _uses(outputs: Sequence[Value]) -> Counter[int]:
-    """How often each node is read, as an output too."""
+    """Return how often each node is read, including as an output."""
     read = [a for node in needed(outputs) for a in node.args]
     return Counter(a.index for a in (*read, *outputs) if isinstance(a, Expression))
 
@@ -145,9 +145,10 @@ RateFunction = Callable[[float, Any], Any]
 def compile_floats(
     formula: Formula, name: str, scope: Mapping[str, object] | None = None
 ) -> FloatFunction:
-    """A function of plain floats, in the order of the formula's inputs, to a tuple of floats.
+    """Compile a formula to a function of floats that returns a tuple.
 
-    `scope` has functions of other numbers in place of those of `math`.
+    Arguments are in the order of the formula's inputs.  `scope` replaces functions of `math` for
+    other kinds of numbers.
     """
     lines, outputs = float_source(formula.outputs + formula.pivots)
     body = "\n    ".join([*lines, f"return ({', '.join(outputs)},)"])
@@ -164,11 +165,11 @@ def compile_rates(
     otherwise: RateFunction,
     write: Callable[..., Formula | None] = formulas.forward_formula,
 ) -> RateFunction:
-    """dy/dt for y = (q, qd, states of the torques' own), then the work done where it is wanted.
+    """Return a function that computes dy/dt for y = (q, qd, torque states[, work]).
 
-    `write` gives the formula.  Constant torques are folded in.  `otherwise` gets the states in
-    which a closure's relative pivot does not exceed `least_pivot`, or rounds do not settle; it gets
-    every state if there is no formula.
+    `write` returns the formula; constant torques are folded.  `otherwise` is called for states in
+    which the relative pivot of a closure is below `least_pivot` or friction rounds do not settle,
+    and for all states if there is no formula.
     """
     torques = actuation.constants
     formula = write(mechanism, torques, baumgarte, work)
@@ -218,21 +219,21 @@ def compile_rates(
 
 
 def _rounds(rounds: Rounds, values: list[str]) -> list[str]:
-    """Statements that find f0, f1, ... by the sources of `rounds.values`.
+    """Return statements that solve for f0, f1, ... from the sources of `rounds.values`.
 
-    States in which they do not settle go to `otherwise`.
+    States in which they do not settle are passed to `otherwise`.
     """
     c, parts, given = len(rounds.part), iter(values), []
 
     def name(text: str, called: str) -> str:
-        """The statement that gives a value a name, unless it has one or is a number."""
+        """Return the name of a value; add a statement unless it is a name or number."""
         if text.isidentifier():
             return text
         given.append(f"{called} = {text}")
         return called
 
     def planar(z: Planar, called: str) -> str:
-        """The name of a planar value, real if it has no y; "" if it is zero."""
+        """Return the name of a planar value, real if its y is zero; "" if it is zero."""
         x, y = next(parts), next(parts)
         if not some(*z[1:]):
             return name(x, called) if some(z[0]) else ""
@@ -266,7 +267,7 @@ def _rounds(rounds: Rounds, values: list[str]) -> list[str]:
 
 
 def _settled(*given: list[Any]) -> list[float] | None:
-    """`by_newton` of lists."""
+    """Apply `by_newton` to lists."""
     found = by_newton(*map(np.array, given))
     return None if found is None else found.tolist()
 
@@ -274,10 +275,11 @@ def _settled(*given: list[Any]) -> list[float] | None:
 def compile_closing(
     formula: Formula, passes: int, least_pivot: float, rounding: float, next_to_it: float
 ) -> Callable[[float, list[float]], tuple[list[float], float] | None]:
-    """Newton steps by `formulas.projection_formula` on t, y = (q, qd, ...): y closed, least pivot.
+    """Return a function of t, y = (q, qd, ...) that returns the closed y and least pivot.
 
-    What is open by `rounding` (m) at most stays where it is; from `next_to_it` one step closes it.
-    None where a pivot does not exceed `least_pivot`.
+    It takes Newton steps by `formulas.projection_formula`.  A gap below `rounding` (m) is left
+    alone; one below `next_to_it` needs only one more step.  The function returns None if a pivot is
+    below `least_pivot`.
     """
     lines, outputs = float_source(formula.outputs + formula.pivots)
     inputs = tuple(name for name in formula.inputs if name != "t")
@@ -309,7 +311,7 @@ def compile_closing(
 
 
 def define(source: str, name: str, scope: Mapping[str, object] | None = None) -> Callable[..., Any]:
-    """The function called `name` of a source that may name those of `scope`."""
+    """Return the function `name` of a source, which may use names in `scope`."""
     known = (*expression.FUNCTIONS, "pow", "atan2", "nan", "inf")
     names: dict[str, object] = {name: getattr(math, name) for name in known} | dict(scope or {})
     exec(compile(source, f"<robodyn straight-line {name}>", "exec"), names)
