@@ -354,7 +354,7 @@ def integral(coefficients: Sequence[Value], x: Value) -> Value:
 
 
 class Order:
-    """A symbolic order p + offset.  It compares greater than every int: special cases never match."""
+    """A symbolic order p + offset.  It is greater than every int: special cases never match."""
 
     def __init__(self, p: Value, offset: int = 0) -> None:
         self.p, self.offset = p, offset
