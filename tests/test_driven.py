@@ -331,6 +331,18 @@ class TestStates:
         with pytest.raises(InputError, match="names rod, which a law of the time drives"):
             mechanism(ROD + "actuated: [rod]\n")
 
+    @pytest.mark.parametrize("format", ["mjcf", "urdf", "scene"])
+    def test_a_model_file_has_no_time(self, robodyn, scene, format):
+        """The law is named first, before a pose that contradicts it; then that there is no time."""
+        pose = ["--q", "1,1"] * (format == "mjcf")
+        rest = ["--format", format, *pose, "--at-time", "0.3"]
+        given = robodyn("export", scene(ROD), *rest)
+        told = "written for all times" if format == "scene" else "couplings[0] = 3 rad/s t"
+        assert (given.code, told in given.err, "begins" in given.err) == (2, True, False)
+        given = robodyn("export", scene(ROD.partition("I: 0}")[0] + "I: 1}"), *rest)
+        told = "--at-time = 0.3: " + ("a scene is" if format == "scene" else "this scene is the")
+        assert (given.code, told in given.err) == (2, True)
+
     @pytest.mark.parametrize(
         "command",
         [

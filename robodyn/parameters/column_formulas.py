@@ -272,7 +272,7 @@ class ColumnFormulas:
     @cached_property
     def motors(self) -> list[Any]:
         """The columns of motors."""
-        torques = dict(zip(self.mechanism.actuated, self.forces, strict=False))
+        torques: dict[int, Value] = dict(zip(self.mechanism.actuated, self.forces, strict=False))
         first = len(self.loop_forces) - len(self.mechanism.description.couplings)
         torques |= {k: self.loop_forces[first + c] for k, c in drives(self.mechanism).items()}
         each = [torques.get(k, 0.0) for k in range(self.mechanism.n)]
