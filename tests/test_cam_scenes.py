@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -191,6 +192,49 @@ def test_euler_equation_of_each_link_with_the_contact(side: str) -> None:
     torque = state.columns(["tc1"])[:, 0]
     Psi = closure_jacobian(mechanism, q)[:, 0] / mechanism.rows[0].arm
     np.testing.assert_allclose(torque[:, None] * Psi[:, 1], torque[:, None] * -slope, atol=1e-12)
+
+
+def test_reactions_lack_the_contact_of_a_law_without_a_cam(
+    robodyn: Any, tmp_path: Path, monkeypatch: Any
+) -> None:
+    """A note on stderr names the law, in whose bearings the contact force is missing."""
+    cam = (ROOT / "robots" / "disc-cam.yaml").read_text()
+    law = '{law: "q2 = 5 mm (1 - cos(q1))^2", cam: {roller: 8 mm, at: [-62.5 mm, 0]}}'
+    texts = {
+        "cam.yaml": cam,
+        "law.yaml": cam.replace(law, '"q2 = 5 mm (1 - cos(q1))^2"'),
+        "rack.yaml": cam.replace(law, '"q2 = 5 mm q1"'),
+        "drive.yaml": cam.replace(law, '"q2 = 5 mm sin(t / 1 s)"'),
+    }
+    monkeypatch.chdir(tmp_path)
+    for name, text in texts.items():
+        Path(name).write_text(text)
+    pose, named = ["--q", "150deg"], ["--columns", "reactions"]
+    commands = (
+        ["reactions", *pose],
+        ["torque", *pose, *named],
+        ["simulate", *pose, "--time", "0.01", *named],
+        ["trajectory", "--from", "0", "--to", "1", "--time", "1", *named],
+        ["sweep", "--kind", "torque", "--vary", "q1=1", "--result", "ry1,rx2"],
+        ["draw", *pose, "--forces", "-o", "out.svg"],
+    )
+    told = "couplings[0] = 5 mm (1 - cos(q1))^2 has no `cam`"
+    for command, *rest in commands:
+        for name in texts:
+            given = robodyn(command, name, *rest)
+            assert given.code == 0, given.err
+            assert given.err.count(told) == (name == "law.yaml")
+    assert "cam" not in robodyn("torque", "law.yaml", *pose).err
+    found = {}
+    for name in ("cam.yaml", "law.yaml"):
+        rest = [*pose, "--qd", "60", "--columns", "rx1,ry1,rx2,ry2"]
+        out = robodyn("reactions", name, *rest).out
+        found[name] = np.array([float(x) for x in out.splitlines()[1].split(",")])
+    out = robodyn("torque", "cam.yaml", *pose, "--qd", "60", "--columns", "contact1").out
+    force = float(out.splitlines()[1])
+    lacking = (found["cam.yaml"] - found["law.yaml"]).reshape(2, 2)
+    np.testing.assert_allclose(np.hypot(*lacking.T), force, rtol=1e-12)
+    np.testing.assert_allclose(lacking.sum(axis=0), 0.0, atol=1e-12 * force)
 
 
 def _reduced(theta: float, w: float) -> tuple[float, float]:

@@ -1,5 +1,6 @@
 """Laws of the time: driven joints against closed forms, scipy, and undriven mechanisms."""
 
+import csv
 import json
 import math
 import re
@@ -21,11 +22,13 @@ from robodyn import (
     load,
     loop_accelerations,
     loop_velocities,
+    motor_loads,
     points,
     simulate,
 )
 from robodyn.dynamics import closed_form, identities
 from robodyn.dynamics.closed_form import energies
+from robodyn.dynamics.columns import column_names
 from robodyn.errors import InputError, LawError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.runs.benchmark import reference
@@ -274,9 +277,71 @@ class TestStates:
         assert torque == pytest.approx(2 * 0.5 * 0.2 * 0.5 * 3)
         assert power == pytest.approx(3 * torque)
 
+    def test_the_motor_of_a_drive_is_that_of_an_actuated_joint(self, robodyn, scene, tmp_path):
+        """The same states with the crank actuated need the same volts and amperes."""
+        own = "I: 0.008, motor: {ratio: -40, inertia: 2e-5, damping: 1e-5, torque_constant: 0.05,"
+        text = FOUR_BAR.replace("I: 0.008", own + " resistance: 2}")
+        path, free = scene(text), tmp_path / "free.yaml"
+        free.write_text(text.partition("couplings")[0])
+        names = "motor1,motor_speed1,volt1,amp1,watt1"
+        rest = ["--rtol", "1e-11", "--atol", "1e-12"]
+        run = ["simulate", path, "--time", "0.6", "--points", "7", *rest]
+        motion = robodyn(*run, "--columns", f"t,q,qd,qdd,{names}")
+        states = "".join(",".join(x.split(",")[:10]) + "\n" for x in motion.out.splitlines())
+        found, *others = (
+            [
+                [float(row[x]) for x in names.split(",")]
+                for row in csv.DictReader(y.out.splitlines())
+            ]
+            for y in (
+                motion,
+                robodyn("torque", free, "-", stdin=states),
+                robodyn("torque", path, "-", stdin=states),
+                robodyn("accel", path, "-", "--columns", names, stdin=states),
+            )
+        )
+        volts = [row[2] for row in found]
+        assert max(volts) - min(volts) > 0.5
+        for other in others:
+            np.testing.assert_allclose(found, other, rtol=1e-9, atol=1e-9)
+        level = repr(0.5 * (volts[2] + volts[3]))
+        ended = robodyn(*run, "--until", f"volt1 - {level}", "--columns", "t,volt1")
+        t, volt = map(float, ended.out.splitlines()[-1].split(","))
+        assert 0.0 < t < 0.6
+        assert volt == pytest.approx(float(level), abs=1e-9)
+
+    def test_motors_of_joints_that_are_no_drives_have_no_columns(self):
+        """The gear of a drive turns the motor of a joint that follows; a law may leave one free."""
+        motor = ", motor: {ratio: 10, inertia: 1e-5}"
+        text, given = RELATIVE, [0.1, 0.2, 0.3]
+        for inertia in ("I: 0.06", "I: 0.004"):
+            text = text.replace(inertia, inertia + motor)
+        for coupling, names in (
+            ('["q1 = 2 t", "q3 = -2 q1"]', ["motor1"]),
+            ('["q1 = 2 t + 0.1 sin(q3)"]', ["motor1", "motor3"]),
+            ('["q1 = 2 t", "q3 = t"]', ["motor1", "motor3"]),
+        ):
+            mech = mechanism(text.partition("couplings")[0] + f"couplings: {coupling}\n")
+            assert column_names(mech, ["motor"]) == names
+            own = [x for x in names if int(x[-1]) - 1 in mech.actuated]
+            told = motor_loads(mech, given, given)
+            assert [*told] == own + [x.replace("motor", "motor_speed") for x in own]
+
     def test_actuated_and_driven_is_refused(self):
         with pytest.raises(InputError, match="names rod, which a law of the time drives"):
             mechanism(ROD + "actuated: [rod]\n")
+
+    @pytest.mark.parametrize("format", ["mjcf", "urdf", "scene"])
+    def test_a_model_file_has_no_time(self, robodyn, scene, format):
+        """The law is named first, before a pose that contradicts it; then that there is no time."""
+        pose = ["--q", "1,1"] * (format == "mjcf")
+        rest = ["--format", format, *pose, "--at-time", "0.3"]
+        given = robodyn("export", scene(ROD), *rest)
+        told = "written for all times" if format == "scene" else "couplings[0] = 3 rad/s t"
+        assert (given.code, told in given.err, "begins" in given.err) == (2, True, False)
+        given = robodyn("export", scene(ROD.partition("I: 0}")[0] + "I: 1}"), *rest)
+        told = "--at-time = 0.3: " + ("a scene is" if format == "scene" else "this scene is the")
+        assert (given.code, told in given.err) == (2, True)
 
     @pytest.mark.parametrize(
         "command",

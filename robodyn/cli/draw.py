@@ -24,8 +24,16 @@ from robodyn.cli.options import (
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.states import Quantity, Source, complete, remarks, single_state, table_source
-from robodyn.dynamics.columns import scene_units
+from robodyn.cli.states import (
+    Quantity,
+    Source,
+    complete,
+    remarks,
+    single_state,
+    table_source,
+    tell_unknown_contacts,
+)
+from robodyn.dynamics.columns import column_names, scene_units
 from robodyn.errors import InputError
 from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.mechanism import Mechanism
@@ -108,6 +116,7 @@ def draw(
             given.append(Quantity("qdd", qdd) if tau is None else Quantity("tau", tau))
             pose, rates, moved = single_state(mechanism, given, t=t)
             drawn = drawing(mechanism, pose, marked)
+            tell_unknown_contacts(mechanism, column_names(mechanism, ["reactions"]))
             found = forces_at(mechanism, pose, rates, t=t, **{given[2].name: moved})
             if not found:
                 note("Note: all forces are zero")

@@ -30,7 +30,7 @@ from robodyn.cli.output import Grid, in_told_units, note, row_writer, write_stru
 from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
-from robodyn.cli.states import Quantity, option_source, remarks
+from robodyn.cli.states import Quantity, option_source, remarks, tell_unknown_contacts
 from robodyn.dynamics.columns import scene_units, unit_of
 from robodyn.engines.expression import tangents
 from robodyn.errors import InputError, at_place, named_options
@@ -82,6 +82,7 @@ class FitTable:
         self.match, named = options.match is not None, options.columns
         self.columns = [x for text in options.minimize or () for x in _names(text, "--minimize")]
         self.chosen = None if named is None else _names(named, "--columns")
+        tell_unknown_contacts(mechanism, [*self.columns, *(self.chosen or ())])
         self.options = {kind: getattr(options, kind) for kind in KINDS}
         self.formulas = ColumnFormulas(mechanism, [], options.of or ())
         free = self.moving and len(mechanism.passive) > len(mechanism.rows)

@@ -7,6 +7,7 @@ actuated ones only (the rest is assembled).  An option stands for its columns in
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -282,6 +283,8 @@ def state_rows(
         points, computed, only, acting = list(of), list(columns), None, list(either)
         if options.columns is not None:
             only, computed = chosen_columns(mechanism, options.columns, columns, header, points)
+        else:
+            tell_unknown_contacts(mechanism, computed)
         families = [find(mechanism, name, points) for name in computed]
         needs = {need for family in families if family for need in family.needs.split()}
         if not needs.isdisjoint(("qdd", "tau")) and not {"qdd", "tau"} & {
@@ -329,6 +332,17 @@ def _of_states(
     return compute
 
 
+def tell_unknown_contacts(mechanism: Mechanism, columns: Iterable[str]) -> None:
+    """Note which laws between links lack the place of their contact, if columns are reactions."""
+    if any(re.search(r"\br[xym][0-9]+\b", name) for name in columns):
+        for c, coupling in enumerate(mechanism.description.couplings):
+            if coupling.law is not None and coupling.others and coupling.cam is None:
+                note(
+                    f"Note: couplings[{c}] = {coupling.law.text} has no `cam`, so that the force of "
+                    "its contact on the bearings of its links is not known: reactions lack it"
+                )
+
+
 def chosen_columns(
     mechanism: Mechanism,
     text: str,
@@ -371,6 +385,7 @@ def chosen_columns(
             raise InputError("--columns", value=shown(name), limit=limit)
         only += names
         own += names
+    tell_unknown_contacts(mechanism, own)
     return list(dict.fromkeys(only)), list(dict.fromkeys(own))
 
 

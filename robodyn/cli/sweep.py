@@ -28,7 +28,7 @@ from robodyn.cli.simulate import (
     named,
     reference_from,
 )
-from robodyn.cli.states import remarks
+from robodyn.cli.states import remarks, tell_unknown_contacts
 from robodyn.control.laws import controller
 from robodyn.dynamics.columns import scene_units
 from robodyn.errors import InputError, named_options
@@ -210,6 +210,7 @@ def sweep(
     units, values = dict(scene_units(plan.mechanism)), model.values()
     units |= {x.name: values.unit(x.name) for x in plan.variation.axes if x.name in values}
     only = None if columns is None else chosen_names(columns, plan.columns())
+    tell_unknown_contacts(plan.mechanism, plan.columns())
     lines = _Lines(plan.columns(), units, only)
     outcomes: Counter[str] = Counter()
     size = plan.variation.size

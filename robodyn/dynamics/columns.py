@@ -463,9 +463,10 @@ def _free(mechanism: Mechanism) -> list[int]:
 
 
 def _motors(mechanism: Mechanism, electric: bool = False) -> list[int]:
-    from robodyn.mechanics.motors import driving_motors
+    from robodyn.mechanics.motors import motors_at, powered_joints
 
-    return [k for k, x in driving_motors(mechanism) if x.torque_constant or not electric]
+    motors = motors_at(mechanism, powered_joints(mechanism))
+    return [k for k, x in motors if x.torque_constant or not electric]
 
 
 def _cams(mechanism: Mechanism) -> list[int]:
@@ -490,7 +491,7 @@ PLACES: dict[str, Callable[[Mechanism, Sequence[str]], Sequence[str]]] = {
     "g": lambda x, _: _numbers(_known_couplings(x)),  # each coupling
     "d": lambda x, _: _numbers(_drives(x)),  # each coupling that is a law of the time
     "h": lambda x, _: _numbers(_cams(x)),  # each coupling that has a cam
-    "v": lambda x, _: _numbers(_motors(x)),  # each actuated joint with a motor
+    "v": lambda x, _: _numbers(_motors(x)),  # each actuated or driven joint with a motor
     "e": lambda x, _: _numbers(_motors(x, electric=True)),  # the same, with its constants
     "l": lambda x, _: _numbers(_loops(x)),  # each loop that has a transmission angle
     "P": lambda _, points: points,  # each point

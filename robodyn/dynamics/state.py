@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from itertools import chain
+from string import ascii_lowercase
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,7 +36,7 @@ from robodyn.errors import InputError, overflow
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.loop_rates import check_way_on, loop_accelerations
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.motors import motor_values
+from robodyn.mechanics.motors import drives, motor_values, powered_joints
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
@@ -208,7 +209,12 @@ class State:
     @cached_property
     def motors(self) -> list[Array]:
         """Torque, speed, voltage, current and power of motors, each (T, motors)."""
-        each = motor_values(self.mechanism, list(self.tau.T), list(self.qd.T))
+        tau = list(self.tau.T)
+        first = self.loop_forces.shape[1] - len(self.mechanism.description.couplings)
+        for k, c in drives(self.mechanism).items():
+            tau[k] = self.loop_forces[:, first + c]
+        joints = powered_joints(self.mechanism)
+        each = motor_values(self.mechanism, joints, tau, list(self.qd.T))
         return [np.stack(x, axis=-1) if x else np.zeros((len(self.q), 0)) for x in each]
 
     # where points go
@@ -286,10 +292,12 @@ def motor_loads(mechanism: Mechanism, tau: ArrayLike, qd: ArrayLike) -> dict[str
 
     Each is (...), of rates (..., n) and torques of all joints or of the actuated ones, which
     broadcast.  There are those of the actuated joints: `motor1`, `motor_speed1`, and `volt1`,
-    `amp1`, `watt1` of a motor with its constants.  Raises InputError for arrays that are not so
-    wide, or not finite.
+    `amp1`, `watt1` of a motor with its constants.  `State` has those of driven joints too.  Raises
+    InputError for arrays that are not so wide, or not finite.
     """
     given = [as_states(mechanism, name, x) for name, x in (("tau", tau), ("qd", qd))]
     torques, rates = (list(np.moveaxis(x, -1, 0)) for x in np.broadcast_arrays(*given))
-    each = chain.from_iterable(motor_values(mechanism, torques, rates))
-    return dict(zip(column_names(mechanism, MOTORS), each, strict=True))
+    each = motor_values(mechanism, mechanism.actuated, torques, rates)
+    own = [f"{k + 1}" for k in mechanism.actuated]
+    names = [x for x in column_names(mechanism, MOTORS) if x.lstrip("_" + ascii_lowercase) in own]
+    return dict(zip(names, chain.from_iterable(each), strict=True))

@@ -66,16 +66,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     are in the turn nearest to q.  Raises InputError for what MJCF cannot say, and for links without
     mass or inertia, which MuJoCo refuses; AssemblyError where no pose is found that closes.
     """
-    mechanism.check_masses(still=True)
-    description = mechanism.description
-    refuse_unsaid(mechanism, "MJCF", REASONS, SAID, _unsaid, KINDS)
-    for k, link in enumerate(description.links):
-        for key, value in (("m", link.m), ("I", link.I)):
-            if value < MINIMUM and (key == "m" or mechanism.frames[k] is not None):
-                limit = f"MuJoCo takes nothing that moves with less than {MINIMUM:g} of mass (kg)"
-                limit += " or inertia (kg m^2): give it a little"
-                place = f"links[{k}] ({link.name}).{key}"
-                raise InputError(place, where=description.source, value=value, limit=limit)
+    check_mjcf(mechanism)
     if q is None and mechanism.rows:
         q = first_pose(mechanism, t=0.0).tolist()
     model = _Elements(mechanism, timestep, q)
@@ -96,6 +87,20 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
         angles = " ".join(number(q[k]) for k in model.order)
         SubElement(keys, "key", name="start", qpos=angles)
     return document(root, comment(mechanism, model.names))
+
+
+def check_mjcf(mechanism: Mechanism) -> None:
+    """Raise InputError for what MJCF cannot say, and for links without mass or inertia."""
+    mechanism.check_masses(still=True)
+    description = mechanism.description
+    refuse_unsaid(mechanism, "MJCF", REASONS, SAID, _unsaid, KINDS)
+    for k, link in enumerate(description.links):
+        for key, value in (("m", link.m), ("I", link.I)):
+            if value < MINIMUM and (key == "m" or mechanism.frames[k] is not None):
+                limit = f"MuJoCo takes nothing that moves with less than {MINIMUM:g} of mass (kg)"
+                limit += " or inertia (kg m^2): give it a little"
+                place = f"links[{k}] ({link.name}).{key}"
+                raise InputError(place, where=description.source, value=value, limit=limit)
 
 
 def _unsaid(place: str, signal: Signal) -> str:

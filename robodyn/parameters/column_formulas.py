@@ -50,7 +50,7 @@ from robodyn.loops.closing import PASSES, loop_size
 from robodyn.loops.dyads import by_dyads, known_joints
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.mechanics.motors import motor_values
+from robodyn.mechanics.motors import drives, motor_values, powered_joints
 from robodyn.mechanics.planar_model import ClosureRow
 from robodyn.scene.expressions import NO_BENDS, check_smooth
 from robodyn.scene.quantities import Variables, expressions
@@ -272,9 +272,12 @@ class ColumnFormulas:
     @cached_property
     def motors(self) -> list[Any]:
         """The columns of motors."""
-        torques = dict(zip(self.mechanism.actuated, self.forces, strict=False))
+        torques: dict[int, Value] = dict(zip(self.mechanism.actuated, self.forces, strict=False))
+        first = len(self.loop_forces) - len(self.mechanism.description.couplings)
+        torques |= {k: self.loop_forces[first + c] for k, c in drives(self.mechanism).items()}
         each = [torques.get(k, 0.0) for k in range(self.mechanism.n)]
-        return [*chain(*motor_values(self.named, each, self.state.relative["qd"]))]
+        joints = powered_joints(self.mechanism)
+        return [*chain(*motor_values(self.named, joints, each, self.state.relative["qd"]))]
 
     def _turn(self, k: int, order: int) -> Value:
         """The angle of a link, its rate (1) or its acceleration (2)."""
