@@ -338,8 +338,8 @@ def tell_unknown_contacts(mechanism: Mechanism, columns: Iterable[str]) -> None:
         for c, coupling in enumerate(mechanism.description.couplings):
             if coupling.law is not None and coupling.others and coupling.cam is None:
                 note(
-                    f"Note: couplings[{c}] = {coupling.law.text} has no `cam`, so that the force of "
-                    "its contact on the bearings of its links is not known: reactions lack it"
+                    f"Note: couplings[{c}] = {coupling.law.text} has no `cam`, so that the force "
+                    "of its contact on the bearings of its links is not known: reactions lack it"
                 )
 
 

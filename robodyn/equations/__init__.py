@@ -1,1 +1,1 @@
-"""The equations of motion of a scene, and what their symbols mean."""
+"""The equations of motion of a scene in symbols, and the meaning of their symbols."""

@@ -1,6 +1,6 @@
-"""The equations of motion as code: a Python module or C99, which need nothing but their `math`.
+"""The equations of motion as code: a Python module or C99, which needs nothing but `math`.
 
-There is one function for each matrix and vector, under its name, of q and qd as it needs them: it
+Each matrix and vector becomes a function of its name, with arguments q and qd as needed.  It
 computes sines and cosines, c12 = cos(q1 + q2), and from them the entries that are not zero.
 """
 
@@ -27,7 +27,7 @@ CodeBlock = Block[Value]
 
 
 def python(equations: CodeEquations) -> str:
-    """A module; its matrices are lists of rows, and states are sequences of n numbers."""
+    """Return a Python module; matrices are lists of rows, states sequences of n numbers."""
     lines = [f"# {line}".rstrip() for line in _head(equations)]
     rows = chain.from_iterable(block.rows for block in equations.blocks)
     used = {node.op for node in needed(list(chain.from_iterable(rows)))} & set(FUNCTIONS)
@@ -65,7 +65,7 @@ def _python_function(block: CodeBlock, n: int) -> Iterator[str]:
 
 
 def c99(equations: CodeEquations) -> str:
-    """The text of a file of functions that fill arrays; matrices are arrays of rows."""
+    """Return C99 text with functions that fill arrays; matrices are arrays of rows."""
     n = equations.mechanism.n
     lines = ["/*", *(f" * {_comment(line)}".rstrip() for line in _head(equations)), " */"]
     lines += ["", "#include <math.h>"]
@@ -80,7 +80,7 @@ def c99(equations: CodeEquations) -> str:
 
 
 def _comment(text: str) -> str:
-    """Text that neither ends a comment nor begins another."""
+    """Return text that neither ends a comment nor begins one."""
     return text.replace("*/", "* /").replace("/*", "/ *")
 
 
@@ -111,7 +111,7 @@ def _c_function(block: CodeBlock, n: int) -> Iterator[str]:
 
 
 def _head(equations: CodeEquations) -> Iterator[str]:
-    """The lines of the first comment."""
+    """Yield the lines of the first comment."""
     yield f"{equations.title}: equations of motion, written by robodyn."
     yield ""
     yield from (f"  {line}" for line in equations.told())
@@ -122,14 +122,14 @@ def _head(equations: CodeEquations) -> Iterator[str]:
 
 
 def _meaning(parameter: Parameter) -> str:
-    """For a comment behind its value."""
+    """Return unit and meaning of a parameter, for a comment."""
     return ", ".join(part for part in (parameter.unit, parameter.meaning) if part)
 
 
 def _body(
     block: CodeBlock, symbol: Callable[[str], str], conditional: str = "{2} if {0} < {1} else {3}"
 ) -> tuple[list[str], list[list[str]], set[str]]:
-    """The statements of a block's function, the entries made of them, and the inputs it uses."""
+    """Return the statements of a block's function, its entries, and the inputs that it uses."""
     listed = block.listed()
     outputs = [entry for _, entry in listed]
     names = _names(outputs)
@@ -157,15 +157,15 @@ def _body(
 
 
 def _parted(variable: str) -> tuple[str, int]:
-    """The letters of an input, and its joint counted from 1: q0 -> q, 1."""
+    """Return the letters of an input and its joint counted from 1: q0 -> q, 1."""
     letters = variable.rstrip("0123456789")
     return letters, int("0" + variable[len(letters) :]) + 1
 
 
 def _names(outputs: Sequence[Value]) -> dict[int, str]:
-    """c12, s12 and w12 for cos(q1 + q2), sin(q1 + q2) and qd1 + qd2.
+    """Return names such as c12, s12 and w12 for cos(q1 + q2), sin(q1 + q2) and qd1 + qd2.
 
-    A long angle has a name as well, a_1to5; a short one is written out.
+    A long angle gets a name too, a_1to5; a short one is written out.
     """
     sums: dict[int, tuple[str, tuple[int, ...]]] = {}  # of angles or rates: letters, joints
     names: dict[int, str] = {}
@@ -187,7 +187,7 @@ def _names(outputs: Sequence[Value]) -> dict[int, str]:
 
 
 def _joints(joints: Sequence[int]) -> str:
-    """123, or _1to4_12 where that is shorter or the other could be read otherwise."""
+    """Return joint numbers as text: 123, or _1to4_12 if that is shorter or unambiguous."""
     if len(joints) <= SHORT and max(joints) <= 9:
         return "".join(map(str, joints))
     runs: list[tuple[int, int]] = []
@@ -200,7 +200,7 @@ def _joints(joints: Sequence[int]) -> str:
 
 
 def _wrapped(parts: Iterable[str], opening: str, closing: str) -> list[str]:
-    """Parts in a row between `opening` and `closing`, on as many lines as they need."""
+    """Return comma-separated parts between `opening` and `closing`, on as many lines as needed."""
     line = f"{opening}{', '.join(parts)}{closing}"
     if len(line) <= WIDTH:
         return [line]

@@ -2,10 +2,10 @@
 
     velocities -> KE, PE -> L = KE - PE -> d/dt dL/dqd - dL/dq = tau + .. -> loops, lambda
 
-A velocity is kept as parts, each with the joints that it was turned through, so that squares are
-built part by part and no identity of sines is needed.  KE, a sum of products, gives all else by
-one product rule with a table of slopes of its atoms.  M, G, Psi, Psidot qd and gap are written as
-in the equations themselves, and M is that of KE, product by product.
+A velocity is a sum of parts, each with the joints that it was turned through.  So squares are
+formed part by part, and no identity of sines is needed.  KE is a sum of products; everything else
+follows from it by the product rule, with a table of derivatives of its atoms.  M, G, Psi, Psidot qd
+and gap are written as in the equations; M agrees with KE product by product.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ FORM = (as_one, by_angle, by_function)
 
 
 class Name(NamedTuple):
-    """A name as it is read, in LaTeX, and in the syntax of Python."""
+    """A name in plain text, in LaTeX, and in the syntax of Python."""
 
     plain: str
     latex: str
@@ -80,22 +80,22 @@ class Name(NamedTuple):
 
     @property
     def identifier(self) -> str:
-        """It in Python."""
+        """The name in Python."""
         return self.code or self.plain
 
 
 class Vector(NamedTuple):
-    """The components of a vector."""
+    """Components of a vector."""
 
     x: Sum
     y: Sum
 
 
 class Carried(NamedTuple):
-    """How the velocity of the joint of link k follows from link `above` (None: the ground).
+    """The velocity of the joint of link k from that of link `above` (None: the ground).
 
-    R^T (v + omega x arm) [+ omega x (q, 0) + (qd, 0)]: R turns by the angle of joint k, which
-    counts from `along`, or of one that slides by its axis `along`; None where that is the x axis.
+    R^T (v + omega x arm) [+ omega x (q, 0) + (qd, 0)]: R turns by the angle of joint k.  That angle
+    is measured from `along`; for a sliding joint `along` is its axis.  None means the x axis.
     """
 
     k: int
@@ -107,7 +107,7 @@ class Carried(NamedTuple):
 
 
 class Turned(NamedTuple):
-    """A vector of the frame of the link above in that of link k, which turns: R^T times it."""
+    """A vector of the frame above, expressed in the frame of link k: R^T times the vector."""
 
     k: int
     vector: Vector
@@ -122,9 +122,9 @@ class Offset(NamedTuple):
 
 
 class Groups(NamedTuple):
-    """A sum in parts of parts: where it is too long for a line each group begins one.
+    """A sum in groups of terms; if it is too long for a line, each group begins a line.
 
-    Of a group that is too long itself each part does.
+    If a group is still too long, each of its terms begins a line.
     """
 
     parts: tuple[tuple[Sum, ...], ...]
@@ -134,7 +134,7 @@ Right = Sum | Formula | Vector | Carried | Turned | Offset | Groups
 
 
 class Line(NamedTuple):
-    """left = right = ..; without `right` a sentence, or formulas that are no sum."""
+    """An equation left = right = ..; without `right`, a sentence or formulas."""
 
     left: Name | Sum | None = None
     right: tuple[Right, ...] = ()
@@ -143,16 +143,16 @@ class Line(NamedTuple):
 
 
 class Section(NamedTuple):
-    """A heading, and blocks of lines that belong together."""
+    """A heading with blocks of lines that belong together."""
 
     title: str
     blocks: tuple[tuple[Line, ...], ...]
 
 
 class Part(NamedTuple):
-    """c exp(-i turn) rate of a velocity in its link's frame, or c exp(i turn) of a place.
+    """A part c exp(-i turn) rate of a velocity in its link's frame, or c exp(i turn) of a place.
 
-    `turn` are the joints that turn it.
+    `turn` lists the joints that turn it.
     """
 
     c: Planar
@@ -164,7 +164,7 @@ Parts = tuple[Part, ...]
 
 
 def check_size(mechanism: Mechanism) -> None:
-    """Raise InputError for more links than a derivation is written of, or without masses."""
+    """Raise InputError if a mechanism has too many links for a derivation, or no masses."""
     if mechanism.n > MOST_LINKS:
         limit = f"at most {MOST_LINKS} links; the equations without --steps have no limit"
         value = f"{mechanism.n} links"
@@ -173,7 +173,7 @@ def check_size(mechanism: Mechanism) -> None:
 
 
 def check_potentials(mechanism: Mechanism) -> None:
-    """Raise InputError for an element with a potential of which no derivation is written."""
+    """Raise InputError for an element whose potential energy cannot be derived."""
     for place, element in mechanism.description.elements:
         parts = (x.stored() for x in element.placed(mechanism.tree))
         if not isinstance(element, SPRINGS) and any(x is not None for x in parts):
@@ -182,27 +182,27 @@ def check_potentials(mechanism: Mechanism) -> None:
 
 
 def said(*told: str | Vector) -> Line:
-    """A line that is a sentence: its words, and vectors between them."""
+    """Return a line that is a sentence of words and vectors."""
     return Line(told=told)
 
 
 def shown(plain: str, latex: str) -> Line:
-    """A line of formulas that are no equations of sums, as text and in LaTeX."""
+    """Return a line of formulas, as text and in LaTeX."""
     return Line(told=(plain,), latex=latex)
 
 
 def entry_name(letter: str, *numbers: int, latex: str = "") -> Name:
-    """M12, Psi21, lambda1, (Psidot qd)1, numbers from 0."""
+    """Return the name of an entry, such as M12, Psi21, (Psidot qd)1; `numbers` count from 0."""
     index = "".join(str(k + 1) for k in numbers)
     plain = f"({letter}){index}" if " " in letter else f"{letter}{index}"
     return Name(plain, f"{latex or letter}_{{{index}}}", letter.replace(" ", "_") + index)
 
 
 class Derivation:
-    """The derivation of the equations of one scene: its `sections`, and the `names` in them.
+    """The derivation of a scene's equations: its `sections`, and the `names` used in them.
 
-    Raises InputError for a mechanism of more than MOST_LINKS links, and for an element whose
-    potential energy it does not know.
+    Raises InputError for more than MOST_LINKS links, and for an element with unknown potential
+    energy.
     """
 
     def __init__(self, equations: Equations[Sum]) -> None:
@@ -235,7 +235,7 @@ class Derivation:
 
     @cached_property
     def sections(self) -> list[Section]:
-        """All that have something to tell, numbered."""
+        """All sections that are not empty, numbered."""
         told: list[tuple[str, Iterator[list[Line]]]] = [
             ("Frames and angles", self._frames()),
             ("Velocities, each in its link's own frame", self._velocities()),
@@ -256,7 +256,7 @@ class Derivation:
 
     @property
     def further_symbols(self) -> list[Parameter]:
-        """The symbols of the scene that stand in the steps and not in the equations."""
+        """Symbols of the scene that occur in the steps but not in the equations."""
         used: set[str] = set()
         for section in self.sections:
             for line in (line for block in section.blocks for line in block):
@@ -267,30 +267,30 @@ class Derivation:
     # -- numbers, names and sums -------------------------------------------------------------------
 
     def put(self, entry: Any) -> Any:
-        """Return a sum with the scene's numbers for its symbols if the derivation is numeric."""
+        """Return a sum, with the scene's numbers for its symbols if the derivation is numeric."""
         known = self.equations.known
         return entry.substituted(known.values) if self.equations.numeric else entry
 
     def atom(self, name: Name) -> Atom:
-        """The name as a factor."""
+        """Return a name as a factor."""
         self.names[name.identifier] = name
         return Atom(Role.stretch, (0, name.identifier), name.identifier)
 
     def named(self, letter: str, *numbers: int, latex: str = "") -> Sum:
-        """The name of an entry as a sum."""
+        """Return the name of an entry as a sum."""
         return of(self.atom(entry_name(letter, *numbers, latex=latex)))
 
     def vector(self, at: Any) -> Vector:
-        """A point or direction in a frame."""
+        """Return a point or direction as a vector."""
         return Vector(self.put(summed(at.real)), self.put(summed(at.imag)))
 
     def omega(self, k: int | None) -> Sum:
-        """The rate at which a link turns, zero where it cannot."""
+        """Return the angular velocity of a link; zero if it cannot turn."""
         path = self.paths[k]
         return of(Atom(Role.rate, path)) if path else ZERO
 
     def fold(self, entry: Sum) -> Sum:
-        """Return a sum with omega_k in place of sums of rates, where entries of M have names."""
+        """Return a sum with omega_k for sums of rates, in scenes where M has named entries."""
         if not self.folded:
             return entry
 
@@ -303,7 +303,10 @@ class Derivation:
         return Sum({tuple((renamed(x), power) for x, power in m): number for m, number in terms})
 
     def _turning(self, place: tuple[int, ...], least: int = 2) -> Atom:
-        """The rates of these joints added up: omega_k where a link k turns so, by so many."""
+        """Return the sum of rates of these joints; omega_k if link k turns so.
+
+        Sums of fewer than `least` rates are written out.
+        """
         k = next((k for k in self.joints if self.paths[k] == place), None)
         if len(place) < least or k is None:
             return Atom(Role.rate, place)
@@ -314,7 +317,7 @@ class Derivation:
     # -- where links are, and how they move --------------------------------------------------------
 
     def _place_link(self, k: int) -> None:
-        """Path, axes, place and velocity of the joint of link k."""
+        """Store path, axes, place and velocity of the joint of link k."""
         link = self.links[k]
         above, at = link.hangs_from.link, planar(link.hangs_from.at)
         path, unit = self.paths[above], self.units[above]
@@ -337,13 +340,13 @@ class Derivation:
         self.places[k] = place
 
     def point_velocity(self, k: int, at: Planar) -> Parts:
-        """The velocity of a point of link k in its frame."""
+        """Return the velocity of a point of link k in its frame."""
         if not at or not self.paths[k]:
             return self.moved[k]
         return *self.moved[k], Part(Planar(-at.imag, at.real), (), self.omega(k))
 
     def point_place(self, point: Point) -> Parts:
-        """Where a point is, in the ground's frame."""
+        """Return the place of a point in the ground's frame."""
         return self._place_on(point.link, planar(point.at))
 
     def _place_on(self, k: int | None, at: Planar) -> Parts:
@@ -351,7 +354,7 @@ class Derivation:
         return (*place, Part(self.units[k] * at, self.paths[k])) if at else place
 
     def components(self, parts: Parts, sign: int) -> Vector:
-        """Of c exp(i sign turn) rate, added up."""
+        """Return the components of the sum of c exp(i sign turn) rate."""
         x, y = ZERO, ZERO
         for c, turn, rate in parts:
             cos, sin = cosine(turn), sine(turn)
@@ -360,13 +363,13 @@ class Derivation:
         return Vector(*(self.put(simplified(each)) for each in (x, y)))
 
     def velocity(self, parts: Parts) -> Vector:
-        """A velocity, as it is written."""
+        """Return a velocity in the form in which it is written."""
         return Vector(*(written(each, BY_RATE) for each in self.components(parts, -1)))
 
     # -- kinetic energy ----------------------------------------------------------------------------
 
     def _kinetic(self, k: int) -> tuple[Sum, tuple[Sum, ...]]:
-        """That of link k, its payload and the rotor at its joint: without brackets, and written."""
+        """Return the kinetic energy of link k, with payload and rotor: expanded, and as written."""
         link, flat, pieces = self.links[k], [], []
         masses = [(summed(link.m), planar(link.r))]
         masses += [(summed(link.payload), Planar(summed(link.l), ZERO))]
@@ -394,14 +397,14 @@ class Derivation:
         return whole, tuple(pieces)
 
     def _halved(self, mass: Sum, squares: Sequence[Sum]) -> Sum:
-        """1/2 m (..), each square and each product of two parts as it is written."""
+        """Return 1/2 m (..), with each square and each product of two parts as written."""
         terms: dict[Monomial, Number] = {}
         for each in squares:
             terms |= written(each, (as_one, by_function)).terms
         return bracketed(mass, Sum(terms), HALF)
 
     def _inertia(self, i: int, j: int) -> Sum:
-        """M_ij: the second derivative of KE by the rates i and j."""
+        """Return M_ij, the second derivative of KE by the rates i and j."""
 
         def by_rate(k: int) -> Callable[[Atom], Sum]:
             return lambda x: ONE if x.role == Role.rate and k in x.place else ZERO
@@ -411,7 +414,7 @@ class Derivation:
     # -- potential energy --------------------------------------------------------------------------
 
     def _weights(self) -> Iterator[tuple[Name, tuple[Sum, ...]]]:
-        """That of the weight of each link and of its payload."""
+        """Yield name and potential energy of each link's weight and payload."""
         gx, gy = planar(self.scene.gravity).real, planar(self.scene.gravity).imag
         for k, link in enumerate(self.links):
             pieces = []
@@ -422,7 +425,7 @@ class Derivation:
             yield entry_name("PE", k), tuple(pieces)
 
     def _springs(self) -> Iterator[tuple[Name, tuple[Sum, ...]]]:
-        """That of springs, multiplied out where G is, else by their lengths."""
+        """Yield name and energy of each spring, expanded if G is, else by its length."""
         pulls = {x.name for x in self.blocks["G"].where} if "G" in self.blocks else set()
         for i, spring in enumerate(self.scene.springs):
             if not isinstance(spring, SPRINGS):
@@ -445,7 +448,7 @@ class Derivation:
                 yield name, (bracketed(self.put(stiffness), written(square, FORM), HALF),)
 
     def _between(self, item: PointSpring | Closure) -> Parts:
-        """The first end less the second, without what cancels."""
+        """Return the first end less the second, without parts that cancel."""
         found: dict[tuple[int, ...], Planar] = {}
         for sign, point in ((1, item.first), (-1, item.second)):
             for c, turn, _ in self.point_place(point):
@@ -454,7 +457,7 @@ class Derivation:
         return tuple(Part(c, turn) for turn, c in found.items() if c)
 
     def _loads(self) -> Iterator[tuple[Name, tuple[Sum, ...]]]:
-        """That of constant loads."""
+        """Yield name and potential energy of constant loads."""
         for i, load in enumerate(self.scene.loads):
             name = Name(f"PEl{i + 1}", rf"PE_{{l{i + 1}}}")
             if isinstance(load, Moment):
@@ -471,14 +474,14 @@ class Derivation:
                     yield name, (written(energy, (by_role(Role.force), by_angle)),)
 
     def _constant(self, load: Force) -> bool:
-        """Whether a force is that of a potential: it neither varies nor turns."""
+        """Return whether a force has a potential: it neither varies nor turns."""
         steady = not load.varied and not load.moves
         return steady and not (load.turns and self.paths[load.point.link])
 
     # -- slopes ------------------------------------------------------------------------------------
 
     def by_joint(self, joint: int) -> Callable[[Atom], Sum]:
-        """The derivatives of atoms by q of a joint."""
+        """Return a function that differentiates atoms by q of a joint."""
 
         def found(atom: Atom) -> Sum:
             if atom.role == Role.angle:
@@ -491,7 +494,7 @@ class Derivation:
 
     @staticmethod
     def by_time(atom: Atom) -> Sum:
-        """The derivatives of atoms by time, rates apart."""
+        """Return the time derivative of an atom, with rates held."""
         if atom.role == Role.angle:
             return of(Atom(Role.rate, atom.place))
         if atom.role == Role.function and atom.speed is None:
@@ -501,12 +504,12 @@ class Derivation:
 
     @cached_property
     def bent(self) -> list[Sum]:
-        """dKE/dq_i of each joint."""
+        """dKE/dq_i for each joint."""
         return [simplified(slope(self.KE, self.by_joint(i))) for i in self.joints]
 
     @cached_property
     def changing(self) -> list[Sum]:
-        """What the rates alone make of d/dt dL/dqd_i: (Mdot qd)_i."""
+        """(Mdot qd)_i for each joint: the part of d/dt dL/dqd_i without accelerations."""
         rates = [of(Atom(Role.rate, (j,))) for j in self.joints]
         rows = (
             (slope(entry, self.by_time) * rate for entry, rate in zip(row, rates, strict=True))
@@ -516,14 +519,14 @@ class Derivation:
 
     @cached_property
     def coriolis(self) -> list[Sum]:
-        """(C qd)_i = (Mdot qd)_i - dKE/dq_i."""
+        """(C qd)_i = (Mdot qd)_i - dKE/dq_i for each joint."""
         pairs = zip(self.changing, self.bent, strict=True)
         return [simplified(moving - bent) for moving, bent in pairs]
 
     # -- how terms with two rates are written ------------------------------------------------------
 
     def forms(self, flat: Sum) -> list[Sum]:
-        """A sum of terms with two rates, one part for each quadratic form."""
+        """Split a sum of terms with two rates into its quadratic forms."""
         found = []
         for form, before in forms_of(in_place(flat, "C")):
             rates, number = self._rates(form)
@@ -537,7 +540,7 @@ class Derivation:
         return found
 
     def _rates(self, form: Form) -> tuple[Monomial, Fraction]:
-        """A quadratic form as factors, and the number before them."""
+        """Return a quadratic form as factors, and the number before them."""
         turning = dict.fromkeys(path for path in self.paths.values() if path)
         if self.folded and (found := difference_of_squares(form, [*turning])) is not None:
             one, two, number = found
@@ -557,7 +560,7 @@ class Derivation:
         return ((self._linear(first), 1), (self._linear(second), 1)), number
 
     def _linear(self, form: Linear) -> Atom | Sum:
-        """A sum of rates as one factor; in a scene that is folded by omega_k, or two of them."""
+        """Return a sum of rates as one factor, by omega_k if the scene is folded."""
         joints = tuple(k for k, _ in form)
         if all(x == 1 for _, x in form):
             if len(form) == 1 or not self.folded or joints in self.paths.values():
@@ -598,7 +601,7 @@ class Derivation:
             yield [self._angular(k), self._joint_velocity(k, above), *self._point_velocities(k)]
 
     def _angular(self, k: int) -> Line:
-        """omega2 = omega1 + qd2 = qd1 + qd2."""
+        """Return the line omega2 = omega1 + qd2 = qd1 + qd2."""
         above, path = self.links[k].hangs_from.link, self.paths[k]
         own = of(Atom(Role.rate, (k,)))
         rates = total(of(Atom(Role.rate, (j,))) for j in path)
@@ -610,7 +613,7 @@ class Derivation:
         return Line(name, tuple(right))
 
     def _joint_velocity(self, k: int, above: int | None) -> Line:
-        """v2 = R(q2)^T (v1 + omega1 x (l1, 0)) = R(q2)^T (..) = (..)."""
+        """Return the line v2 = R(q2)^T (v1 + omega1 x (l1, 0)) = R(q2)^T (..) = (..)."""
         link, found = self.links[k], self.velocity(self.moved[k])
         right: list[Right] = []
         if above is not None and (self.moved[above] or self.paths[above] or link.slides):
@@ -625,7 +628,7 @@ class Derivation:
         return Line(name, (*right, found))
 
     def _point_velocities(self, k: int) -> Iterator[Line]:
-        """Of the centre of gravity, and of the payload."""
+        """Yield the velocities of the centre of gravity and of the payload."""
         link = self.links[k]
         points = [("C", link.m, planar(link.r)), ("P", link.payload, Planar(summed(link.l), ZERO))]
         for letter, m, at in points:
@@ -645,7 +648,7 @@ class Derivation:
         yield [*lines, Line(Name("KE", "KE"), self._summed(names, whole))]
 
     def _summed(self, names: Sequence[Sum], whole: Sum) -> tuple[Right, ...]:
-        """An energy as the sum of names, and written out where that is not too long."""
+        """Return an energy as a sum of names, and written out if that is not too long."""
         right: list[Right] = [joined(names)]
         if len(one_line(PLAIN.text(whole))) <= LONG_ENERGY and (len(names) > 1 or not names):
             right.append(whole)
@@ -683,7 +686,7 @@ class Derivation:
         yield [Line(Name("L", "L"), tuple(right))]
 
     def _inertial(self, i: int, letter: str) -> list[Sum]:
-        """The terms of row i of M times rates or accelerations."""
+        """Return the terms of row i of M times rates or accelerations."""
         found, M = [], self.blocks["M"].rows
         for j in self.joints:
             if not M[i][j]:
@@ -698,7 +701,7 @@ class Derivation:
         return [joined(found)] if self.folded and found else found
 
     def _gradient(self, i: int) -> list[Sum]:
-        """G_i as it is written."""
+        """Return G_i as written."""
         G = self.blocks["G"].rows[i][0] if "G" in self.blocks else ZERO
         return [G] if G else []
 
@@ -752,7 +755,7 @@ class Derivation:
         yield sentences
 
     def _split(self) -> Iterator[Line]:
-        """What squares of rates make of C qd, and what products of two do."""
+        """Yield the centrifugal (squares) and Coriolis (products) parts of C qd."""
         for i in self.joints:
             squares: list[Sum] = []
             products: list[Sum] = []
@@ -772,12 +775,12 @@ class Derivation:
                     yield Line(left, (grouped(self.forms(flat)),))
 
     def _damped(self, i: int) -> list[Sum]:
-        """d_i qd_i."""
+        """Return d_i qd_i."""
         D = self.blocks["D"].rows[i][i] if "D" in self.blocks else ZERO
         return [before_name(D, Atom(Role.rate, (i,)))] if D else []
 
     def _other(self, i: int) -> list[Sum]:
-        """The name of Q_i, where it is not zero."""
+        """Return the name of Q_i if it is not zero."""
         Q = self.blocks["Q"].rows[i][0] if "Q" in self.blocks else ZERO
         return [self.named("Q", i)] if Q else []
 
@@ -851,7 +854,7 @@ class Derivation:
         yield from self._multipliers()
 
     def _law_rate(self, r: int) -> Sum:
-        """The rate of a row with a law: Psi qd, and what the time moves."""
+        """Return the rate of a row with a law: Psi qd plus its partial time derivative."""
         entries = enumerate(self.blocks["Psi"].rows[r])
         parts = [expanded(x) * of(Atom(Role.rate, (k,))) for k, x in entries if x]
         if "gap_t" in self.blocks:
@@ -859,12 +862,12 @@ class Derivation:
         return total(parts)
 
     def _is_point(self, r: int) -> bool:
-        """Whether a row of the gap is one of points, measured along a fixed direction."""
+        """Return whether a row of the gap measures points along a fixed direction."""
         row = self.mechanism.rows[r]
         return row.closure is not None and row.line is None and row.arm == 0.0
 
     def _cuts(self) -> Iterator[Line]:
-        """Where each loop was cut, and what the further rows are."""
+        """Yield where each loop was cut, and the meaning of further rows."""
 
         def body(point: Point) -> str:
             return "the ground" if point.link is None else printable(self.links[point.link].name)
@@ -884,7 +887,7 @@ class Derivation:
             yield said(f"Coupling {c + 1} ties {told}: a further row of gap and Psi.")
 
     def _multipliers(self) -> Iterator[list[Line]]:
-        """lambda, f, and the equation of motion without lambda."""
+        """Yield lambda, f, and the equation of motion without lambda."""
         driven = self.equations.driven("tau{}")
         q = ", ".join(f"q{k + 1}" for k in self.joints)
         terms = [x for x in ("C", "D", "G") if x in self.blocks and not self.blocks[x].zero]
@@ -928,7 +931,7 @@ class Derivation:
             yield from self._eliminated(blocks, forces)
 
     def _acting(self, i: int) -> list[list[Sum]]:
-        """f_i = tau_i + Q_i - (C qd)_i - (D qd)_i - G_i."""
+        """Return the terms of f_i = tau_i + Q_i - (C qd)_i - (D qd)_i - G_i."""
         driven = i in self.mechanism.actuated
         taken = (self.forms(self.coriolis[i]), self._damped(i), self._gradient(i))
         return [
@@ -938,7 +941,7 @@ class Derivation:
         ]
 
     def _coupled_joints(self) -> list[list[int]]:
-        """The joints that M joins, block by block."""
+        """Return the blocks of joints that M couples."""
         M, left, found = self.blocks["M"].rows, set(self.joints), []
         while left:
             block = [left.pop()]
@@ -950,7 +953,7 @@ class Derivation:
         return sorted(found)
 
     def _eliminated(self, blocks: Sequence[Sequence[int]], forces: Any) -> Iterator[list[Line]]:
-        """N = M^-1, W = Psi N Psi^T, b, lambda, and the rows with them, in names."""
+        """Yield N = M^-1, W = Psi N Psi^T, b, lambda, and their rows, in names."""
         known = self.equations.known.known  # of which a rotor's damping may be b1
         letter = next(x for x in "bcu" if not {f"{x}1", f"{x}2"} & known.keys())
         yield [
@@ -1029,7 +1032,7 @@ class Derivation:
 
 
 def _atoms(item: Any) -> Iterator[Atom]:
-    """The atoms of all sums in parts of a line."""
+    """Yield the atoms of all sums in parts of a line."""
     if isinstance(item, Sum | Formula):
         yield from item.atoms()
     elif isinstance(item, tuple):
@@ -1038,29 +1041,29 @@ def _atoms(item: Any) -> Iterator[Atom]:
 
 
 def planar(at: Any) -> Planar:
-    """A point or direction of a scene in symbols."""
+    """Return a point or direction of a scene in symbols."""
     return Planar(summed(at.real), summed(at.imag))
 
 
 def cosine(turn: tuple[int, ...]) -> Sum:
-    """cos of the sum of these joints' angles."""
+    """Return the cosine of the sum of these joints' angles."""
     return of(Atom(Role.function, turn, "cos")) if turn else ONE
 
 
 def sine(turn: tuple[int, ...]) -> Sum:
-    """sin of the same."""
+    """Return the sine of the sum of these joints' angles."""
     return of(Atom(Role.function, turn, "sin")) if turn else ZERO
 
 
 def derived(atom: Atom) -> Sum:
-    """The derivative of a sine or cosine by its angle."""
+    """Return the derivative of a sine or cosine by its angle."""
     if atom.name == "sin":
         return of(atom._replace(name="cos"))
     return -of(atom._replace(name="sin"))
 
 
 def squared(parts: Parts, sign: int = 1) -> Iterator[Sum]:
-    """|sum of c exp(-i sign turn) rate|^2: the squares, then twice the products of two parts."""
+    """Yield |sum of c exp(-i sign turn) rate|^2: squares, then twice the products of two parts."""
     for c, _, rate in parts:
         for part in (c.imag, c.real)[::sign]:
             if part:
@@ -1075,7 +1078,7 @@ def squared(parts: Parts, sign: int = 1) -> Iterator[Sum]:
 
 
 def bracketed(first: Sum, second: Sum, number: Number, power: int = 1) -> Sum:
-    """number first second^power, sums of more than one term in brackets."""
+    """Return number first second^power, with sums of several terms in brackets."""
     factors: list[tuple[Any, Any]] = []
     for each, times in ((first, 1), (second, power)):
         own, before = as_factors(each)
@@ -1085,7 +1088,7 @@ def bracketed(first: Sum, second: Sum, number: Number, power: int = 1) -> Sum:
 
 
 def before_name(entry: Sum, name: Atom) -> Sum:
-    """An entry of a matrix times what stands behind it: a rate, an acceleration, a multiplier."""
+    """Return a matrix entry times what follows it: a rate, acceleration or multiplier."""
     factors, number = as_factors(entry)
     factors = (*factors, (name, 1))
     if len(entry.terms) == 1 and name.role == Role.rate:  # a rate among symbols has its place there
@@ -1094,7 +1097,7 @@ def before_name(entry: Sum, name: Atom) -> Sum:
 
 
 def as_factors(entry: Sum) -> tuple[Monomial, Number]:
-    """Return a sum as factors and a number: one bracket where it has more terms than one."""
+    """Return a sum as factors and a number; a sum of several terms is one bracket."""
     if len(entry.terms) != 1:
         return ((entry, 1),), 1
     ((factors, number),) = entry.terms.items()
@@ -1102,7 +1105,7 @@ def as_factors(entry: Sum) -> tuple[Monomial, Number]:
 
 
 def joined(parts: Iterable[Sum]) -> Sum:
-    """The terms of all parts, one after the other, as they are written."""
+    """Return the terms of all parts, in the order in which they are written."""
     terms: dict[Monomial, Number] = {}
     for part in parts:
         for monomial, number in part.terms.items():
@@ -1111,12 +1114,12 @@ def joined(parts: Iterable[Sum]) -> Sum:
 
 
 def grouped(*groups: Sequence[Sum]) -> Right:
-    """A sum in groups of terms, each of which may begin a line."""
+    """Return a sum in groups of terms, each of which may begin a line."""
     return Groups(tuple(tuple(x) for x in groups if x)) if any(groups) else ZERO
 
 
 def over(above: Sum, below: Sum) -> Sum:
-    """A quotient by a name."""
+    """Return a quotient by a name."""
     (((factor, _),),) = below.terms
     if len(above.terms) == 1:
         ((monomial, number),) = above.terms.items()
@@ -1125,7 +1128,7 @@ def over(above: Sum, below: Sum) -> Sum:
 
 
 def in_line(products: Iterable[tuple[Sum, Sum, Sum]]) -> Sum:
-    """A sum of products of names, equal ones added."""
+    """Return a sum of products of names, with equal products added."""
     terms: dict[Monomial, Number] = {}
     for three in products:
         if all(three):
@@ -1140,5 +1143,5 @@ def in_line(products: Iterable[tuple[Sum, Sum, Sum]]) -> Sum:
 
 
 def whole(number: Fraction) -> Number:
-    """An int where it is one."""
+    """Return a number as an int if it is one."""
     return int(number) if number == int(number) else number

@@ -34,13 +34,13 @@ from robodyn.equations.symbolic import Number
 
 
 def derivation_latex(derivation: Derivation) -> str:
-    """A whole document: a subsection for each section, then the result."""
+    """Return a LaTeX document: a subsection for each section, then the result."""
     lines = _lines(derivation, _notation(derivation))
     return document(derivation.equations, "equations of motion, step by step", lines)
 
 
 def _notation(derivation: Derivation) -> Notation:
-    """That of the equations, with the names of the derivation."""
+    """Return the notation of the equations, with the names of the derivation."""
     names = derivation.names
 
     def symbol(name: str) -> str:
@@ -75,7 +75,7 @@ def _lines(derivation: Derivation, notation: Notation) -> Iterator[str]:
 
 
 def _sentence(notation: Notation, line: Line) -> str:
-    """The words of a line that is no equation, vectors in them as rows."""
+    """Return the words of a line that is no equation, with vectors as rows."""
     return "".join(
         escaped(x) if isinstance(x, str) else f"(${notation.text(x.x)},\\; {notation.text(x.y)}$)"
         for x in line.told
@@ -83,7 +83,7 @@ def _sentence(notation: Notation, line: Line) -> str:
 
 
 def _equation(notation: Notation, line: Line) -> Iterator[str]:
-    """The lines of an equation, what is equal below one another."""
+    """Yield the lines of an equation, with equal expressions below one another."""
     if not line.right:
         yield f"& {line.latex}"
         return
@@ -113,7 +113,7 @@ def _sum(notation: Notation, right: Right) -> str:
 
 
 def _vector(notation: Notation, right: Right) -> str:
-    """A vector as a column, or as operations on vectors."""
+    """Return a vector as a column, or as operations on vectors."""
     match right:
         case Vector(x, y):
             rows = " \\\\ ".join(_row(notation.text(each)) for each in (x, y))
@@ -144,7 +144,7 @@ def _vector(notation: Notation, right: Right) -> str:
 
 
 def _row(text: str) -> str:
-    """A component; one that is wider than the page in lines."""
+    """Return a component, on several lines if it is wider than the page."""
     first, *more = broken(text, WIDTH - 20, measure)
     if not more:
         return first
@@ -160,5 +160,5 @@ def _turn(notation: Notation, k: int | None, along: Vector | None) -> str:
 
 
 def _of(frame: int, what: str) -> str:
-    """What is told in the frame of a link."""
+    """Return a quantity with the number of the frame in which it is expressed."""
     return rf"{{}}^{{{frame}}}{what}"

@@ -27,7 +27,7 @@ NOWHERE = Vector(ZERO, ZERO)
 
 
 def derivation_text(derivation: Derivation, width: int = WIDTH) -> str:
-    """The derivation in lines of `width` at most, where they can be broken, and its result."""
+    """Return the derivation and its result as text, wrapped to `width` where possible."""
     equations, width = derivation.equations, max(width, LEAST_WIDTH)
     lines = [f"{equations.title}: equations of motion, step by step"]
     notation = plain_notation(derivation)
@@ -45,10 +45,10 @@ def derivation_text(derivation: Derivation, width: int = WIDTH) -> str:
 
 
 def derivation_json(derivation: Derivation) -> str:
-    """The JSON object of the equations with one key more, `steps`.
+    """Return the JSON object of the equations with another key, `steps`.
 
-    Each step has a title and lines: a `text`, or what is `left` of equal signs and what is `right`
-    of each, in the syntax of Python and SymPy; a vector is a list of two.
+    Each step has a title and lines: a `text`, or the `left` side and a list of `right` sides, in
+    the syntax of Python and SymPy.  A vector is a list of two.
     """
     notation = replace(PYTHON, symbol=str)
     steps = [
@@ -63,7 +63,7 @@ def derivation_json(derivation: Derivation) -> str:
 
 
 def plain_notation(derivation: Derivation) -> Notation:
-    """As the equations are written, the names of the derivation as they are read."""
+    """Return the notation of the equations, with the names of the derivation."""
     names = derivation.names
 
     def symbol(name: str) -> str:
@@ -74,18 +74,18 @@ def plain_notation(derivation: Derivation) -> Notation:
 
 
 def exact(number: Number) -> str:
-    """A number of a formula in symbols, halves as 1/2."""
+    """Return a number of a formula in symbols, halves as 1/2."""
     return str(Fraction(number)) if isinstance(number, Fraction) else six_digits(number)
 
 
 def added_up(texts: list[str]) -> list[str]:
-    """Parts of a sum, all but the first with their signs before them."""
+    """Return the parts of a sum, all but the first with their signs before them."""
     signed = [f"-{GLUE}{x[1:]}" if x[0] == "-" else f"+{GLUE}{x}" for x in texts[1:]]
     return [*texts[:1], *signed]
 
 
 def _in_groups(notation: Notation, groups: Groups, room: int) -> list[str]:
-    """A sum in the parts that begin lines."""
+    """Return a sum as the parts that begin lines."""
     texts = iter(added_up([notation.text(x) for group in groups.parts for x in group]))
     found = []
     for group in groups.parts:
@@ -96,7 +96,7 @@ def _in_groups(notation: Notation, groups: Groups, room: int) -> list[str]:
 
 
 def _text(notation: Notation, right: Right) -> str:
-    """What is right of an equal sign."""
+    """Return the text of a right side."""
     pair = partial(_pair, notation)
     match right:
         case Groups():
@@ -123,7 +123,7 @@ def _text(notation: Notation, right: Right) -> str:
 
 
 def _turn(notation: Notation, k: int | None, along: Vector | None) -> str:
-    """R^T of the angle of joint k, if it turns, and of a direction that it counts from."""
+    """Return the text of R^T of joint k's angle, and of the direction from which it is measured."""
     turns = [] if k is None else [f"R(q{k + 1})^T"]
     return GLUE.join(turns + ([] if along is None else [f"R{_pair(notation, along)}^T"]))
 
@@ -133,13 +133,13 @@ def _pair(notation: Notation, vector: Vector) -> str:
 
 
 def _sentence(notation: Notation, line: Line) -> str:
-    """The words of a line that is no equation."""
+    """Return the words of a line that is no equation."""
     parts = (x if isinstance(x, str) else one_line(_pair(notation, x)) for x in line.told)
     return "".join(parts)
 
 
 def _laid_out(notation: Notation, line: Line, width: int) -> list[str]:
-    """A line of the derivation as lines of text."""
+    """Return a line of the derivation as lines of text."""
     if not line.right:
         told = _sentence(notation, line)
         if line.latex:
@@ -168,7 +168,7 @@ def _laid_out(notation: Notation, line: Line, width: int) -> list[str]:
 
 
 def _entry(derivation: Derivation, notation: Notation, line: Line) -> dict[str, object]:
-    """A line as JSON has it; what is told in vectors' own words is left out."""
+    """Return a line for JSON; operations on vectors are left out."""
     if not line.right:
         plain = plain_notation(derivation)
         return {"text": _sentence(plain, line)}

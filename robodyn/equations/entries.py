@@ -1,10 +1,11 @@
-"""The entries of a scene's equations of motion, from the rows that robodyn computes with.
+"""The entries of a scene's equations of motion, from the rows with which robodyn computes.
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0
 
-The rows (`mechanics/equations_of_motion.py`) are written for a mechanism whose numbers are symbols
-or recorded arithmetic, of which each block takes what makes it.  The rates alone make h = C qd, a
-quadratic form of them, and the Christoffel C is symmetric in the two rates of each term, so that
+The rows (`mechanics/equations_of_motion.py`) are evaluated for a mechanism whose numbers are
+symbols or recorded arithmetic.  Each block uses only the parts of the mechanism that enter it.  The
+rates alone give h = C qd, a quadratic form, and the Christoffel C is symmetric in the two rates of
+each term, so that
 
     C = 1/2 dh/dqd
 """
@@ -29,11 +30,11 @@ CouplingRow = tuple[Value, Mapping[int, Value], LawTerms | None]  # offset, turn
 
 
 class Entries:
-    """The blocks of a mechanism, each from the rows of what makes it.
+    """The blocks of a mechanism, each from the rows that produce it.
 
-    `named` is the mechanism without its couplings, whose rows are `couplings`; `state` makes the
-    state at which the rows are taken, with rates qd, and `at` is the last of these.  M and C are
-    J^T W J; `shared` may return names in place of the entries of W (level 0) and of W J (level 1).
+    `named` is the mechanism without its couplings, whose rows are `couplings`.  `state` makes the
+    state at which rows are evaluated, with rates qd; `at` is the last one.  M and C are J^T W J.
+    `shared` may replace the entries of W (level 0) and of W J (level 1) by names.
     """
 
     def __init__(
@@ -47,7 +48,7 @@ class Entries:
         self.shared = shared
 
     def of(self, name: str) -> Matrix:
-        """The entries of the block of this name, row by row."""
+        """Return the entries of the block `name`, row by row."""
         named, joints = self.named, range(self.named.n)
         match name:
             case "M":
@@ -104,13 +105,13 @@ class Entries:
         raise AssertionError(name)
 
     def gaps(self) -> list[tuple[Value, Value]]:
-        """The gaps of the closures, and their rates."""
+        """Return the gaps of the closures and their rates."""
         series = self._series(rows=self.named.rows)
         gaps = (series.real[slot] for slot in series.program.named["gap"])
         return [(gap[0], gap[1]) for gap in gaps]
 
     def _series(self, **has: Any) -> Series:
-        """The rows of a mechanism that has these parts and nothing else."""
+        """Return the series of a mechanism that has only these parts."""
         return self._rows_of(replace(parts.bare(self.named), **has))
 
     def _rows_of(self, part: Mechanism, accelerated: bool = False) -> Series:
@@ -121,7 +122,7 @@ class Entries:
         return series
 
     def _load(self, part: Mechanism, accelerated: bool = False) -> Matrix:
-        """What the joints carry."""
+        """Return the load of the joints as a column."""
         series = self._rows_of(part, accelerated)
         return [[x] for x in balance(self.at, series)]
 

@@ -1,16 +1,16 @@
-"""Sums of products written as a person would write them: common factors in front of brackets.
+"""Writes sums of products as a person would: common factors in front of brackets.
 
     m2 l1^2 + m2 r2^2 + 2 m2 l1 r2 cos(q2)  ->  m2 (l1^2 + r2^2 + 2 l1 r2 cos(q2))
 
 Terms are collected level by level (by mass, by angle, ...), then by the symbol that most of them
-share.  A factor leaves a bracket only with the same power from each of its terms, so that squares
-stay whole, as above.  Before that, products of sines and cosines are written with the differences
-of their angles:
+share.  A factor is taken out of a bracket only if it has the same power in all terms, so squares
+stay whole, as above.  Before that, products of sines and cosines are replaced by functions of angle
+differences:
 
     cos(q1) cos(q1 + q2) + sin(q1) sin(q1 + q2)  ->  cos(q2)      cos(q1)^2 + sin(q1)^2  ->  1
 
-Where links slide the rows measure in the ground's frame, and leave such sums; so do the cosines
-of a direction, of which u2x^2 + u2y^2 is 1.  A joint k that an angle takes off is ~k in its place.
+Such sums arise where links slide, because rows then measure in the ground's frame.  The cosines of
+a direction have u2x^2 + u2y^2 = 1.  A joint k whose angle is subtracted appears as ~k in a place.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ Powers = tuple[tuple[Atom, int], ...]
 
 
 def by_role(*roles: int) -> Key:
-    """Collect by the atoms of these roles."""
+    """Return a key that collects terms by the atoms of these roles."""
     return lambda factors: tuple(
         factor for factor in factors if isinstance(factor[0], Atom) and factor[0].role in roles
     )
 
 
 def as_one(factors: Monomial) -> Hashable:
-    """Collect all terms, for what they have in common."""
+    """Return a key that collects all terms by what they have in common."""
     return ()
 
 
 def by_angle(factors: Monomial) -> Hashable:
-    """Collect by the angle of sines and cosines."""
+    """Return a key that collects terms by the angles of sines and cosines."""
     return tuple(x.place for x, _ in by_function(factors) if x.speed is None)  # type: ignore[attr-defined]
 
 
@@ -46,7 +46,7 @@ by_function = by_role(Role.function)
 
 
 def written(sum_: Sum, levels: Sequence[Key]) -> Sum:
-    """The sum, its terms collected by each of the levels in turn."""
+    """Return a sum with its terms collected by each of the levels in turn."""
     return Sum(dict(_collected(list(sum_.terms.items()), levels)))
 
 
@@ -66,7 +66,7 @@ def _collected(terms: list[Term], levels: Sequence[Key]) -> list[Term]:
 
 
 def _by_most_common(terms: list[Term]) -> list[Term]:
-    """Collect by the symbol that most terms share, until none is shared."""
+    """Collect terms by the symbol that most of them share, until none is shared."""
     groups: list[tuple[int, list[Term]]] = []  # each with the place of its first term
     left = list(enumerate(terms))
     while (shared := _most_common([term for _, term in left])) is not None:
@@ -79,7 +79,7 @@ def _by_most_common(terms: list[Term]) -> list[Term]:
 
 
 def _most_common(terms: list[Term]) -> Atom | Sum | None:
-    """The factor that most of the terms hold, at least two; none that is squared anywhere."""
+    """Return the factor that most terms (at least two) share, without squares; or None."""
     counts: dict[Atom | Sum, int] = {}
     for factors, _ in terms:
         for factor, power in factors:
@@ -89,7 +89,7 @@ def _most_common(terms: list[Term]) -> Atom | Sum | None:
 
 
 def _bracketed(group: list[Term], collect: Callable[[list[Term]], list[Term]]) -> list[Term]:
-    """The group as its common factor times a bracket, or as it is where there is none."""
+    """Return the group as its common factor times a bracket, or as it is if there is none."""
     if len(group) < 2:
         return group
     number, common = _common(group)
@@ -109,7 +109,7 @@ def _bracketed(group: list[Term], collect: Callable[[list[Term]], list[Term]]) -
 
 
 def _common(group: list[Term]) -> tuple[Number, Monomial]:
-    """The whole number and the factors that all terms of the group share."""
+    """Return the whole number and the factors that all terms of a group share."""
     (first, _), *others = group
     common = tuple(x for x in first if all(x in factors for factors, _ in others))
     whole = [number for _, number in group if isinstance(number, int)]
@@ -122,12 +122,12 @@ def _divided(term: Term, number: Number, common: Monomial) -> Term:
 
 
 def in_writing_order(factors: Monomial) -> Monomial:
-    """The factors of a product in the order of writing."""
+    """Return the factors of a product in the order of writing."""
     return tuple(sorted(factors, key=lambda factor: _rank(factor[0])))
 
 
 def _rank(factor: Atom | Sum) -> tuple[object, ...]:
-    """Masses, other parameters, brackets of parameters, rates, sines and what holds them."""
+    """Return a sort key: masses, other parameters, brackets, rates, sines, brackets with sines."""
     if isinstance(factor, Atom):
         return factor
     roles = {atom.role for atom in factor.atoms()}
@@ -137,7 +137,7 @@ def _rank(factor: Atom | Sum) -> tuple[object, ...]:
 
 
 def simplified(sum_: Sum) -> Sum:
-    """The sum with what the identities make of pairs of its terms."""
+    """Return a sum in which trigonometric identities have merged pairs of terms."""
     terms: dict[Monomial, Number] = dict(sum_.terms)
     changed = True
     while changed:
@@ -148,7 +148,7 @@ def simplified(sum_: Sum) -> Sum:
 
 
 def by_cosines(sum_: Sum) -> Sum:
-    """The sum without squares of the sines of axes, uy^2 = 1 - ux^2: equal sums are the same."""
+    """Replace squares of sines of axes, uy^2 = 1 - ux^2, so that equal sums look the same."""
     while True:
         found: list[Term] = []
         for term, number in sum_.terms.items():
@@ -164,18 +164,18 @@ def by_cosines(sum_: Sum) -> Sum:
 
 
 def _is_sine(atom: Atom) -> bool:
-    """Whether it is the sine of the axis of a joint."""
+    """Return whether an atom is the sine of a joint's axis."""
     return bool(atom.role == Role.direction and atom.place[1][-1] == "y")
 
 
 def _beside(sine: Atom) -> Atom:
-    """The cosine of the same axis."""
+    """Return the cosine of the same axis."""
     along = sine.place[0], sine.place[1][:-1] + "x"
     return sine._replace(place=along, name=sine.name[:-1] + "x")
 
 
 def _paired(terms: dict[Monomial, Number], term: Monomial) -> bool:
-    """Put what an identity makes of a term and its partner in their place; whether there is one."""
+    """Merge a term with its partner by an identity; return whether there was one."""
     for to_other, sign, to_both, turned in _identities(term):
         other, both = merged(term, to_other), merged(term, to_both)
         number, partner = terms[term], terms.get(other, 0) * sign
@@ -189,9 +189,9 @@ def _paired(terms: dict[Monomial, Number], term: Monomial) -> bool:
 
 
 def _identities(term: Monomial) -> Iterator[tuple[Powers, int, Powers, int]]:
-    """What may be made of this product and, with its sign, another one; and the sign of that.
+    """Yield (partner, sign, merged term, its sign) for identities that involve a term.
 
-    Both by what this one is multiplied with to be it.
+    Partner and merged term are given as factors by which the term is multiplied.
     """
     calls = [atom for atom, _ in term if atom.role == Role.function and atom.speed is None]
     sines = [x for x in calls if x.name == "sin"]
@@ -221,9 +221,9 @@ def _other(atom: Atom) -> Atom:
 
 
 def difference_of(one: tuple[int, ...], two: tuple[int, ...]) -> tuple[tuple[int, ...], int] | None:
-    """The place of an angle less another, and the sign of that; its first joint is added.
+    """Return the place of one angle less another, and its sign; its first joint is added.
 
-    None where they are the same, or a joint would count twice.
+    None if the angles are equal, or if a joint would count twice.
     """
     counts: dict[int, int] = {}
     for joints, sign in ((one, 1), (two, -1)):

@@ -1,4 +1,4 @@
-"""The equations of motion as a LaTeX document; it needs amsmath, geometry and longtable."""
+"""The equations of motion as a LaTeX document, for amsmath, geometry and longtable."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ NAMES = {
 
 
 def latex(equations: Equations[Sum]) -> str:
-    """A whole document."""
+    """Return the equations as a LaTeX document."""
     return document(equations, "equations of motion", content(equations))
 
 
 def document(equations: Equations[Sum], title: str, lines: Iterable[str]) -> str:
-    """A document of these lines with a title after the scene's name."""
+    """Return a document with the scene's name and `title` as its heading."""
     columns = max(len(block.rows[0]) for block in equations.blocks)
     wide = rf"\setcounter{{MaxMatrixCols}}{{{columns}}}" + "\n" if columns > 10 else ""
     heading = rf"\section*{{{escaped(equations.title)}: {title}}}"
@@ -60,7 +60,7 @@ def document(equations: Equations[Sum], title: str, lines: Iterable[str]) -> str
 
 
 def content(equations: Equations[Sum]) -> Iterator[str]:
-    """The equations and the legend of their symbols."""
+    """Yield the equations and the legend of their symbols."""
     yield from display(_head(equations))
     for definitions, block in equations.defined():
         yield from display(_block(block))
@@ -71,12 +71,12 @@ def content(equations: Equations[Sum]) -> Iterator[str]:
 
 
 def escaped(text: str) -> str:
-    """Text with the characters that LaTeX would obey written out."""
+    """Return text with LaTeX's special characters escaped."""
     return "".join(SPECIAL.get(character, character) for character in text)
 
 
 def subscripted(name: str) -> str:
-    r"""A parameter: r1x -> r_{1x}, mp2 -> m_{p2}, phi1 -> \varphi_{1}, omega -> \omega."""
+    r"""Return a parameter's name in LaTeX: r1x -> r_{1x}, phi1 -> \varphi_{1}."""
     if len(name) > 1 and not re.search("[0-9]", name) and name not in ("gx", "gy"):
         return f"\\{name}" if name in GREEK.split() else rf"\mathit{{{escaped(name)}}}"
     for letters, greek in (("phi", r"\varphi"), ("psi", r"\psi"), ("beta", r"\beta")):
@@ -92,7 +92,7 @@ def _number(number: Number | float) -> str:
 
 
 def _bracketed(text: str) -> str:
-    """Round brackets, square ones around these, curly ones around those."""
+    """Return text in round brackets; square and curly ones around inner brackets."""
     if "(" not in text or r"\{" in text:
         return f"({text})"
     return rf"\{{{text}\}}" if "[" in text else f"[{text}]"
@@ -119,7 +119,7 @@ LATEX = Notation(
 
 
 def measure(formula: str) -> float:
-    """About how wide the formula is, in letters: indices are small, operators stand apart."""
+    """Return the approximate width of a formula in letters; indices are small."""
     shown = re.sub(r"\\(cos|sin)\b", r"'\1", formula)  # ' is a thin space
     shown = re.sub(r"\\(dot|ddot|mathrm)\b", "", shown)
     small = "".join(re.findall(r"[_^]\{([^}]*)\}", shown))
@@ -129,12 +129,12 @@ def measure(formula: str) -> float:
 
 
 def display(lines: Iterable[str]) -> list[str]:
-    """Formulas below one another."""
+    """Return formulas below one another."""
     return [r"\begin{align*}", *(" \\\\\n".join(lines)).split("\n"), r"\end{align*}"]
 
 
 def _head(equations: Equations[Sum]) -> Iterator[str]:
-    """The equation of motion in matrices, and what its right side is."""
+    """Yield the equation of motion in matrices, and the meaning of its right side."""
     terms = [name + NAMES[rate] if rate else name for name, rate in equations.terms]
     right = " + ".join([r"\tau", *(block.name for block in equations.others)])
     right += r" + \Psi^{T}\lambda" if equations.side("closures") else ""
@@ -149,13 +149,13 @@ def _head(equations: Equations[Sum]) -> Iterator[str]:
 
 
 def _entry(entry: Sum | Formula) -> str:
-    """The formula; a row must not begin with a bracket that its line break would take."""
+    """Return an entry's formula, protected if it begins with a bracket."""
     text = LATEX.text(entry)
     return "{}" + text if text.startswith("[") else text
 
 
 def _block(block: Block[Sum]) -> Iterator[str]:
-    """A matrix or vector as a whole where the page is wide enough, else its entries."""
+    """Yield a whole matrix or vector if the page is wide enough, else its entries."""
     name = NAMES.get(block.name, block.name)
     if block.zero:
         yield f"{name} &= 0"
@@ -184,14 +184,14 @@ def _block(block: Block[Sum]) -> Iterator[str]:
 
 
 def equation(left: str, entry: Sum | Formula) -> Iterator[str]:
-    """The lines of `left = entry`."""
+    """Yield the lines of `left = entry`."""
     first, *more = broken(_entry(entry), WIDTH - round(measure(left)) - 6, measure)
     yield f"{left} &= {first}"
     yield from (rf"&\quad {part.strip()}" for part in more)
 
 
 def _legend(equations: Equations[Sum]) -> Iterator[str]:
-    """Tables of the variables and of the parameters, and remarks."""
+    """Yield tables of variables and parameters, and remarks."""
     variables = [
         (f"${NAMES.get(x.name, x.name)}_{{{x.numbers.replace('_', ',')}}}$", "", x.unit, x.meaning)
         for x in equations.variables()

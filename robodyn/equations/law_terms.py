@@ -1,7 +1,7 @@
-"""Laws of couplings in equations: each by a name, and so are its derivatives.
+"""Laws of couplings in equations, with names for each law and its derivatives.
 
-A coupling's law h1 has the derivative h1_2 by q2, and h1_2_3 of that by q3.  What they are follows
-from the rows of the law (`mechanics/law_rows.py`), read as expressions again.
+A coupling's law h1 has the derivative h1_2 by q2, whose derivative by q3 is h1_2_3.  Their formulas
+are read back from the law's rows (`mechanics/law_rows.py`).
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ TIME = -1  # among joints
 
 @dataclass(frozen=True)
 class LawTerms:
-    """A law in the gap -arm h, with its slopes by joints and by pairs of joints; zeros left out.
+    """A law in the gap -arm h, with its nonzero first and second derivatives.
 
-    TIME stands for the time among joints.
+    Joints are keys; TIME stands for time among them.
     """
 
     arm: Value
@@ -54,13 +54,13 @@ class LawTerms:
     second: Mapping[tuple[int, int], Value]
 
     def each(self, change: Callable[[Value], Value]) -> LawTerms:
-        """These terms, with `change` applied to each value."""
+        """Return these terms with `change` applied to each value."""
         slopes = {k: change(x) for k, x in self.slopes.items()}
         second = {pair: change(x) for pair, x in self.second.items()}
         return LawTerms(change(self.arm), change(self.value), slopes, second)
 
     def bend(self, qd: Any) -> Value:
-        """The sum of second slopes times both rates, of rates qd (n)."""
+        """Return the sum of second derivatives times both rates, for rates qd (n)."""
         total: Value = 0.0
         for (k, j), x in self.second.items():
             part = x
@@ -73,9 +73,9 @@ class LawTerms:
 def law_terms(
     c: int, coupling: Coupling, arm: symbolic.Sum, units: Callable[[int], str]
 ) -> tuple[LawTerms, tuple[Definition, ...]]:
-    """The terms of coupling c's law by names, and what the names stand for.
+    """Return the named terms of coupling c's law, and the definitions of the names.
 
-    `units` has the unit of a joint, rad or m.
+    `units` gives the unit of a joint, rad or m.
     """
     law = coupling.law
     assert isinstance(law, Law)
@@ -98,7 +98,7 @@ def law_terms(
     own, letter = units(coupling.joint), f"h{c + 1}"
 
     def named(part: Part, by: tuple[int, ...], meaning: str) -> symbolic.Sum:
-        """A name for what is no number."""
+        """Return a name for a formula; numbers stay as they are."""
         if not isinstance(part, Slotted):
             return ONE.times(Fraction(repr(float(part))))
         name = "_".join([letter, *("t" if k == TIME else str(k + 1) for k in by)])
@@ -125,7 +125,7 @@ def law_terms(
 
 
 def _unit(above: str, below: list[str]) -> str:
-    """The unit of a quotient."""
+    """Return the unit of a quotient."""
     left = below.copy()
     if above in left:
         left.remove(above)
@@ -138,14 +138,14 @@ def _unit(above: str, below: list[str]) -> str:
 
 
 def _formula(law: Law, program: Program, slot: Slot) -> Formula:
-    """What stands in a slot, as an expression."""
+    """Return the contents of a slot as a formula."""
     tree = _tree(program, slot)
     names = formula_of(law, {}).names
     return Formula(tree, names)
 
 
 def _tree(program: Program, slot: Slot) -> Node:
-    """The rows of a slot as a tree of an expression."""
+    """Return the rows of a slot as an expression's tree."""
 
     def of_slot(x: Slot) -> Node:
         return _tree(program, x)
@@ -184,12 +184,12 @@ def _tree(program: Program, slot: Slot) -> Node:
 
 
 def _moves(tree: Node) -> bool:
-    """Whether a joint is in it: constants stand before what moves."""
+    """Return whether a joint occurs in a tree; constants stand before what moves."""
     return any(_JOINT.fullmatch(name) for name in names_of(tree))
 
 
 def _signed(operation: str, *parts: Node) -> Node:
-    """A product or quotient with its sign in front."""
+    """Return a product or quotient with its sign in front."""
     plain = [x[1] if type(x) is tuple and x[0] == "neg" else x for x in parts]
     odd = sum(x is not y for x, y in zip(parts, plain, strict=True)) % 2
     found = operation, *plain

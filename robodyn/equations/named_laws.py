@@ -1,15 +1,15 @@
-"""Laws as formulas in symbols, and what acts at joints in all modes at once.
+"""Laws as formulas in symbols, and forces at joints that cover all contact modes.
 
 In motion a joint with dry friction is held back by
 
     B = sign(qd) (tf + (ts - tf) exp(-(qd/ws)^2)),
 
-exp(-|qd|/ws) in place of that bell if it falls so, numbers of each sign of qd if they differ, and
-compliant stops push it by Y, of each side
+with exp(-|qd|/ws) in place of the bell for an exponential curve, and with different numbers for the
+two directions if they differ.  Compliant stops push it by Y, for each side
 
     step(x) max(0, k x + d v),
 
-x how far it is beyond, v = x'; step(x) is 1 for x > 0, else 0.
+x the penetration, v = x'; step(x) is 1 for x > 0, else 0.
 """
 
 from __future__ import annotations
@@ -48,23 +48,23 @@ class Formula:
     names: Mapping[str, Sum]
 
     def atoms(self) -> Iterator[Atom]:
-        """Every atom that it uses."""
+        """Yield every atom that it uses."""
         for node in walk(self.tree):
             if isinstance(node, str):
                 yield from self.names[node].atoms()
 
     def substituted(self, values: Mapping[str, Fraction]) -> Formula:
-        """The same with numbers for the symbols that `values` names."""
+        """Return the formula with numbers for the symbols in `values`."""
         names = {name: entry.substituted(values) for name, entry in self.names.items()}
         return Formula(self.tree, names)
 
     @property
     def switches(self) -> bool:
-        """Whether it has what `SWITCHES` explains."""
+        """Whether it contains the functions that `SWITCHES` explains."""
         return any(type(x) is tuple and x[0] in ("sign", "step") for x in walk(self.tree))
 
     def value(self, number: Callable[[Sum], Any], functions: Mapping[str, Any]) -> Any:
-        """What it is, `number` telling what sums are."""
+        """Evaluate the formula; `number` gives the values of its sums."""
         values = {name: number(entry) for name, entry in self.names.items()}
         return value_in(self.tree, values, {**OPERATIONS, **functions})
 
@@ -72,7 +72,7 @@ class Formula:
 class Definition(NamedTuple):
     """A name that stands for a formula in the entries.
 
-    Of many names that differ by numbers alone the legend has one line, with the letters `numbers`.
+    Names that differ by numbers alone share one line of the legend, with the letters `numbers`.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Definition(NamedTuple):
 
 
 class JointTerm(NamedTuple):
-    """What acts at a joint by a formula that has a name; it is added `sign` times to its block."""
+    """A named formula that acts at a joint; `sign` times the name is added to its block."""
 
     joint: int
     block: str
@@ -93,16 +93,16 @@ class JointTerm(NamedTuple):
 
 
 def symbol_of(constant: str) -> str:
-    """The symbol of a constant of the scene: its name, with a c behind it if it may be another's.
+    """Return the symbol of a constant of the scene: its name, with a c if it may be ambiguous.
 
-    Symbols of equations have letters and then a number, or are one of `TAKEN`.
+    Symbols of equations are letters with a number, or one of `TAKEN`.
     """
     plain = constant.rstrip("c")
     return f"{constant}c" if re.search("[A-Za-z][0-9]", constant) or plain in TAKEN else constant
 
 
 def with_symbols(node: Node) -> Node:
-    """The tree with symbols for constants of the scene; exponents remain numbers."""
+    """Return the tree with symbols for constants of the scene; exponents stay numbers."""
     if isinstance(node, Named):
         return symbol_of(node.name)
     if type(node) is not tuple:
@@ -113,7 +113,7 @@ def with_symbols(node: Node) -> Node:
 
 
 def formula_of(law: Law, own: Mapping[str, Sum]) -> Formula:
-    """The formula of an expression in t, q0.., qd0..; `own` has a spring's x and v."""
+    """Return the formula of an expression in t, q0.., qd0..; `own` has a spring's x and v."""
 
     def meant(name: str) -> Sum:
         if name == "t":
@@ -130,7 +130,7 @@ def formula_of(law: Law, own: Mapping[str, Sum]) -> Formula:
 def contact_terms(
     mechanism: Mechanism, dry: Mapping[int, DryFriction], stops: Mapping[int, Stops]
 ) -> Iterator[JointTerm]:
-    """Dry friction in motion and compliant stops, with symbols for their numbers."""
+    """Yield dry friction in motion and compliant stops, with symbols for their numbers."""
     tree: Node | None
     for j, friction in dry.items():
         link, unit = _joint(mechanism, j)
@@ -164,12 +164,12 @@ def contact_terms(
 
 
 def _of(letter: str, way: int) -> str:
-    """The name of a number of the rates of a sign."""
+    """Return the name of a number for one direction of motion."""
     return letter if way > 0 else letter.upper()
 
 
 def _held_back(numbers: DryFriction, known: Mapping[str, Any], way: int, turn: Node) -> Node | None:
-    """`turn` times dry friction at rates of a sign, in `known` symbols; None if it is nothing."""
+    """Return `turn` times dry friction in one direction, or None if there is none."""
     a, s = _of("a", way), _of("s", way)
     if numbers.stribeck is None or not of_way(numbers.static, way) > of_way(numbers.torque, way):
         return ("*", a, turn) if known[a] else None
@@ -183,7 +183,7 @@ def _held_back(numbers: DryFriction, known: Mapping[str, Any], way: int, turn: N
 
 
 def _push(beyond: Node, sign: str, damped: Any) -> Node:
-    """max(0, k x), or step(x) max(0, k x + d v) or - d v, of what is beyond a stop."""
+    """Return the force of a compliant stop: max(0, k x), or step(x) max(0, k x +- d v)."""
     spring = "*", "k", beyond
     if not damped:
         return "max", 0.0, spring
@@ -193,7 +193,7 @@ def _push(beyond: Node, sign: str, damped: Any) -> Node:
 def _contact(
     joint: int, sign: int, letter: str, tree: Node, known: Mapping[str, Any], unit: str, told: str
 ) -> JointTerm:
-    """A term of Q from its formula in `known` symbols, and in q and v of its joint."""
+    """Return a term of Q from its formula in symbols `known`, and in q and v of its joint."""
     known = {**known, "q": _angle(joint), "v": _rate(joint)}
     formula = Formula(tree, {name: known[name] for name in known if name in names_of(tree)})
     name = Atom(Role.force, (joint, "~"), f"{letter}{joint + 1}")
@@ -213,7 +213,7 @@ def _rate(joint: int) -> Sum:
 
 
 def _plain(node: tuple[Any, ...]) -> Node:
-    """Powers of any kind as one, and numbers that are computed as one number."""
+    """Write all powers alike, and fold numbers that can be computed."""
     operation, *parts = ("**", *node[1:]) if node[0] == "pow" else node
     if operation in ARITHMETIC and all(isinstance(x, float) for x in parts):
         with suppress(ArithmeticError, TypeError):

@@ -1,7 +1,7 @@
-"""The rows of elements on symbols, with names for what the elements name.
+"""The rows of elements on symbols, with names for quantities that elements name.
 
-In the place of a slot that an element names stands an atom; what the slot is becomes the name's
-definition: lengths of springs, pulls, laws, loads that vary.
+A slot that an element names holds an atom.  Its contents become the definition of the name: lengths
+of springs, pulls, laws, varying loads.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ METRES = ("m", "m/s")
 
 
 class Named(NamedTuple):
-    """A name in a program: the value that `make` finds in its series is what it stands for."""
+    """A name in a program; `make` returns its meaning from the series."""
 
     atom: Atom
     unit: str
@@ -40,7 +40,7 @@ class Named(NamedTuple):
 
     @property
     def is_root(self) -> bool:
-        """Whether it is a length by the squares of two names."""
+        """Whether it is a length, the root of two squared names."""
         return self.kind == LENGTHS and self.atom.place[-1] == ""
 
     @property
@@ -50,7 +50,7 @@ class Named(NamedTuple):
 
 
 def places_of(scene: Description, tree: Tree) -> Places:
-    """The places of the elements of a scene, as they act and by parts: of which list or link."""
+    """Return for each element, and its parts, the list of the scene it is in and its index."""
     found: dict[Element, tuple[str, int]] = {}
     for place, element in scene.elements:
         name, _, rest = place.partition("[")
@@ -63,7 +63,7 @@ def places_of(scene: Description, tree: Tree) -> Places:
 
 
 class NamedRows(EquationsOfMotion):
-    """Writes the rows of a mechanism of symbols; `given` are values of its program's names."""
+    """Writes the rows of a mechanism of symbols; `given` holds the values of its names."""
 
     def __init__(self, mechanism: Mechanism, places: Places) -> None:
         super().__init__(mechanism)
@@ -149,10 +149,10 @@ class NamedRows(EquationsOfMotion):
         return super().quotient(x, y)
 
     def bends(self, slot: Slot, arm: float) -> None:
-        """Symbols have no series."""
+        """Do nothing: symbols have no series."""
 
     def bends_planar(self, slot: Slot, place: PlanarPoint) -> None:
-        """See `bends`."""
+        """Do nothing: symbols have no series."""
 
     # names
 
@@ -175,7 +175,7 @@ class NamedRows(EquationsOfMotion):
         rate: str = "",
         rate_of: Callable[[Series], Sum] | None = None,
     ) -> Slot:
-        """A slot that has the name in place of `make`, and its rate the letter `rate`."""
+        """Return a slot with the name in place of `make`; its rate has the letter `rate`."""
         atom, (place, i) = self._atom(name), self._place
         told = f"{place.removesuffix('s')} {i + 1}"
         if place == "links":
@@ -198,7 +198,7 @@ class NamedRows(EquationsOfMotion):
         return self.program.add(Given(key))
 
     def _across(self, place: PlanarPoint) -> bool:
-        """Whether a point less another joins links of two branches."""
+        """Return whether a difference of points joins links of two branches."""
         tree = self.mechanism.tree
         paths = [{j for j, _ in tree.point(Point(k, 1.0)).terms} for k, _ in place.terms]
         return any(not (a <= b or b <= a) for a in paths for b in paths)
@@ -206,7 +206,7 @@ class NamedRows(EquationsOfMotion):
     def used(
         self, series: Series, atoms: Collection[Atom]
     ) -> Iterator[tuple[Named, Sum | Formula]]:
-        """The names among the atoms and what these are made of, in the order of telling."""
+        """Yield the names among the atoms and their meaning, in the order of the legend."""
         wanted, values = set(atoms), {}
         for name in reversed(self.names):
             if name.atom in wanted:
@@ -218,7 +218,7 @@ class NamedRows(EquationsOfMotion):
 
 
 def _positive_first(value: Any) -> Sum:
-    """The sum as one writes it: what is taken off stands last."""
+    """Return a sum with negative terms last."""
     terms = summed(value).terms.items()
     return Sum(dict(sorted(terms, key=lambda term: term[1] < 0)))
 
@@ -231,7 +231,7 @@ def _value_of(slot: Slot) -> Callable[[Series], Sum]:
 
 
 def power(a: Any, exponent: float) -> Sum:
-    """A power of a sum: of one product factor by factor, else with the sum in brackets."""
+    """Return a power of a sum: factor by factor for a product, else with the sum in brackets."""
     base = summed(a)
     if exponent in range(9):
         return base ** int(exponent)
@@ -248,6 +248,6 @@ def _whole(exponent: float) -> float:
 
 
 def divide(a: Any, b: Any) -> Sum:
-    """A quotient of sums."""
+    """Return a quotient of sums."""
     found: Sum = summed(a) * power(b, -1.0)
     return found

@@ -1,7 +1,7 @@
-"""A written sum as one line of text, in the notation of a person, of LaTeX or of a language.
+"""Writes a sum as one line of text, in plain, LaTeX or programming notation.
 
-Where a long line may be broken, before + and -, a blank stands; other blanks are GLUE until
-`broken` has laid the line out.
+A blank stands where a long line may be broken, before + and -. Other blanks are GLUE until `broken`
+has laid out the line.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Notation:
     raised: Callable[[str, str], str] = "{}^({})".format
 
     def text(self, entry: Sum | Formula) -> str:
-        """The entry as one line."""
+        """Return an entry as one line."""
         if isinstance(entry, Formula):
             return formula_text(self, entry)[0]
         text = ""
@@ -54,7 +54,7 @@ class Notation:
         return text or self.number(0)
 
     def _product(self, factors: Monomial, number: Number) -> str:
-        """A product; what has a negative power stands below a line, a/b."""
+        """Return a product; negative powers stand below a line, a/b."""
         above = [self._power(factor, power) for factor, power in factors if power > 0]
         parts = above if number == 1 and above else [self.number(number), *above]
         text = self.times.join(parts)
@@ -93,14 +93,14 @@ class Notation:
 
 
 def added(names: Sequence[str]) -> str:
-    """A sum of names that stays in one line; those that are taken off begin with -."""
+    """Return a sum of names that stays on one line; names that begin with - are subtracted."""
     first, *others = names
     parts = (f"{GLUE}-{GLUE}{x[1:]}" if x[0] == "-" else f"{GLUE}+{GLUE}{x}" for x in others)
     return first + "".join(parts)
 
 
 def formula_text(notation: Notation, formula: Formula) -> tuple[str, int]:
-    """A formula as one line, and what binds it: 1 a sum, 2 a product, 3 a power, 4 nothing."""
+    """Return a formula as one line, and its binding: 1 sum, 2 product, 3 power, 4 atom."""
 
     def bound(part: tuple[str, int], least: int) -> str:
         text, binds = part
@@ -146,12 +146,12 @@ SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def six_digits(number: Number | float) -> str:
-    """A number for people; whole ones of the formulas stand as they are."""
+    """Return a number with six digits; whole numbers of formulas stay as they are."""
     return str(number) if isinstance(number, int) else f"{float(number):.6g}"
 
 
 def in_full(number: Number) -> str:
-    """A number that reads back exactly."""
+    """Return a number that reads back exactly."""
     return str(number) if isinstance(number, int) else repr(float(number))
 
 
@@ -169,15 +169,14 @@ PYTHON = replace(
 
 
 def one_line(text: str) -> str:
-    """The line with plain blanks."""
+    """Return the line with plain blanks."""
     return text.replace(GLUE, " ")
 
 
 def broken(text: str, width: int, measure: Callable[[str], float] = len) -> list[str]:
-    """The line as lines of `width` at most, broken before + and -, outside brackets if can be.
+    """Break a line into lines of at most `width`, before + and -, outside brackets if possible.
 
-    A line that goes on within brackets is indented by as many steps; a part that no blank divides
-    may be longer.
+    Continued lines within brackets are indented by depth.  A part without blanks may be longer.
     """
     parts = text.split(" ")
     sizes = [measure(part) for part in parts]

@@ -1,8 +1,8 @@
-"""What the equations of motion of a scene consist of, and what their parts and symbols are called.
+"""The parts of a scene's equations of motion, with their names and symbols.
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0
 
-Their entries are formulas to read (`written.py`) or recorded arithmetic (`recorded.py`).
+Entries are formulas to read (`written.py`) or recorded arithmetic (`recorded.py`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Place = tuple[int, int]  # row and column
 
 
 class Variable(NamedTuple):
-    """Coordinates, torques or multipliers: their letter, numbers from 1, unit and meaning."""
+    """Coordinates, torques or multipliers: letter, numbers from 1, unit and meaning."""
 
     name: str
     numbers: str
@@ -35,10 +35,10 @@ class Variable(NamedTuple):
 
 
 class Head(NamedTuple):
-    """What a block of the equations is.
+    """Description of a block of the equations.
 
-    `inputs` are what it depends on; a matrix of the left side stands before `rate`.  The `sum` is
-    what joint torques are, and pin forces with them.
+    `inputs` are its arguments.  A matrix of the left side stands before `rate`.  The `sum` is the
+    vector of joint torques, with pin forces if there are any.
     """
 
     side: Literal["left", "right", "closures", "sum"]
@@ -52,9 +52,9 @@ class Head(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Block(Generic[Entry]):
-    """One matrix or vector of the equations, row by row; a vector has one column.
+    """A matrix or vector of the equations, row by row; a vector has one column.
 
-    `where` are names that its entries use.
+    `where` lists the names that its entries use.
     """
 
     head: Head
@@ -67,7 +67,7 @@ class Block(Generic[Entry]):
 
     @property
     def plain_name(self) -> str:
-        """The name as it is read."""
+        """The name in plain text."""
         return "dgap/dt" if self.name == "gap_t" else self.name.replace("_", " ")
 
     @property
@@ -76,7 +76,7 @@ class Block(Generic[Entry]):
 
     @property
     def zeros(self) -> list[Place]:
-        """The places of the entries that are zero."""
+        """The indices of zero entries."""
         return [(i, j) for i, row in enumerate(self.rows) for j, x in enumerate(row) if not x]
 
     @property
@@ -85,7 +85,7 @@ class Block(Generic[Entry]):
         return not self.listed()
 
     def listed(self) -> list[tuple[list[Place], Entry]]:
-        """The entries that are not zero, each with its place; equal ones of M with both places."""
+        """Return the nonzero entries with their indices; symmetric pairs share an entry."""
         symmetric = self.head.shape == "symmetric"
         return [
             ([(i, j), (j, i)] if symmetric and i < j else [(i, j)], entry)
@@ -95,18 +95,18 @@ class Block(Generic[Entry]):
         ]
 
     def numbers(self, i: int, j: int, between: str) -> str:
-        """The numbers of an entry, from 1; `between` parts them where both may have two digits."""
+        """Return the indices of an entry from 1, separated by `between` if they may be long."""
         many = max(len(self.rows), len(self.rows[0])) > 9
         return (between if many else "").join(str(k + 1) for k in ([i] if self.vector else [i, j]))
 
 
 def load_unit(mechanism: Mechanism) -> str:
-    """The unit of what acts at joints, N m, and N where they slide."""
+    """Return the unit of joint loads: N m, or N for sliding joints."""
     return _units(mechanism, "N m", "N")
 
 
 def _units(mechanism: Mechanism, *units: str) -> str:
-    """The first where all joints turn, the last where all slide, else all of them."""
+    """Return the first unit if all joints turn, the last if all slide, else all of them."""
     slides = len(mechanism.slides)
     if slides in (0, mechanism.n):
         return units[-1 if slides else 0]
@@ -114,7 +114,7 @@ def _units(mechanism: Mechanism, *units: str) -> str:
 
 
 def heads(mechanism: Mechanism) -> Iterator[Head]:
-    """The blocks that the scene has; those of closures alone if links have no mass."""
+    """Yield the blocks that the scene has; only those of closures if links have no masses."""
     unit = partial(_units, mechanism)
     if not mechanism.massless:
         yield from _heads_of_motion(mechanism)
@@ -129,7 +129,7 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
 
 
 def _heads_of_motion(mechanism: Mechanism) -> Iterator[Head]:
-    """The blocks beside tau."""
+    """Yield the blocks that act besides tau."""
     unit, load = partial(_units, mechanism), load_unit(mechanism)
     yield Head("left", "M", "mass matrix", unit("kg m²", "kg m", "kg"), "symmetric", ("q",), "qdd")
     meaning = "Coriolis and centrifugal matrix, by Christoffel symbols"
@@ -159,10 +159,10 @@ def _heads_of_motion(mechanism: Mechanism) -> Iterator[Head]:
 
 @dataclass(frozen=True, slots=True)
 class Equations(Generic[Entry]):
-    """The blocks of the equations of one scene, and what its symbols mean.
+    """The blocks of a scene's equations, and the meaning of their symbols.
 
-    The sum of the blocks of `left`, each times its rate, is the left side; those of `right` are
-    added to tau; `closures` are Psi, Psidot qd and gap.  Of the parameters `used` stand in them.
+    The left side is the sum of the blocks `left`, each times its rate.  Blocks `right` are added to
+    tau.  `closures` are Psi, Psidot qd and gap.  `used` has the names of parameters that occur.
     """
 
     mechanism: Mechanism
@@ -173,7 +173,7 @@ class Equations(Generic[Entry]):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters that stand in the entries."""
+        """The parameters that occur in the entries."""
         return tuple(x for x in self.known.known.values() if x.name in self.used)
 
     @property
@@ -183,30 +183,30 @@ class Equations(Generic[Entry]):
 
     @property
     def unused(self) -> tuple[str, ...]:
-        """The names of parameters that have no effect."""
+        """The names of parameters without effect."""
         return () if self.numeric else tuple(x for x in self.known.known if x not in self.used)
 
     @property
     def title(self) -> str:
-        """The name of the scene, in one line."""
+        """The name of the scene, on one line."""
         return printable(self.mechanism.name)
 
     def side(self, name: str) -> tuple[Block[Entry], ...]:
-        """The blocks of the side `left` or `right`, or of the `closures`."""
+        """Return the blocks of `left`, `right` or `closures`."""
         return tuple(block for block in self.blocks if block.head.side == name)
 
     @property
     def terms(self) -> list[tuple[str, str]]:
-        """The left side's terms that are not zero: a block's name and the rate it stands before."""
+        """The nonzero terms of the left side: name of the block, and its rate."""
         return [(block.name, block.head.rate) for block in self.side("left") if not block.zero]
 
     @property
     def others(self) -> list[Block[Entry]]:
-        """The blocks beside tau that are not zero."""
+        """The nonzero blocks besides tau."""
         return [block for block in self.side("right") if not block.zero]
 
     def told(self) -> list[str]:
-        """The equation of motion in matrices, and below it what the closures demand."""
+        """Return the equation of motion in matrices, and the conditions of the closures."""
         left = " + ".join(f"{name} {rate}".strip() for name, rate in self.terms) or "0"
         right = "".join(f" + {block.name}" for block in self.others)
         if not self.side("closures"):
@@ -218,19 +218,19 @@ class Equations(Generic[Entry]):
         return [f"{left} = tau{right} + Psi^T lambda", closed]
 
     def driven(self, name: str) -> list[str]:
-        """The joint torques: `name` with a joint's number where it is driven."""
+        """Return the joint torques: `name` with the joint's number, or 0 if not actuated."""
         joints, driven = range(self.mechanism.n), self.mechanism.actuated
         return [name.format(k + 1) if k in driven else "0" for k in joints]
 
     def defined(self) -> Iterator[tuple[list[Definition], Block[Entry]]]:
-        """Each block, with the names that it is the first to use."""
+        """Yield each block with the definitions that it is the first to use."""
         told: set[str] = set()
         for block in self.blocks:
             yield [entry for entry in block.where if entry.name not in told], block
             told.update(entry.name for entry in block.where)
 
     def variables(self) -> list[Variable]:
-        """q1, q2, ..., tau1, ... and lambda1, ..., and what dots on q mean."""
+        """Return q1, q2, ..., tau1, ... and lambda1, ..., and the meaning of dots on q."""
         description = self.mechanism.description
         links = description.links
         found = []
@@ -281,7 +281,7 @@ class Equations(Generic[Entry]):
         shown: Callable[[str], str] = str,
         christoffel: str = "C is the Christoffel one: Mdot - 2C is skew-symmetric.",
     ) -> Iterator[str]:
-        """Sentences on C, and on the parameters that do not appear, named as `shown` writes."""
+        """Yield sentences on C and on missing parameters, whose names `shown` formats."""
         if christoffel and ("C", "qd") in self.terms:
             yield christoffel
         named = [entry.value for block in self.blocks for entry in block.where]

@@ -1,6 +1,6 @@
-"""The parameters of a scene as symbols with the names that a person would give them.
+"""The parameters of a scene as symbols with the usual names.
 
-Letters and meaning of plain numbers are declared by keys: m1, l1, I1, r1 (or r1x, r1y), k1, ...
+Letters and meanings of plain numbers are declared by keys: m1, l1, I1, r1 (or r1x, r1y), k1, ...
 
     x3, y3             ground pivot of link 3
     p4x, p4y           where link 4 hangs from its link, if not from the tip
@@ -11,8 +11,8 @@ Letters and meaning of plain numbers are declared by keys: m1, l1, I1, r1 (or r1
     i1 (or i1_2, ..)   ratio of coupling 1 (to joint 2, of several); its angle psi1, its length R1
     beta1x, beta1y     cosine and sine of the angle that closure 1 keeps; its length L1
 
-Numbers at the end of a name count links, closures, springs and loads from 1.  What is zero in the
-scene is no symbol: it drops out, and `zero` tells its name.
+Numbers at the end of a name count links, closures, springs and loads from 1.  A parameter that is
+zero in the scene is no symbol; `zero` has its name.
 """
 
 from __future__ import annotations
@@ -70,13 +70,13 @@ class Parameter:
 
 
 class Parameters:
-    """The symbols of a scene; each stands for one number of the file.
+    """The symbols of a scene, one for each number of the file.
 
-    `known` holds those that are not zero, `zero` the names of those that are, in the order of a
-    legend.  `scene` is the description with symbols, a Sum or a Planar, for numbers; `couplings`
-    are rows sum_k turns_k q_k + offset = 0, k joints, in symbols: offset, turns, and law.  What the
-    rows of angles that closures keep are made of is `kept`, by closures; dry friction and compliant
-    stops are in `dry` and `stops` by joints, not in the scene.
+    `known` has the nonzero ones, `zero` the names of the others, in the order of the legend.
+    `scene` is the description with symbols (Sum or Planar) for numbers.  `couplings` are rows sum_k
+    turns_k q_k + offset = 0 in symbols: offset, turns by joint, and law.  `kept` has the parts of
+    rows of kept angles, by closure.  `dry` and `stops` have dry friction and compliant stops by
+    joint; they are not in `scene`.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -132,7 +132,7 @@ class Parameters:
         )
 
     def _constants(self, description: Description) -> None:
-        """Take the constants of the scene that its laws have: those of numbers are in these."""
+        """Take the constants of the scene that occur in its laws."""
         laws = [x.law for x in description.couplings] + [x for _, x in signals_of(description)]
         trees = (with_symbols(law.node) for law in laws if isinstance(law, Law))
         within = frozenset().union(*map(names_of, trees))
@@ -144,7 +144,7 @@ class Parameters:
 
     @cached_property
     def values(self) -> dict[str, Fraction]:
-        """The numbers of the symbols, exactly as the decimal numbers that they are written as."""
+        """Return the values of the symbols, exact for the decimal numbers in the file."""
         return {name: Fraction(repr(entry.value)) for name, entry in self.known.items()}
 
     # -- parts of a scene ----------------------------------------------------------------------
@@ -187,7 +187,7 @@ class Parameters:
         return Closure(first, second, along)
 
     def _kept(self, c: int, row: ClosureRow) -> ClosureRow:
-        """The row of an angle that closure c keeps: arm sin(angle less what it keeps)."""
+        """Return the row of an angle that closure c keeps: arm sin(angle - kept angle)."""
         told = f"angle that closure {c + 1} keeps"
         meaning = f"length that turns the {told} into a gap"
         size = self._symbol(f"L{c + 1}", (c, "L"), row.arm, "m", meaning, Role.normal)
@@ -205,7 +205,7 @@ class Parameters:
     def _direction(
         self, name: str, k: int, unit: complex, told: str, link: int | None, role: int = Role.normal
     ) -> Planar:
-        """A unit vector by its cosines, in the frame of a link; 0 and 1 stand as numbers."""
+        """Return a unit vector by its cosines in a link's frame; 0 and 1 stay numbers."""
         x, y = "x", "y"
         if link is None:
             x, y = "X", "Y"
@@ -226,7 +226,7 @@ class Parameters:
     def _coupling(
         self, c: int, coupling: Coupling, arm: float
     ) -> tuple[Sum, dict[int, Sum], LawTerms | None]:
-        """Its row, as long as the arm that turns the angle by which it is open into a gap."""
+        """Return offset, turns and law of a coupling's row, scaled by its arm."""
         size, unit, kind = ONE, "m", "displacement"
         if not self._slides(coupling.joint):
             meaning = f"length that turns the angle of coupling {c + 1} into a gap"
@@ -258,7 +258,7 @@ class Parameters:
         return -size * angle, turns, law
 
     def _gravity(self, description: Description) -> Planar:
-        """gx + i gy; -i g where it acts along -Y.  What varies is no symbol of it."""
+        """Return gx + i gy, or -i g if it acts along -Y; varying parts are no symbols."""
         gamma, field = description.gravity, description.field
         if field is not None:
             parts = zip(field.varying, "xy", (gamma.real, gamma.imag), strict=True)
@@ -274,7 +274,7 @@ class Parameters:
         return self._symbol(f"g{axis}", (0, axis), value, "m/s²", told)
 
     def _element(self, i: int, element: Element, told: str, place: int) -> Element:
-        """An element of a list of the scene; `place` is that of its points among lengths."""
+        """Return an element with symbols; `place` orders its points among lengths."""
         slides = element.at is not None and self._slides(element.at)
         names = [link.name for link in self.description.links]
         symbols = self._numbers(element, i, told + element.called(names), slides)
@@ -288,7 +288,7 @@ class Parameters:
     # -- numbers and points --------------------------------------------------------------------
 
     def _numbers(self, item: Declared, k: int, told: str, slides: bool) -> dict[str, Any]:
-        """The symbols of the numbers of an entry of the file, by fields; it is the k-th."""
+        """Return the symbols of the numbers of the k-th entry of a list, by field."""
         place = getattr(item, "link", k)
         return {
             field: self._number(key.of(slides), k, getattr(item, field), told, place)
@@ -350,7 +350,7 @@ class Parameters:
         return f"on {self.description.links[point.link].name}, in its frame"
 
     def _point(self, point: Point, name: str, place: tuple[int, str], meaning: str) -> Point:
-        """A point of a link or of the ground; the same point has the same symbols everywhere."""
+        """Return a point in symbols; the same point has the same symbols everywhere."""
         if point.link is not None and point.at == self.description.links[point.link].l != 0.0:
             link = self.description.links[point.link]
             length: Any = self._number(Link.keys["l"], point.link, link.l, link.name, point.link)
@@ -363,7 +363,7 @@ class Parameters:
     def _pair(
         self, name: str, place: tuple[int, str], value: complex, told: str, unit: str
     ) -> Planar:
-        """Two symbols, named with x and y in place of braces; a coordinate 0 is none."""
+        """Return two symbols, with x and y in the name's braces; a zero coordinate has none."""
         k, letters = place
         parts = [
             self._symbol(name.format(axis), (k, letters + axis), amount, unit, f"{told}, {axis}")
@@ -375,5 +375,5 @@ class Parameters:
 
 
 def _whole(value: float) -> float:
-    """A cosine as 0, 1 or -1 if it is that within rounding."""
+    """Return a cosine as 0, 1 or -1 if it is that within rounding."""
     return float(round(value)) if abs(value - round(value)) < 1e-15 else value

@@ -1,4 +1,4 @@
-"""Terms with two rates, each quadratic form of the rates once, as products where it is one.
+"""Writes each quadratic form of the rates once, as a product if it is one.
 
 4 m qd1 qd2 + 2 m qd2^2  ->  2 m qd2 (2 qd1 + qd2)
 """
@@ -16,9 +16,9 @@ Form = tuple[tuple[tuple[int, int], Fraction], ...]  # the same of pairs of join
 
 
 def forms_of(sum_: Sum) -> list[tuple[Form, Sum]]:
-    """The quadratic forms of a sum whose terms have two rates each, and what stands before each.
+    """Return the quadratic forms in a sum of terms with two rates, and the factor of each.
 
-    A form has whole numbers without a common divisor, the first of them positive.
+    A form has whole numbers without a common divisor; the first is positive.
     """
     by_rest: dict[Monomial, dict[tuple[int, int], Fraction]] = {}
     for monomial, number in sum_.terms.items():
@@ -41,12 +41,12 @@ def forms_of(sum_: Sum) -> list[tuple[Form, Sum]]:
 
 
 def rate_of(place: Iterable[int]) -> dict[int, Fraction]:
-    """The joints whose rates an atom adds up, those that it takes off with -1."""
+    """Return the joints whose rates an atom adds, with -1 for subtracted ones."""
     return {max(k, ~k): Fraction(1 if k >= 0 else -1) for k in place}
 
 
 def factored(form: Form) -> tuple[Linear, Linear, Fraction] | None:
-    """Two linear forms whose product, times a number, the form is; None where there are none."""
+    """Return two linear forms and a number whose product is the form; None if there are none."""
     values = dict(form)
     joints = sorted({k for pair in values for k in pair})
 
@@ -79,9 +79,9 @@ def factored(form: Form) -> tuple[Linear, Linear, Fraction] | None:
 def difference_of_squares(
     form: Form, sums: Sequence[tuple[int, ...]]
 ) -> tuple[tuple[int, ...], tuple[int, ...], Fraction] | None:
-    """Which rates squared the form is the difference of, and the number before it.
+    """Return two sums of rates whose squares differ by the form, and its factor.
 
-    `sums` are the joints whose rates each adds up; () is none.
+    `sums` are candidates, each a tuple of joints; () is zero.
     """
     for one in sums:
         for two in ((), *sums):
@@ -106,7 +106,7 @@ def _squared(joints: Sequence[int]) -> dict[tuple[int, int], int]:
 
 
 def _content(numbers: Sequence[Fraction]) -> Fraction:
-    """The number by which to divide, so that whole numbers without a divisor remain."""
+    """Return the number whose division leaves whole numbers without a common divisor."""
     exact = [Fraction(x) for x in numbers]
     over = lcm(*(x.denominator for x in exact))
     size = Fraction(gcd(*(int(x * over) for x in exact)), over)
@@ -120,7 +120,7 @@ def _whole(number: Fraction) -> Number:
 def _normal(
     one: Mapping[int, Fraction], two: Mapping[int, Fraction]
 ) -> tuple[Linear, Linear, Fraction]:
-    """Two linear forms in whole numbers, the shorter first, and what is before them."""
+    """Return two linear forms in whole numbers, the shorter one first, and their common factor."""
     size, found = Fraction(1), []
     for each in (one, two):
         kept = sorted((k, Fraction(x)) for k, x in each.items() if x)
@@ -134,7 +134,7 @@ def _normal(
 def _quotient(
     form: Mapping[tuple[int, int], Fraction], by: Mapping[int, Fraction]
 ) -> dict[int, Fraction] | None:
-    """The linear form that makes `form` with `by`; None where there is none."""
+    """Return the linear form that times `by` is `form`; None if there is none."""
     left, found = {pair: x for pair, x in form.items() if x}, dict[int, Fraction]()
     lead = min(by)
     while left:
@@ -154,7 +154,7 @@ def _quotient(
 def _root(
     form: Mapping[tuple[int, int], Fraction], joints: Sequence[int]
 ) -> dict[int, Fraction] | None:
-    """The linear form whose square `form` is; None where it is none."""
+    """Return the linear form whose square is `form`; None if there is none."""
     kept = {pair: x for pair, x in form.items() if x}
     if not kept:
         return {}

@@ -1,7 +1,7 @@
-"""The equations of motion as recorded arithmetic on named numbers, for what writes code.
+"""The equations of motion as recorded arithmetic on named numbers, for generated code.
 
-The scene's numbers are variables m1, l2, ... of a graph, or exact fractions; the rows, run on
-these, record the equations of motion.
+The scene's numbers are variables m1, l2, ... of a graph, or exact fractions.  The rows, evaluated
+on these, record the equations of motion.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ SHORT = replace(RECORDED, keep=lambda value: value)  # signs and factors move wh
 
 
 def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
-    """The equations of motion of the mechanism's scene; inputs are called q0, .., qd0, ..
+    """Return the equations of motion of a mechanism's scene, with inputs q0, .., qd0, ..
 
-    Raises InputError where a number that is put in leaves the range of floats, SingularError where
-    the ends of a spring coincide at every state.
+    Raises InputError if a number leaves the range of floats, and SingularError if the ends of a
+    spring coincide at every state.
     """
     graph = Graph()
     parameters = Parameters(mechanism)
@@ -42,7 +42,7 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
     defined = {x.name: x.value for x in parameters.laws}
 
     def law_value(x: Any) -> Value:
-        """A name of a law as its formula; numbers and lengths as they are."""
+        """Return the formula of a law's name; numbers and lengths stay as they are."""
         ((monomial, _),) = x.terms.items()
         formula = defined.get(monomial[0][0].name) if monomial else None
         found: Value = numbers(x)
@@ -91,7 +91,7 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
 
 
 def _summed(mechanism: Mechanism, heads: Sequence[Head]) -> Head:
-    """What all the others make of the joint torques."""
+    """Return the head of the sum that gives the joint torques."""
     left = " + ".join(f"{x.name} {x.rate}".strip() for x in heads if x.side == "left")
     right = "".join(f" - {x.name}" for x in heads if x.side == "right")
     name, told = "inverse_dynamics", "joint torques tau"
@@ -121,13 +121,13 @@ def _add_contacts(
 
 
 class _Numbers:
-    """Sums of products of parameters: variables of a graph, or fractions if it is numeric."""
+    """Values for sums of products of parameters: variables of a graph, or fractions."""
 
     def __init__(self, parameters: Parameters, numeric: bool, graph: Graph) -> None:
         self.parameters, self.numeric, self.graph = parameters, numeric, graph
 
     def __call__(self, item: Any) -> Any:
-        """An entry of the scene with these numbers for its sums and planar sums."""
+        """Return an entry of the scene with numbers in place of its sums."""
         if isinstance(item, Sum):
             return self._real(item)
         if isinstance(item, Law):
@@ -139,7 +139,7 @@ class _Numbers:
         return item
 
     def _law(self, law: Law) -> Law:
-        """A law with variables of the graph for constants of the scene."""
+        """Return a law with variables of the graph for the scene's constants."""
 
         def leaf(x: Any) -> Any:
             return self.graph.variable(x) if isinstance(x, str) and x not in law.names else x

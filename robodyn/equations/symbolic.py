@@ -1,14 +1,14 @@
-"""Sums of products of symbols, sines and cosines: the algebra that equations of motion need.
+"""Sums of products of symbols, sines and cosines: the algebra of equations of motion.
 
     2 m2 l1 r2 (qd1 + qd2) sin(q2)
 
 is a number times powers of atoms.  An atom is a parameter (m2), a function of a sum of coordinates
-(sin(q2), cos(q1 + q2)), or a sum of rates (qd1 + qd2), which is never multiplied out: it is the
-angular velocity of one link, or of a link relative to another.
+(sin(q2), cos(q1 + q2)), or a sum of rates (qd1 + qd2).  A sum of rates is never expanded: it is the
+angular velocity of a link, or of one link relative to another.
 
-Sums take the place of floats in the formulas of `mechanism.py` and in the rows of the equations of
-motion.  Their numbers are exact: ints and Fractions, of the scene's decimal numbers where
-`substituted` puts them in, so that what cancels on paper cancels here.
+Sums take the place of floats in the rows of the equations of motion.  Their numbers are exact: ints
+and Fractions, also for decimal numbers that `substituted` inserts.  So terms that cancel on paper
+cancel here.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Number = int | Fraction
 
 
 class Role:
-    """What an atom stands for, in the order in which the factors of a product are written."""
+    """Kind of an atom, in the order in which the factors of a product are written."""
 
     mass, inertia, damping = 0, 1, 2
     force = 3  # stiffness too
@@ -38,11 +38,11 @@ class Role:
 
 
 class Atom(NamedTuple):
-    """A factor of products, in whose order they sort.
+    """A factor of products; the fields define the sort order.
 
-    `place` of a parameter orders those of one role, (link, letters); else it is the joints (from 0)
-    whose angles or rates are summed, ~k where that of joint k is taken off.  `speed` is what a rate
-    is measured by: tanh(qd2/wf2).
+    `place` orders parameters of one role by (link, letters).  For other roles it lists the joints
+    (from 0) whose angles or rates are summed, ~k if that of joint k is subtracted.  `speed` is the
+    scale of a rate, as in tanh(qd2/wf2).
     """
 
     role: int
@@ -52,7 +52,7 @@ class Atom(NamedTuple):
 
     @property
     def parameter(self) -> bool:
-        """Whether it is a parameter of the scene, or a name that is defined."""
+        """Whether it is a parameter of the scene, or a defined name."""
         return self.role < Role.angle
 
 
@@ -62,7 +62,7 @@ Monomial = tuple[tuple[Any, Any], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sum:
-    """A sum of products: the number of each monomial, none of them zero."""
+    """A sum of products: the nonzero number of each monomial."""
 
     terms: Mapping[Monomial, Number]
 
@@ -77,7 +77,7 @@ class Sum:
 
     @property
     def real(self) -> Sum:
-        """Itself, as of any real number."""
+        """The sum itself: all symbols are real."""
         return self
 
     @property
@@ -120,25 +120,25 @@ class Sum:
         return prod([self] * int(power), start=ONE) if power in range(9) else NotImplemented
 
     def __rtruediv__(self, one: float) -> Sum:
-        """The inverse of a symbol."""
+        """Return a number divided by a symbol."""
         (((((atom, power),), number)),) = self.terms.items()
         return of(atom, -power).times(one / Fraction(number))
 
     def times(self, number: Number | float) -> Sum:
-        """Every term times a number."""
+        """Return every term times a number."""
         exact = Fraction(number)
         by = exact.numerator if exact.denominator == 1 else exact
         found = {monomial: by * x for monomial, x in self.terms.items()} if by else {}
         return Sum({monomial: int(x) if x == int(x) else x for monomial, x in found.items()})
 
     def atoms(self) -> Iterator[Atom]:
-        """Every atom of every term, those in brackets too."""
+        """Yield every atom of every term, also within brackets."""
         for monomial in self.terms:
             for factor, _ in monomial:
                 yield from factor.atoms() if isinstance(factor, Sum) else [factor]
 
     def half_slopes(self) -> dict[Atom, Sum]:
-        """Return half of the derivative by each rate that the sum holds."""
+        """Return half of the derivative by each rate in the sum."""
         found: dict[Atom, list[tuple[Monomial, Number]]] = {}
         for term, number in self.terms.items():
             for atom, power in term:
@@ -149,7 +149,7 @@ class Sum:
         return {atom: collected(terms) for atom, terms in found.items()}
 
     def substituted(self, values: Mapping[str, Fraction]) -> Sum:
-        """The sum with numbers for the symbols that `values` names."""
+        """Return the sum with numbers for the symbols in `values`."""
 
         def put_in(monomial: Monomial, number: Number) -> tuple[Monomial, Number]:
             left: list[tuple[Any, Any]] = []
@@ -173,22 +173,22 @@ ONE = Sum({(): 1})
 
 
 def of(atom: Atom | Sum, power: float = 1) -> Sum:
-    """A power of the atom as a sum of one term."""
+    """Return a power of an atom as a sum with one term."""
     return Sum({((atom, power),): 1})
 
 
 def summed(number: Any) -> Sum:
-    """A number as a sum; sums as they are."""
+    """Return a number as a sum; sums stay as they are."""
     return number if isinstance(number, Sum) else ONE.times(number)
 
 
 def total(parts: Iterable[Sum]) -> Sum:
-    """The sum of the parts, in their order."""
+    """Return the sum of the parts, in their order."""
     return collected(term for part in parts for term in part.terms.items())
 
 
 def collected(terms: Iterable[tuple[Monomial, Number]]) -> Sum:
-    """The sum of terms, those of one monomial added."""
+    """Return the sum of terms, with equal monomials added."""
     found: dict[Monomial, Number] = {}
     for monomial, number in terms:
         found[monomial] = found.get(monomial, 0) + number
@@ -196,7 +196,7 @@ def collected(terms: Iterable[tuple[Monomial, Number]]) -> Sum:
 
 
 def expanded(sum_: Sum) -> Sum:
-    """The sum without brackets."""
+    """Return the sum without brackets."""
     terms: list[tuple[Monomial, Number]] = []
     for monomial, number in sum_.terms.items():
         brackets = [x for x in monomial if isinstance(x[0], Sum) and x[1] in range(1, 9)]
@@ -209,7 +209,7 @@ def expanded(sum_: Sum) -> Sum:
 
 
 def slope(sum_: Sum, of_atom: Callable[[Atom], Sum]) -> Sum:
-    """The derivative of a sum without brackets, of whose atoms `of_atom` tells the derivatives."""
+    """Return the derivative of a sum without brackets; `of_atom` gives those of its atoms."""
     found: list[tuple[Monomial, Number]] = []
     for monomial, number in sum_.terms.items():
         for atom, power in monomial:
@@ -220,7 +220,7 @@ def slope(sum_: Sum, of_atom: Callable[[Atom], Sum]) -> Sum:
 
 
 def merged(a: Monomial, b: Monomial) -> Monomial:
-    """The product of two."""
+    """Return the product of two monomials."""
     powers = dict(a)
     for atom, power in b:
         powers[atom] = powers.get(atom, 0) + power

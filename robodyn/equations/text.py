@@ -1,4 +1,4 @@
-"""The equations of motion as plain text to read, a legend of their symbols below; and as JSON."""
+"""The equations of motion as plain text with a legend, and as JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WIDTH = 100
 
 
 def text(equations: Equations[Sum], width: int = WIDTH) -> str:
-    """The equations in lines of `width` at most, where they can be broken."""
+    """Return the equations as text, wrapped to `width` where possible."""
     width = max(width, LEAST_WIDTH)
     lines = [f"{equations.title}: equations of motion", ""]
     lines += [f"{MARGIN}{line}" for line in equations.told()]
@@ -41,7 +41,7 @@ def text(equations: Equations[Sum], width: int = WIDTH) -> str:
 
 
 def _block(block: Block[Sum], width: int) -> Iterator[str]:
-    """The entries of a matrix or vector, one below the other; zeros together at the end."""
+    """Yield the entries of a matrix or vector; zeros are listed together at the end."""
     if block.zero:
         yield f"{MARGIN}{block.plain_name} = 0"
         return
@@ -65,20 +65,20 @@ def _block(block: Block[Sum], width: int) -> Iterator[str]:
 
 
 def _equation(label: str, line: str, width: int) -> list[str]:
-    """`label = line`, broken lines below the first."""
+    """Return `label = line`, with continued lines below the first."""
     start = f"{MARGIN}{label} = "
     first, *more = broken(line, width - len(start))
     return [start + first, *(f"{' ' * len(start)}{part}" for part in more)]
 
 
 def _label(block: Block[Sum], i: int, j: int) -> str:
-    """M12, G1, (Psidot qd)1, (dgap/dt)1."""
+    """Return an entry's label: M12, G1, (Psidot qd)1, (dgap/dt)1."""
     name = block.plain_name
     return (f"({name})" if {*" /"} & {*name} else name) + block.numbers(i, j, ",")
 
 
 def table(rows: Iterable[Sequence[str]]) -> Iterator[str]:
-    """Rows of cells as lines, columns below one another."""
+    """Yield rows of cells as lines with aligned columns."""
     lines = list(rows)
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
@@ -87,7 +87,7 @@ def table(rows: Iterable[Sequence[str]]) -> Iterator[str]:
 
 
 def as_json(equations: Equations[Sum]) -> str:
-    """One JSON object, a key in each line; entries in the syntax of Python and SymPy."""
+    """Return one JSON object, a key per line; entries in the syntax of Python and SymPy."""
 
     def shown(entry: Sum | Formula) -> str:
         return one_line(PYTHON.text(entry))

@@ -1,11 +1,11 @@
-"""The equations of motion as formulas to read, with the names that elements give in their rows.
+"""The equations of motion as formulas to read, with names that elements give to quantities.
 
 A spring from its second end to its first is S, V = dS/dt.  It pulls by K S and its damper by P S,
 
     K = k (1 - S0/|S|)        P = ds Re(conj(S) V)/|S|^2
 
-like loads on its ends; these stand as names in the entries.  Without a free length K = k, and S is
-multiplied out where its links hang from one another.
+as loads on its ends; these names occur in the entries.  Without a free length K = k, and S is
+expanded if its links hang from one another.
 """
 
 from __future__ import annotations
@@ -78,10 +78,10 @@ LEVELS: dict[str, Sequence[Key]] = {
 def equations(
     mechanism: Mechanism, numeric: bool = False, watch: Callable[[float], object] | None = None
 ) -> Equations[Sum]:
-    """The equations of motion of the mechanism's scene, in symbols or with its numbers put in.
+    """Return the equations of motion of a mechanism's scene, in symbols or in numbers.
 
-    `watch` is told now and then what part is done.  Raises InputError where a number that is put
-    in leaves the range of floats.
+    `watch` is called with the finished part now and then.  Raises InputError if a number leaves the
+    range of floats.
     """
     parameters = Parameters(mechanism)
     n, rows = mechanism.n, len(mechanism.rows)
@@ -156,21 +156,21 @@ class _Symbolic(Recorded):
         }
 
     def builder(self) -> NamedRows:
-        """See `Recorded`."""
+        """Return the writer of the rows; see `Recorded`."""
         self.written = NamedRows(self.mechanism, self.places)
         return self.written
 
     def more(self, equations: EquationsOfMotion) -> Mapping[str, Any]:
-        """See `Recorded`."""
+        """Return the values of the names; see `Recorded`."""
         return self.written.given
 
     def series(self, *given: Any, **named: Any) -> Series:
-        """See `Recorded`."""
+        """Return the series, which is kept; see `Recorded`."""
         self.expanded = super().series(*given, **named)
         return self.expanded
 
     def definitions(self, entries: Matrix, write: Callable[..., Any]) -> Iterator[Definition]:
-        """The names that the entries use, as they are told."""
+        """Yield the definitions of the names that the entries use."""
         atoms = {atom for row in entries for entry in row for atom in summed(entry).atoms()}
         for name, value in self.written.used(self.expanded, atoms):
             if not name.is_root:
@@ -179,19 +179,19 @@ class _Symbolic(Recorded):
             yield Definition(name.atom.name, value, name.unit, name.meaning)
 
     def absolute(self, name: str) -> list[Any]:
-        """Angles of links as sums, their rates as one atom each."""
+        """Return the angles of links as sums, their rates as one atom each."""
         angles: list[Any] = super().absolute("q")
         return angles if name == "q" else [of(Atom(Role.rate, _joints(angle))) for angle in angles]
 
     def half_slopes(self, values: Sequence[Any]) -> list[list[Any]]:
-        """See `Recorded`."""
+        """Return half of the derivatives by absolute rates; see `Recorded`."""
         rates = [atom for rate in self.absolute("qd") for atom in rate.atoms()]
         slopes = [summed(entry).half_slopes() for entry in values]
         return [[row.get(rate, ZERO) for rate in rates] for row in slopes]
 
 
 def _joints(angle: Any) -> tuple[int, ...]:
-    """The joints of a sum of angles."""
+    """Return the joints of a sum of angles."""
     return tuple(sorted(atom.place[0] for atom in angle.atoms()))
 
 
@@ -212,13 +212,13 @@ SYMBOLIC = Arithmetic(
 
 
 def _in_order(entry: Any, block: str) -> Sum:
-    """The entry of a block, its terms from the ground on, body by body."""
+    """Return an entry of a block with its terms ordered from the ground on, body by body."""
     entry = simplified(summed(entry))
     return in_place(Sum(_gathered(entry)) if block == "C" else entry, block)
 
 
 def in_place(entry: Sum, block: str) -> Sum:
-    """The terms of an entry of a block, or of what is like it, in the order of writing."""
+    """Return the terms of an entry in the order of writing."""
     terms = entry.terms
     angles = dict.fromkeys(x.place for term in terms for x, _ in term if x.role == Role.function)
     seen = {joints: place for place, joints in enumerate(angles)}
@@ -226,7 +226,7 @@ def in_place(entry: Sum, block: str) -> Sum:
 
 
 def _gathered(entry: Sum) -> dict[Monomial, Number]:
-    """The terms with what multiplies one product as one rate: (qd1 + qd2) - qd1 is qd2."""
+    """Return the terms with the rates before one product added: (qd1 + qd2) - qd1 is qd2."""
     found: dict[Monomial, dict[int, Number]] = {}
     for monomial, number in entry.terms.items():
         rates = next(atom for atom, _ in monomial if atom.role == Role.rate)
@@ -242,10 +242,10 @@ def _gathered(entry: Sum) -> dict[Monomial, Number]:
 
 
 def _place(block: str, monomial: Monomial, seen: dict[tuple[int, ...], int]) -> tuple[Any, ...]:
-    """Where a term stands in an entry: ties stay as the rows have them, angles as they are `seen`.
+    """Return the sort key of a term in an entry; `seen` orders angles.
 
-    M goes body by body, C pair by pair of links; G and Q link by link, and there gravity, loads,
-    and springs; those at joints are last.
+    M is ordered by bodies, C by pairs of links, G and Q by links: gravity, loads, springs; terms at
+    joints come last.  Equal keys keep the order of the rows.
     """
     atoms: dict[int, list[Atom]] = defaultdict(list)
     for atom, _ in monomial:
@@ -283,10 +283,10 @@ def _place(block: str, monomial: Monomial, seen: dict[tuple[int, ...], int]) -> 
 
 
 class _Shared:
-    """Names for the entries of W and of W J, of which M and C are sums, J^T W J.
+    """Names for the entries of W and of W J, from which M and C are formed as J^T W J.
 
-    W is the matrix by absolute angles and displacements.  Only long chains have names: multiplied
-    out, their text grows with the fifth power of the number of links.
+    W is the matrix in absolute angles and displacements.  Only long chains get names: expanded,
+    their text grows with the fifth power of the number of links.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -315,7 +315,7 @@ class _Shared:
     def definitions(
         self, head: Head, block: Sequence[Sequence[Sum]], write: Callable[..., Sum]
     ) -> Iterator[Definition]:
-        """Return the names that the block uses, in the order in which they can be computed."""
+        """Yield the names that a block uses, in the order in which to compute them."""
         used = {atom.name for row in block for entry in row for atom in entry.atoms()}
         for name in reversed(self.sums):
             if name in used:
