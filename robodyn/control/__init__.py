@@ -1,1 +1,1 @@
-"""Controllers that track a reference motion: the reference, the laws, and how a run asks them."""
+"""Controllers that track a reference motion."""

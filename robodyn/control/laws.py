@@ -1,38 +1,38 @@
 """Controllers that make the actuated joints track a reference motion.
 
-With e = q_ref - q and ed = qd_ref - qd of the actuated joints (angles from turn to turn), and Kp,
-Kd diagonal:
+With e = q_ref - q and ed = qd_ref - qd of the actuated joints (angles counted with full turns), and
+Kp, Kd diagonal:
 
     pd                  tau = Kp e + Kd ed
     pd+g                tau = Kp e + Kd ed + G(q)
     pid                 tau = Kp e + Kd ed + Ki z
     computed-torque     tau = inverse dynamics of (q, qd, v),     v = qdd_ref + Kd ed + Kp e
 
-G (the torques that hold a mechanism at rest) and the inverse dynamics are those of the model that
-the controller believes; it is asked at the angles and rates that the mechanism has.  If they are
-the mechanism's own, computed torque leaves edd + Kd ed + Kp e = 0 for each joint.  Torques beyond
-tau_max are cut off; what speeds a motor up falls to nothing over the last part of its speed_max,
+G (the torques that hold a mechanism at rest) and the inverse dynamics are computed with the
+controller's model, at the actual positions and rates.  If the model is exact, computed torque
+leaves edd + Kd ed + Kp e = 0 for each joint.  Torques beyond tau_max are cut off; the torque that
+speeds a motor up fades to zero over the last part of its speed_max,
 
     tau (rate_max - |qd|)/(FADE rate_max),     between 0 and tau, where tau qd > 0.
 
-pd+g may have Ki z as well.  The integral z is 0 at the start, and
+pd+g may also have Ki z.  The integral z is 0 at the start, and
 
     zd = e + (tau - tau') / Kp,     tau' the torque of the law before it is cut off:
 
-while a torque is cut off, Ki z goes to what the limit leaves for it, with the time constant Kp/Ki
-(back-calculation: Astrom, Murray, "Feedback Systems", 2008, 10.4).  zd is continuous.
+while a torque is cut off, Ki z approaches what the limit leaves for it, with the time constant
+Kp/Ki (back-calculation: Astrom, Murray, "Feedback Systems", 2008, 10.4). zd is continuous.
 
-The law state-feedback keeps to a pose (`state_feedback.py`).
+The law state-feedback keeps a pose (`state_feedback.py`).
 
-A law acts continuously, or is sampled: at times k/rate the torque is computed from the state that
-the run has reached, and held until the next; z grows by zd/rate from sample to sample.
+A law acts continuously, or is sampled: at times k/rate the torque is computed from the state of the
+run, and held until the next sample; z grows by zd/rate per sample.
 
-With the accelerations v of the actuated joints given, those of the others follow from the closures,
+Given the accelerations v of the actuated joints, those of the others follow from the closures,
 
     Psi_p qdd_p = -Psidot qd - Psi_a v,
 
-and the torques from the inverse dynamics.  A controller asks at every evaluation of a simulation,
-so both are written out as code on floats wherever the closures' system is no larger than 2 x 2.
+and the torques from the inverse dynamics.  A controller is evaluated at every stage of a
+simulation, so both are generated as code on floats if the closures' system is no larger than 2 x 2.
 """
 
 from __future__ import annotations
@@ -77,10 +77,11 @@ Floats = Callable[..., Sequence[float]]
 
 
 def rest_torques(mechanism: Mechanism) -> Floats:
-    """A function of q (n floats) to the torques (actuated) that hold the mechanism at rest, N m.
+    """Return a function of q (n floats) to the torques (actuated) that hold the mechanism.
 
-    Of an open chain with passive joints, those of the actuated joints alone.  Raises RobodynError
-    where a closed mechanism has fewer actuators than freedoms; the function, SingularError.
+    In N m.  For an open chain with passive joints these are only the actuated joints' torques.
+    Raises RobodynError if a closed mechanism has fewer actuators than freedoms; the function may
+    raise SingularError.
     """
     mechanism = parts.untimed(mechanism)
     if mechanism.rows:
@@ -101,11 +102,11 @@ def rest_torques(mechanism: Mechanism) -> Floats:
 
 
 def driving_torques(mechanism: Mechanism) -> Floats:
-    """A function of q, qd (n floats each), v (actuated) to the torques (actuated), N m.
+    """Return a function of q, qd (n floats each) and v (actuated) to torques (actuated).
 
-    v are the accelerations that the actuated joints get, rad/s^2.  Raises RobodynError where the
-    mechanism has fewer actuators than freedoms, InputError where it has more, as then v would
-    contradict the closures; the function raises SingularError at a dead centre.
+    v are accelerations of the actuated joints, rad/s^2; torques are in N m.  Raises RobodynError if
+    there are fewer actuators than freedoms, and InputError if there are more, since v could then
+    contradict the closures.  The function raises SingularError at a dead centre.
     """
     mechanism = parts.untimed(mechanism)
     check_actuators(mechanism, np.zeros(mechanism.n))
@@ -132,7 +133,7 @@ def driving_torques(mechanism: Mechanism) -> Floats:
 
 
 def _compiled(mechanism: Mechanism, rests: bool, otherwise: Floats) -> Floats:
-    """The formula as code; `otherwise` where there is none, or a closure's pivot is small."""
+    """Return the formula as code; `otherwise` if there is none, or a closure's pivot is small."""
     rows = len(mechanism.rows)
     determined = not rows or (rows <= 2 and len(mechanism.passive) == rows)
     if mechanism.n > formulas.MAX_GENERATED or not determined:
@@ -159,7 +160,7 @@ def _compiled(mechanism: Mechanism, rests: bool, otherwise: Floats) -> Floats:
 
 
 def _formula(mechanism: Mechanism, rests: bool, by_direction: bool) -> Formula:
-    """Torques of the actuated joints from q, or from q, qd and the actuated joints' qdd."""
+    """Return the torques of the actuated joints from q, or from q, qd and their qdd."""
     n, driven = mechanism.n, mechanism.actuated
     state = Recorded(mechanism, ("qd", "qdd"), by_direction)
     inputs = state.inputs[:n]
@@ -174,7 +175,7 @@ def _formula(mechanism: Mechanism, rests: bool, by_direction: bool) -> Formula:
 
 
 def _complete(state: Recorded) -> None:
-    """Let the passive joints' qdd follow from the others'."""
+    """Compute the passive joints' qdd from the others'."""
     mechanism = state.mechanism
     qdd = state.relative["qdd"]
     series = state.series([0.0] * mechanism.n)
@@ -193,9 +194,9 @@ def _complete(state: Recorded) -> None:
 
 
 class RecordedLaw:
-    """Torques of `joints` and the rates of a law's own states, of t, q0.., qd0.. (n) and z0...
+    """Torques of `joints`, and rates of the law's own states, from t, q0.., qd0.. and z0...
 
-    `lines` set further inputs.
+    `lines` are statements that compute further inputs.
     """
 
     def __init__(self, n: int, joints: int, states: int) -> None:
@@ -208,16 +209,19 @@ class RecordedLaw:
         self.outputs: list[Value] = []
 
     def variables(self, name: str, count: int) -> list[Value]:
-        """The inputs called so: name0, name1, ..."""
+        """Return the inputs name0, name1, ..."""
         return [self.graph.variable(f"{name}{i}") for i in range(count)]
 
     def ask(self, model: Floats, asked: Sequence[Value]) -> list[Value]:
-        """What a model answers, a number for each joint."""
+        """Return what a model computes, one number per joint."""
         self.scope["model"], self.asked = model, [*asked]
         return self.variables("g", self.joints)
 
     def code(self) -> Callable[..., Any]:
-        """The law as a function of floats; the model is asked as soon as its inputs are known."""
+        """Return the law as a function of floats.
+
+        The model is called as soon as its inputs are known.
+        """
         lines, shown = float_source([*self.asked, *self.outputs])
         last = max((x.index for x in self.asked if isinstance(x, Expression)), default=-1)
         first = sum(int(line[1 : line.index(" ")]) <= last for line in lines)
@@ -235,9 +239,9 @@ ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
 
 
 class Tracked:
-    """What the accepted steps of a run tell of the tracking error e and its rate ed.
+    """Statistics of the tracking error e and its rate ed, over the accepted steps of a run.
 
-    Between the ends of a step e is taken for the cubic that has both there.
+    Within a step, e is the cubic with the values of e and ed at both ends.
     """
 
     restarts = False
@@ -257,12 +261,12 @@ class Tracked:
         self.hardest: tuple[float, Array] | None = None
 
     def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:
-        """Those that act at t, in the state y = (q, qd, ...)."""
+        """Return the torques at t, in the state y = (q, qd, ...)."""
         found: Sequence[float] = self.law(t, *y[: 2 * self.mechanism.n + self.states])
         return found[: self.reference.joints]
 
     def errors(self, t: Array, y: Array) -> Array:
-        """q_ref - q (k, actuated) at times t (k,) and states y (k, n or more)."""
+        """Return q_ref - q (k, actuated) at times t (k,) and states y (k, n or more)."""
         error: Array = self.reference.at(t)[0] - y[:, list(self.mechanism.actuated)]
         return error
 
@@ -296,7 +300,7 @@ class Tracked:
         self._duration += abs(float(t[-1] - t[0]))
 
     def _compare(self, t: Array, size: Array) -> None:
-        """Keep the largest of sizes (k, actuated) at times t (k, actuated), and its time."""
+        """Keep the largest of sizes (k, actuated) at times t (k, actuated), with its time."""
         if len(size):
             worst = size.argmax(axis=0), np.arange(size.shape[1])
             larger = size[worst] > self._largest
@@ -304,7 +308,7 @@ class Tracked:
             self._at = np.where(larger, t[worst], self._at)
 
     def tracking(self) -> list[JointTracking]:
-        """Of each actuated joint."""
+        """Return the statistics of each actuated joint."""
         mean = self._square / self._duration if self._duration else self._largest**2
         names = [self.mechanism.link_names[k] for k in self.mechanism.actuated]
         columns = (np.sqrt(mean), self._largest, self._at, self._torque)
@@ -313,7 +317,7 @@ class Tracked:
 
 
 def _extremes(cubic: tuple[Array, Array, Array, Array]) -> list[tuple[Array, Array]]:
-    """Where in each step its cubic has an extreme, and how large; zero where there is none."""
+    """Return place and value of the extremes of each step's cubic; zero if there is none."""
     begin, slope, c2, c3 = cubic
     with np.errstate(all="ignore"):  # slope + 2 c2 u + 3 c3 u^2 = 0 may have no root
         q = -(c2 + np.copysign(np.sqrt(c2**2 - 3.0 * c3 * slope), c2))
@@ -327,7 +331,7 @@ def _extremes(cubic: tuple[Array, Array, Array, Array]) -> list[tuple[Array, Arr
 
 
 class Continuous(Tracked):
-    """A law that acts all the time."""
+    """A law that acts continuously."""
 
     def __init__(
         self,
@@ -354,9 +358,9 @@ class Continuous(Tracked):
 
 
 class Sampled(Tracked):
-    """A law that is sampled, its torques held from one sample to the next.
+    """A sampled law; its torques are held from one sample to the next.
 
-    Its own states are summed up: z + zd/rate at the next sample.
+    Its own states are summed: z + zd/rate at the next sample.
     """
 
     restarts = True
@@ -394,11 +398,11 @@ class Sampled(Tracked):
         self.times.append(t)
 
     def sample(self, t: float) -> int:
-        """The last sample at t."""
+        """Return the index of the last sample at t."""
         return max(bisect_right(self.times, t * ROUNDED) - 1, 0)
 
     def at(self, t: float) -> Sequence[float]:
-        """The torques held at t."""
+        """Return the torques held at t."""
         joints = self.reference.joints
         k = self.sample(t) * joints
         return self.values[k : k + joints]
@@ -430,16 +434,17 @@ def controller(
     ki: float | Sequence[float] | None = None,
     gain: StateFeedback | None = None,
 ) -> Actuation:
-    """What `simulate` takes as tau so that the actuated joints track a reference.
+    """Return what `simulate` takes as tau so that the actuated joints track a reference.
 
-    The reference is that of the actuated joints, or of all, or a motion, of which the actuated
-    joints are tracked; state-feedback, which has a `gain` in place of kp and kd, takes from it the
-    errors that are told.  control: one of `LAWS`.  kp, kd, ki (>= 0): one value or one an actuated
-    joint; N m/rad, N m s/rad and N m/(rad s), of computed torque 1/s^2 and 1/s.  tau_max, N m: the
-    same, or None; motors limit torques too.  control_rate: samples a second, or None where the law
-    acts continuously.  control_model: the one in the law; None: the mechanism itself.
-    Raises InputError for arguments that do not fit, RobodynError where the law needs torques of a
-    closed mechanism that has fewer actuators than freedoms.
+    The reference has the actuated joints, or all, or is a motion, whose actuated joints are
+    tracked. state-feedback has a `gain` in place of kp and kd, and uses the reference only to
+    report errors. control: one of `LAWS`. kp, kd, ki (>= 0): one value, or one per actuated joint;
+    in N m/rad, N m s/rad and N m/(rad s), for computed torque in 1/s^2 and 1/s. tau_max (N m):
+    likewise, or None; motors limit torques too. control_rate: samples per second, or None for a
+    continuous law. control_model: the model in the law; None: the mechanism itself.
+
+    Raises InputError for wrong arguments, and RobodynError if the law needs torques of a closed
+    mechanism with fewer actuators than freedoms.
     """
     for x in (mechanism, control_model or mechanism):
         refuse_driven(x, "a controller")
@@ -505,7 +510,7 @@ def _actuation(
     asked: Mapping[str, object],
     kinks: tuple[float, ...],
 ) -> Actuation:
-    """Torques of the actuated joints, and rates of `own` states, by a call of what is `asked`."""
+    """Return an actuation whose torques and `own` rates come from a call on names in `asked`."""
     targets = [*(f"tau{k}" for k in mechanism.actuated), *own]
     lines = (f"{', '.join(targets)}, = {call}", *(f"tau{k} = 0.0" for k in mechanism.passive))
     times = law.reference.times
@@ -515,7 +520,7 @@ def _actuation(
 
 
 def _check(control: str, given: Mapping[str, object], rate: float | None) -> None:
-    """Raise InputError for a law that is none, what it lacks, and what it does not take."""
+    """Raise InputError for an unknown law, for missing and for needless arguments."""
     if control not in LAWS:
         raise InputError("control", value=control, limit=f"must be of {', '.join(LAWS)}")
     needed, others = LAWS[control]
@@ -529,7 +534,7 @@ def _check(control: str, given: Mapping[str, object], rate: float | None) -> Non
 
 
 def _of_actuated(mechanism: Mechanism, reference: ReferenceTable) -> ReferenceTable:
-    """The reference of the actuated joints."""
+    """Return the reference of the actuated joints."""
     joints = len(mechanism.actuated)
     if not joints:
         raise InputError("control", where=mechanism.source, limit="no joint is actuated")
@@ -557,7 +562,7 @@ def _joints(mechanism: Mechanism) -> str:
 def _values(
     mechanism: Mechanism, name: str, given: float | Sequence[float], least: float
 ) -> list[float]:
-    """One value an actuated joint, each at least `least`."""
+    """Return one value per actuated joint, each at least `least`."""
     values = for_each_actuated(mechanism, given, name)
     for value in values:
         if not least <= value < math.inf:
@@ -575,7 +580,7 @@ def _tracking(
     gains: Mapping[str, Sequence[float]],
     law: RecordedLaw,
 ) -> tuple[list[Value], list[Value]]:
-    """The torques that a law wants of the actuated joints, and their errors."""
+    """Return the torques that a law demands of the actuated joints, and their errors."""
     n, joints, powers = mechanism.n, reference.joints, reference.coefficients.shape[-1]
     q, qd, z = (law.variables(name, n) for name in ("q", "qd", "z"))
     names = [f"c{j}_{d}" for j in range(joints) for d in range(powers)]
@@ -604,7 +609,7 @@ def _tracking(
 
 
 def _feedback(mechanism: Mechanism, given: StateFeedback, law: RecordedLaw) -> list[Value]:
-    """The torques that state-feedback wants."""
+    """Return the torques that state-feedback demands."""
     count, qd = len(given.coordinates), law.variables("qd", mechanism.n)
     for i, k in enumerate(given.coordinates):
         away = f"q{k} - {float(given.q[k])!r}"
@@ -632,9 +637,9 @@ def _limited(
     limits: Sequence[float],
     gains: Mapping[str, Sequence[float]],
 ) -> list[Value]:
-    """The torques as they are cut off and fade, then, with gains ki, the rates of the integrals.
+    """Return torques, cut off and faded, then the rates of integrals for gains ki.
 
-    Raises InputError for a kp of zero where the integral may have to go back.
+    Raises InputError for a kp of zero if the integral may have to be driven back.
     """
     fastest, qd = rate_limits(mechanism), law.variables("qd", mechanism.n)
     torques: list[Value] = []

@@ -2,8 +2,8 @@
 
     tau = tau0 - K [xi - xi0; xid]
 
-xi are the coordinates that K names, of any joints; angles differ from the pose's by half a turn at
-most, so that a joint which has turned round is where it was.  tau0 holds the mechanism at the pose.
+xi are the coordinates named by K, of any joints.  Angles differ from the pose's by at most half a
+turn: a joint after a full turn is where it was. tau0 holds the mechanism at the pose.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from robodyn.tables.short_repr import short_repr
 @short_repr
 @dataclass(frozen=True)
 class StateFeedback:
-    """A gain and its pose: `gain` (actuated, 2f) of f `coordinates` (joints from 0), then rates.
+    """A gain and its pose.
 
-    q (n) in rad and m; tau of the actuated joints or of all in N m, N for joints that slide.
+    `gain` is (actuated, 2f): f `coordinates` (joints from 0), then their rates. q (n,) in rad and
+    m; tau of the actuated joints or of all, in N m, or N for sliding joints.
     """
 
     coordinates: tuple[int, ...]
@@ -34,9 +35,9 @@ class StateFeedback:
 
 
 def read_feedback(mechanism: Mechanism, text: bytes, where: str) -> StateFeedback:
-    """The feedback that JSON with `coordinates`, `q`, `tau` and `gain` tells; InputError if none.
+    """Read a feedback from JSON with `coordinates`, `q`, `tau` and `gain`.
 
-    `coordinates` are columns such as "q1".
+    `coordinates` are columns such as "q1". Raises InputError if something is wrong.
     """
     try:
         given = json.loads(text)

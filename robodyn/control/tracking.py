@@ -1,12 +1,12 @@
-"""The motion that a controller tracks: rows of q_ref, qd_ref, qdd_ref, and what lies between them.
+"""The reference of a controller: rows of q_ref, qd_ref, qdd_ref, and values between them.
 
 Between its rows the reference is a polynomial in time, of the degree that the rows determine:
 
-- q, qd, qdd given: quintic Hermite, so that q_ref is twice continuously differentiable;
-- q, qd given: cubic Hermite; qdd_ref jumps at a row;
-- q given: the cubic spline (not-a-knot), twice continuously differentiable.
+- q, qd, qdd given: quintic Hermite, so that q_ref is twice continuously differentiable; - q, qd
+given: cubic Hermite; qdd_ref jumps at a row; - q given: the cubic spline (not-a-knot), twice
+continuously differentiable.
 
-Angles must run on past a turn: apply `numpy.unwrap` to wrapped ones first.
+Angles must continue past a full turn: apply `numpy.unwrap` to wrapped ones first.
 
 qd_ref and qdd_ref are always the derivatives of q_ref.  Beyond its end a reference may be held:
 q_ref stays, and qd_ref = qdd_ref = 0.
@@ -36,10 +36,10 @@ ROUNDING = 1e3 * np.finfo(float).eps  # of q, which the accelerations between cl
 
 
 class ReferenceTable:
-    """A reference motion of m joints: rows at increasing times (T,), in s, rad, rad/s, rad/s^2.
+    """A reference motion of m joints: rows at increasing times (T,), in SI units.
 
-    q is (T, m), and so are qd and qdd where they are given; qdd needs qd.  Raises InputError, which
-    names `where`, for rows that make no motion.
+    q is (T, m), and so are qd and qdd if given; qdd needs qd.  Raises InputError, which names
+    `where`, for rows that make no motion.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class ReferenceTable:
 
     @classmethod
     def set_point(cls, q: ArrayLike, t: float) -> ReferenceTable:
-        """The angles or displacements q (m,) from 0 to t (s; negative: from t to 0)."""
+        """Return a reference that stays at q (m,) from 0 to t (s; t may be negative)."""
         coefficients = np.asarray(q, float)[None, :, None] * np.array([1.0, 0.0, 0.0])
         return object.__new__(cls)._consist("set-point", [min(t, 0.0), max(t, 0.0)], coefficients)
 
@@ -88,7 +88,8 @@ class ReferenceTable:
     def along(cls, motion: ReferenceMotion) -> ReferenceTable:
         """Return the reference of the actuated joints along a motion.
 
-        Pieces that are polynomials in time are exact; others miss by about 1e-11 of their way.
+        Pieces that are polynomials in time are exact; others are off by about 1e-11 of their
+        travel.
         """
         path, T = motion.path, motion.duration
         for cuts in (1, CUTS):
@@ -112,7 +113,7 @@ class ReferenceTable:
         return found
 
     def until(self, t: float) -> ReferenceTable:
-        """The same, held at its end until t if that is later."""
+        """Return the reference, held at its end until t if that is later."""
         end = self.times[-1]
         if not t > end:
             return self
@@ -122,12 +123,12 @@ class ReferenceTable:
         return object.__new__(ReferenceTable)._consist(self.where, [*self.times, t], coefficients)
 
     def of(self, joints: Sequence[int]) -> ReferenceTable:
-        """The reference of some of these joints (from 0)."""
+        """Return the reference of some of these joints (from 0)."""
         coefficients = self.coefficients[:, list(joints)]
         return object.__new__(ReferenceTable)._consist(self.where, self.times, coefficients)
 
     def at(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> tuple[Array, Array]:
-        """q_ref and qd_ref (..., m) at times t (...); at a row those on this side of it."""
+        """Return q_ref and qd_ref (..., m) at times t (...), on the given side of a row."""
         c, x = self._piece(t, side)
         q, qd = np.zeros(c.shape[:-1]), np.zeros(c.shape[:-1])
         for d in reversed(range(c.shape[-1])):
@@ -136,7 +137,7 @@ class ReferenceTable:
         return q, qd
 
     def accelerations(self, t: ArrayLike) -> Array:
-        """qdd_ref (..., m) at times t (...); at a row that after it."""
+        """Return qdd_ref (..., m) at times t (...), after a row."""
         c, x = self._piece(t, "right")
         qdd = np.zeros(c.shape[:-1])
         for d in reversed(range(2, c.shape[-1])):
@@ -144,7 +145,7 @@ class ReferenceTable:
         return qdd
 
     def _piece(self, t: ArrayLike, side: Literal["left", "right"]) -> tuple[Array, Array]:
-        """The coefficients at times t (...), and the time (..., 1) since their piece began."""
+        """Return the coefficients at times t (...), and the time (..., 1) within the piece."""
         t = np.asarray(t, float)
         k = np.searchsorted(self.times, t, side=side) - 1
         k = np.clip(k, 0, len(self.times) - 2)
@@ -169,10 +170,9 @@ def _check(times: Array, given: list[Array], where: str) -> None:
 
 
 def _kinks(times: Array, c: Array) -> list[NDArray[np.bool_]]:
-    """At each row between pieces (T - 2,): whether a derivative of qd jumps there, qdd, or qd.
+    """Return at which inner rows (T - 2,) a derivative of qd jumps, at which qdd, and at which qd.
 
-    That of a smooth motion written in close rows does not: the next piece goes on as the one
-    before, but for what no tolerance sees.
+    A smooth motion in closely spaced rows has no jumps: what differs is below every tolerance.
     """
     degree = c.shape[-1] - 1
     h = np.diff(times)[:, None]

@@ -1,7 +1,7 @@
-"""Paths p(u) of the actuated joints, u from 0 to 1: what is left of a motion without its duration.
+"""Paths p(u) of the actuated joints, u from 0 to 1: motions without their duration.
 
-In the time T a path is run through as q = p(t/T), qd = p'/T, qdd = p''/T^2.  A path is smooth
-between its `breaks`; at a break a value is that of the piece after it, unless `piece` says which.
+For a duration T, a path gives q = p(t/T), qd = p'/T, qdd = p''/T^2.  A path is smooth between its
+`breaks`.  At a break, values belong to the piece after it, unless `piece` says otherwise.
 
 Profiles s(u) of a motion from rest to rest:
 
@@ -12,12 +12,12 @@ Profiles s(u) of a motion from rest to rest:
                   alpha, 1 - 2 alpha, alpha             peak s'' = a = 1/(alpha (1-alpha))
     constant      s = u, a motion at constant speed    peak s' = 1       peak s'' = 0
 
-A joint that goes from q0 to q1 in the time T moves by q = q0 + (q1 - q0) s(t/T), so that
-qd = (q1 - q0) s'/T and qdd = (q1 - q0) s''/T^2.  (Craig, Introduction to Robotics, chapter 7;
-Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots, chapters 2 and 3.)
+A joint that goes from q0 to q1 in the time T moves by q = q0 + (q1 - q0) s(t/T), so that qd = (q1 -
+q0) s'/T and qdd = (q1 - q0) s''/T^2. (Craig, Introduction to Robotics, chapter 7; Biagiotti and
+Melchiorri, Trajectory Planning for Automatic Machines and Robots, chapters 2 and 3.)
 
-Each profile is symmetric, s(1 - u) = 1 - s(u), and is computed from its nearer end: so it ends
-exactly, at rest, as it begins.
+Each profile is symmetric, s(1 - u) = 1 - s(u), and is computed from its nearer end, so that its end
+is as exact as its start.
 """
 
 from __future__ import annotations
@@ -43,17 +43,16 @@ ACCELERATION = 1 / 3  # part of the time in which a trapezoidal profile speeds u
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """One profile; `breaks` are the ends of its pieces, between which it is smooth."""
+    """A profile; it is smooth between its `breaks`."""
 
     name: str
     breaks: tuple[float, ...]
     half: Half
 
     def evaluate(self, u: Array, left: Array, piece: Pieces) -> tuple[Truth, Array, Array, Array]:
-        """At u and left = 1 - u, (T,): whether it is late, s from the nearer end, s' and s''.
+        """Return whether u (T,) is late, s from the nearer end, s' and s''.
 
-        Where it is late the first of the numbers is 1 - s.  `piece` tells on which side of a
-        break a value is wanted.
+        `left` is 1 - u.  If late, the returned s is 1 - s(u).  `piece` selects the side of a break.
         """
         late = u > 0.5
         last = len(self.breaks) - 2
@@ -65,9 +64,9 @@ class Profile:
 
 
 def profile(name: str, acceleration: float = ACCELERATION) -> Profile:
-    """The profile of this name; `acceleration` is the part alpha of a trapezoidal one.
+    """Return the profile of this name; `acceleration` is the fraction alpha of a trapezoidal one.
 
-    Raises InputError for a name that is none, or alpha outside of 0 < alpha <= 1/2.
+    Raises InputError for an unknown name, or for alpha outside 0 < alpha <= 1/2.
     """
     alpha = acceleration
     if not (isfinite(alpha) and 0.0 < alpha <= 0.5):
@@ -113,10 +112,10 @@ FEWEST_ROWS = 6  # that determine the quintic of `derivative`
 def spline(
     knots: Array, points: Array, kind: str, natural: bool = False
 ) -> Callable[[Array, int], Array]:
-    """A spline by scipy: its derivative of an order at places (T,), (T, m).
+    """Return a function of places (T,) and order that gives derivatives (T, m) of a spline.
 
-    knots (K,) increase, points are (K, m), `kind` is cubic (C2) or quintic (C4).  At the ends
-    q' = 0 (and q'' = 0 of a quintic), or with `natural` q'' = 0 of a cubic.
+    knots (K,) increase, points are (K, m), `kind` is cubic (C2) or quintic (C4).  At the ends q' =
+    0 (and q'' = 0 for a quintic); with `natural`, q'' = 0 for a cubic.
     """
     from scipy.interpolate import CubicSpline, make_interp_spline
 
@@ -127,9 +126,9 @@ def spline(
 
 
 def hermite(knots: Array, *given: Array) -> Array:
-    """Hermite polynomials from q, q' and, if p = 3, q'' at knots, (K, m).
+    """Return Hermite polynomials through q, q' and, if p = 3, q'' at knots, each (K, m).
 
-    Coefficients (pieces, 2p, m), lowest power of x - knot first.
+    Coefficients are (pieces, 2p, m), lowest power of x - knot first.
     """
     p, h = len(given), np.diff(knots)[:, None, None]
     known, scale = np.stack(given, axis=1), h ** np.arange(p)[:, None]
@@ -144,17 +143,17 @@ def hermite(knots: Array, *given: Array) -> Array:
 
 
 def _basis(p: int) -> Array:
-    """H: the coefficients of a Hermite polynomial from 0 to 1 by its derivatives at both ends."""
+    """Return the coefficients of Hermite polynomials on [0, 1] from derivatives at both ends."""
     places = range(2 * p)
     ends = [[[perm(i, k) * x ** abs(i - k) for i in places] for k in range(p)] for x in (0, 1)]
     return np.round(2.0 * np.linalg.inv(np.concatenate(ends))) / 2.0  # whole numbers or halves
 
 
 def turns_between(q: Array, t: Array | None = None, qd: Array | None = None) -> Array:
-    """Return by how many whole turns (T - 1,) an angle q (T,), rad, jumps from row to row.
+    """Return by how many full turns (T - 1,) an angle q (T,), rad, jumps between rows.
 
-    A jump is a step of more than half a turn. If rates qd (T,), rad/s, at times t (T,) are given,
-    it is a step that differs by more than half a turn from the integral of qd (trapezoidal).
+    A jump is a step of more than half a turn.  If rates qd (T,), rad/s, at times t (T,) are given,
+    it is a step that differs by more than half a turn from the trapezoidal integral of qd.
     """
     steps = np.diff(q)
     if t is not None and qd is not None:
@@ -164,14 +163,12 @@ def turns_between(q: Array, t: Array | None = None, qd: Array | None = None) -> 
 
 
 def derivative(t: Array, x: Array, order: int, at: Array | None = None) -> Array:
-    """The derivative of this order of x (T, m), at times t (T,) that rise, T >= FEWEST_ROWS.
+    """Return a derivative of x (T, m) at increasing times t (T,), or at times `at` (S,).
 
-    `at` are other times (S,), from t[0] to t[-1], to take it at.
-
-    That of the quintic spline through x whose third derivative's pieces run on at the ends (not a
-    knot): nothing is assumed of the motion there.  Of a smooth motion the first derivative is right
-    to the power 5 of the step, the second to the power 4.  Raises RobodynError where the times are
-    too unequal for floats.
+    It is taken from the quintic not-a-knot spline through x, which assumes nothing about the ends.
+    For a smooth motion the error of the first derivative is of the order of the step to the power
+    5, of the second to the power 4.  T >= FEWEST_ROWS. Raises RobodynError if the times are too
+    unequal for floats.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -188,10 +185,10 @@ def derivative(t: Array, x: Array, order: int, at: Array | None = None) -> Array
 
 
 def resampled(t: Array, x: Array, at: Array) -> Array:
-    """Return x (T, m), known at times t (T,) that rise, at the times `at` (S,) between these.
+    """Return x (T, m), given at increasing times t (T,), at times `at` (S,) between these.
 
-    By Akima's splines, which noise in rows that are close together does not upset.  Raises
-    RobodynError where the times are too unequal for floats.
+    Uses Akima splines, which are robust to noise in closely spaced rows.  Raises RobodynError if
+    the times are too unequal for floats.
     """
     from scipy.interpolate import Akima1DInterpolator
 
@@ -223,25 +220,25 @@ class JointPath:
     scalable = True  # it is the same path in any duration
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        """p, p', p'' at u (T,) in [0, 1]."""
+        """Return p, p', p'' at u (T,) in [0, 1]."""
         return self.within(u, piece_at(self.breaks, u) if piece is None else piece)
 
     def within(self, u: Array, piece: Pieces) -> Values:
-        """The same, as these pieces have it."""
+        """Return p, p', p'' at u (T,), each from the given piece."""
         raise NotImplementedError
 
     def returns(self) -> Array:
-        """Parts u, in order, after which all joints stand as at the start and go on as there."""
+        """Return values of u, ordered, at which the joints stand and move as at the start."""
         return np.zeros(0)
 
 
 def piece_at(breaks: Array, u: Array) -> Pieces:
-    """The piece in which each u lies; at a break the one after it."""
+    """Return the piece that contains each u; at a break, the one after it."""
     return np.searchsorted(breaks[1:-1], u, side="right").astype(np.int64)
 
 
 def travels(path: JointPath, edges: Array) -> Array:
-    """About how far the joint that moves most does in each part of a path, (parts,), rad.
+    """Return the approximate travel of the fastest joint in each part of a path (parts,), rad.
 
     `edges` (parts + 1,) are breaks, or parts of the first piece.
     """
@@ -257,9 +254,9 @@ def travels(path: JointPath, edges: Array) -> Array:
 
 
 class Legs(JointPath):
-    """Straight legs (in joint space) from point to point, at rest at each point.
+    """Straight legs in joint space from point to point, at rest at each point.
 
-    points (K, m); `times` (K,) increase from 0 to 1.
+    points are (K, m); `times` (K,) increase from 0 to 1.
     """
 
     def __init__(self, points: Array, times: Array, profile: Profile) -> None:
@@ -283,7 +280,7 @@ class Legs(JointPath):
 
 
 class Spline(JointPath):
-    """A spline through points (K, m) at `times` (K,) that increase from 0 to 1."""
+    """A spline through points (K, m) at increasing `times` (K,) from 0 to 1."""
 
     def __init__(self, points: Array, times: Array, kind: str, natural: bool = False) -> None:
         self.breaks = self.knots = times
@@ -302,10 +299,10 @@ class Spline(JointPath):
 
 
 class Sweep(JointPath):
-    """A chirp about a pose: p = pose + amplitude sin(phi), the frequency from first to last, Hz.
+    """A chirp around a pose: p = pose + amplitude sin(phi), with frequencies first to last, Hz.
 
-    phi = 2 pi T (f0 u + (f1 - f0) u^2 / 2): the frequency f0 + (f1 - f0) u grows in proportion
-    to the time, so that the path depends on the duration T.
+    phi = 2 pi T (f0 u + (f1 - f0) u^2 / 2): the frequency f0 + (f1 - f0) u grows linearly in time,
+    so the path depends on the duration T.
     """
 
     scalable = False
@@ -341,11 +338,11 @@ def path_through(
     acceleration: float = ACCELERATION,
     natural: bool = False,
 ) -> Legs | Spline:
-    """The path of a profile through points (K, m), at rest at its ends.
+    """Return the path of a profile through points (K, m), at rest at both ends.
 
-    `times` (K,) increase (any unit); None spreads them in proportion to the distances between the
-    points in joint space.  Cubic and quintic are splines of continuity C2 and C4 where there are
-    more than two points; the other profiles stop at each point.  Raises InputError.
+    `times` (K,) increase (any unit); without them, time is proportional to the distance in joint
+    space.  With more than two points, cubic and quintic are splines of continuity C2 and C4; other
+    profiles stop at each point.  Raises InputError.
     """
     shape = profile(name, acceleration)
     if len(points) < 2:
@@ -366,18 +363,18 @@ def path_through(
 
 
 def _way(points: Array) -> float:
-    """The way from point to point of points (K, m), of the joint whose is the longest."""
+    """Return the length of the path through points (K, m) for the joint with the longest one."""
     return float(np.abs(np.diff(points, axis=0)).sum(axis=0).max(initial=0.0))
 
 
 class ConstantSpeed(Legs):
-    """The path from `begin` (m,) on by `way` (m,) at constant speed."""
+    """The path from `begin` (m,) by `way` (m,) at constant speed."""
 
     def __init__(self, begin: Array, way: Array) -> None:
         super().__init__(np.stack([begin, begin + way]), np.array([0.0, 1.0]), profile("constant"))
 
     def returns(self) -> Array:
-        """After so many turns of the fastest joint that those of the others are whole, too."""
+        """Return values of u after which all joints have made whole turns."""
         turns = np.abs(np.diff(self.points, axis=0)[0]) / (2 * np.pi)
         fastest = float(turns.max(initial=0.0))
         if fastest <= 1.0:
@@ -389,7 +386,7 @@ class ConstantSpeed(Legs):
 
 
 def spread(points: Array) -> Array:
-    """Times from 0 to 1 in proportion to the distances between points (K, m) in joint space."""
+    """Return times from 0 to 1 proportional to distances between points (K, m) in joint space."""
     distances = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if len(points) == 2:
         return np.array([0.0, 1.0])

@@ -1,4 +1,4 @@
-"""Where each actuated joint can go from a pose, the other actuated joints held."""
+"""How far each actuated joint can move from a pose, with the other actuated joints held."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ SHORT = 1e-9  # part of a way by which one that ends is cut, to be followed agai
 
 
 class JointRange(NamedTuple):
-    """Of one joint: the least and the largest q (rad or m), and what ends each way.
+    """The least and largest q of a joint (rad or m), and what ends the range on each side.
 
-    That is `full turn`, `dead centre`, `change point`, `limit of q2`, or `nothing`: q is then as
-    far as it was looked for.
+    That is `full turn`, `dead centre`, `change point`, `limit of q2`, or `nothing`: the search went
+    as far as q.
     """
 
     joint: int
@@ -48,12 +48,11 @@ class JointRange(NamedTuple):
 def joint_ranges(
     mechanism: Mechanism, q: Array, branches: Sequence[str] | None = None
 ) -> list[JointRange]:
-    """The range of each actuated joint from the closed configuration q (n,), on its branch.
+    """Return the range of each actuated joint from the closed configuration q (n,).
 
-    At a dead centre, where branches meet, `branches` tell which (see `assembly.assemble`).
-
-    A joint that ends nowhere has the range of a full turn about q.  Compliant stops give way, and
-    are no ends.
+    It stays on the branch of q.  At a dead centre, where branches meet, `branches` select one (see
+    `assembly.assemble`).  A joint without ends has the range of a full turn about q.  Compliant
+    stops yield, and are no ends.
     """
     refuse_driven(mechanism, "a range of joints")
     found = []
@@ -70,7 +69,7 @@ def joint_ranges(
 def _way(
     mechanism: Mechanism, q: Array, place: int, sign: float, branches: Sequence[str] | None
 ) -> tuple[float, str]:
-    """How far an actuated joint can go one way, and what ends it."""
+    """Return how far an actuated joint can move in one direction, and what ends it."""
     joint, moved = mechanism.actuated[place], list(mechanism.actuated)
     if not mechanism.rows:  # no other joint follows
         place, moved = joint, list(range(mechanism.n))
@@ -113,10 +112,10 @@ def _way(
 
 
 def _fold(mechanism: Mechanism, q: Array, joint: int) -> float | None:
-    """Return where a joint turns back beside the closed state q (n,), rad or m; None if nowhere.
+    """Return the value at which a joint turns back near the closed state q (n,); None if nowhere.
 
-    There Psi_p v = 0 for rates v of the passive joints p, and the gap is zero: Newton's method on
-    both, with the joint.  At a change point it has no regular solution.
+    There Psi_p v = 0 for rates v of the passive joints p, and the gap is zero; Newton's method
+    solves both for q and v.  At a change point it has no regular solution.
     """
     passive, units = list(mechanism.passive), mechanism.arrays.units
     if len(passive) != len(mechanism.rows):
@@ -149,14 +148,14 @@ def _fold(mechanism: Mechanism, q: Array, joint: int) -> float | None:
 
 
 def _turns(q: Array, joint: int, limit: Range, mechanism: Mechanism) -> float:
-    """The whole turns, rad, by which the limits of a joint lie off where it is."""
+    """Return the full turns (rad) between a joint's value and the middle of its limits."""
     if joint in mechanism.slides or limit.low is None or limit.high is None:
         return 0.0
     return math.tau * round(float(q[joint] - 0.5 * (limit.low + limit.high)) / math.tau)
 
 
 def _first_beyond(path: WholePath, joint: int, side: int, end: float) -> float | None:
-    """The first part of a path at which a joint passes an end, if it does."""
+    """Return the first u of a path at which a joint passes an end; None if never."""
 
     def past(u: Array) -> Array:
         return np.asarray(side * (path.evaluate(u)[0][:, joint] - end))

@@ -1,20 +1,17 @@
-"""The path of all joints of a mechanism when its actuated joints follow a path of their own.
-
-The passive joints are interpolated between the nodes of their continuation and corrected by
-Newton's method.  A path that runs straight across a change point is smooth, so within STEP of it
-they are interpolated, to order 12, from states on both sides.
+"""The path of all joints of a mechanism whose actuated joints follow a given path.
 
 The passive joints are continued along the path of the actuated ones.  A step is predicted by its
-Taylor series, corrected by Newton's method with the actuated joints held, and shortened where the
-correction, or the change of the rates, shows that it may have left the branch.  The states found
-are nodes, between which a state can be interpolated and corrected.
+Taylor series and corrected by Newton's method with the actuated joints held.  It is shortened if
+the correction, or the change of the rates, suggests that it left the branch.  The accepted states
+are nodes, between which states are interpolated and corrected by Newton's method.  Within STEP of a
+change point that the path crosses, states are interpolated to order 12 from both sides.
 
-A path at constant speed is followed until all joints stand as at its start, less whole turns: from
+A path at constant speed is followed until all joints stand as at its start, up to full turns; from
 there on it repeats itself.
 
-Where det Psi_p (of the passive columns) changes its sign between two nodes there is a change
-point, at which two branches meet; the path runs straight on.  Where two branches only come near to
-one another the sign changes by a leap: the step is shortened until it follows its own.
+If det Psi_p (of the passive columns) changes sign between two nodes there is a change point, at
+which two branches meet; the path goes straight on.  If two branches only come close, the sign
+changes because of a leap: the step is shortened until it stays on its branch.
 """
 
 from __future__ import annotations
@@ -67,7 +64,7 @@ STUCK = {
 
 
 class PathEndError(AssemblyError):
-    """The loops cannot be closed beyond a part `u` of the path: a dead centre, a change point."""
+    """The loops cannot be closed beyond `u` of the path: a dead centre or change point."""
 
     def __init__(
         self, mechanism: Mechanism, u: float, q: Array, reason: str, kind: str = "dead centre"
@@ -92,22 +89,22 @@ class TravelError(InputError):
 
 
 class Clock(NamedTuple):
-    """The times t = begin + u duration (s) of a path; those of laws of the time."""
+    """The times t = begin + u duration (s) of a path, at which laws of time are taken."""
 
     begin: float = 0.0
     duration: float = 1.0
 
     def at(self, u: Array | float) -> Array:
-        """The times (...) at u (...)."""
+        """Return the times (...) at u (...)."""
         return np.asarray(self.begin + np.asarray(u) * self.duration)
 
 
 @dataclass(frozen=True, slots=True)
 class Nodes:
-    """Closed states along a path, N intervals between N + 1 nodes; n joints.
+    """Closed states along a path: N intervals between N + 1 nodes, n joints.
 
-    They go from 0 to `period`; a path that is longer repeats itself, its joints (n,) advanced by
-    `rise` each time.
+    They cover 0 to `period`.  A longer path repeats itself, with its joints (n,) advanced by `rise`
+    in each period.
     """
 
     u: Array  # (N + 1,)
@@ -129,9 +126,9 @@ class _Node(NamedTuple):
 
 
 def corrected(mechanism: Mechanism, q: Array, t: ArrayLike) -> tuple[Array, Truth]:
-    """q (T, n) closed by Newton's method with the actuated joints held, and which close, (T,).
+    """Close q (T, n) by Newton's method at times t (T,) with the actuated joints held.
 
-    At times t (T,).
+    Returns the states and which of them close (T,).
     """
     q = close_positions(mechanism, q, mechanism.actuated, t=t)
     gap = np.abs(closure_gap(mechanism, q, t)).max(axis=-1, initial=0.0)
@@ -140,14 +137,14 @@ def corrected(mechanism: Mechanism, q: Array, t: ArrayLike) -> tuple[Array, Trut
 
 
 def hermite(x: Array, h: Array, begin: Array, begin1: Array, end: Array, end1: Array) -> Array:
-    """The cubic at parts x of intervals of lengths h, from values and slopes at their ends."""
+    """Return the cubic at fractions x of intervals of length h, from end values and slopes."""
     y = 1.0 - x
     rise = (1.0 + 2.0 * x) * y * y * begin + x * x * (3.0 - 2.0 * x) * end
     return rise + x * y * h * (y * begin1 - x * end1)
 
 
 class Follower:
-    """Finds the nodes of one path; `watch` is told how far it is."""
+    """Finds the nodes of one path; `watch` is called with its progress."""
 
     def __init__(
         self, mechanism: Mechanism, path: JointPath, watch: Watch, clock: Clock = Clock()
@@ -163,10 +160,10 @@ class Follower:
         self._least_nodes = np.zeros(1)  # up to each break, as the actuated joints move
 
     def nodes(self, start: Array) -> Nodes:
-        """The nodes from the closed state `start` (n,) on.
+        """Return the nodes from the closed state `start` (n,) on.
 
-        Raises PathEndError where the loops cannot be closed all the way, or the actuated joints do
-        not determine the others, TravelError for a path that takes too many nodes.
+        Raises PathEndError if the loops cannot be closed on the whole path or the actuated joints
+        do not determine the others, and TravelError if the path needs too many nodes.
         """
         here, closed = corrected(self.mechanism, start[None], self.clock.begin)
         first, q, u = here[0], here[0], 0.0
@@ -222,7 +219,7 @@ class Follower:
         )
 
     def _check_travel(self) -> None:
-        """Raise TravelError for a path that is known to be too long before it is followed."""
+        """Raise TravelError for a path that is too long, before following it."""
         travel, pieces = self.path.travel / self._unit, len(self.path.breaks) - 1
         if travel > FURTHEST:
             limit = f"must be at most {FURTHEST:g} rad: angles are not exact enough beyond"
@@ -239,7 +236,10 @@ class Follower:
             raise self._too_many()
 
     def _check_number(self, nodes: int, u: float, piece: int, moved: float) -> None:
-        """Raise TravelError for too many nodes, or where `moved` rad of a piece foretell them."""
+        """Raise TravelError for too many nodes, or if too many are foreseen.
+
+        `moved` is the travel in the present piece, rad.
+        """
         done, least = u, self._least_nodes
         if not self._returns:
             done = min(least[piece] + moved / TRAVEL, least[piece + 1]) / least[-1]
@@ -257,7 +257,7 @@ class Follower:
         return TravelError(self.mechanism, f"{self.path.travel:.6g} rad", text)
 
     def _step(self, node: _Node, there: float, piece: int) -> tuple[bool, _Node] | None:
-        """The node at `there`, and whether the step was easy; None where it is too long."""
+        """Return whether the step to `there` was easy, and its node; None if it is too long."""
         h = there - node.u
         held = self._held(there, piece)
         guess = node.q + h * node.q1 + 0.5 * h**2 * node.q2
@@ -279,7 +279,7 @@ class Follower:
         return max(miss, bend / 3) < 0.2 * CORRECTION, found
 
     def _node(self, u: float, q: Array, piece: int, held: Array) -> _Node | None:
-        """The state q with q' and q''; None where the actuated joints do not determine them."""
+        """Return the node of state q with q', q''; None if they are undetermined."""
         q1, q2 = np.zeros_like(q), np.zeros_like(q)
         q1[self._actuated], q2[self._actuated] = held[1], held[2]
         if not self._passive:
@@ -302,7 +302,7 @@ class Follower:
         return _Node(u, q, q1, q2, self._sign(columns))
 
     def _crosses(self, one: _Node, other: _Node, piece: int) -> bool:
-        """Whether the path goes straight on where det Psi_p changes its sign between two nodes."""
+        """Return whether the path goes straight on where det Psi_p changes sign."""
         low, high = (one.u, one.q), (other.u, other.q)
         h = other.u - one.u
         while high[0] - low[0] > max(1e-8 * h, 4 * np.spacing(other.u)):
@@ -324,16 +324,19 @@ class Follower:
         return True
 
     def _largest(self, way: Array, joints: Sequence[int] | slice = slice(None)) -> float:
-        """How far, or fast, the joint goes that moves most, rad."""
+        """Return the largest displacement, or rate, of the joints, rad."""
         return float(np.abs(way / self._units)[joints].max(initial=0.0))
 
     def _misses(self, q: Array) -> bool:
-        """Whether q is near a singular configuration that is no change point."""
+        """Return whether q is near a singular configuration that is no change point."""
         near = nearest_singular(self.mechanism, q)
         return near is not None and not near.crosses
 
     def _kind(self, u: float, q: Array, near: float) -> str:
-        """What ends a path at q; Psi is singular below the part `near` of the loop's size."""
+        """Return what ends a path at q: "dead centre" or "change point".
+
+        Psi counts as singular if s/L is below `near`.
+        """
         t = float(self.clock.at(u))
         s = np.linalg.svd(scaled_jacobian(self.mechanism, q, t), compute_uv=False)
         return "dead centre" if s[-1] / loop_size(self.mechanism) > near else "change point"
@@ -342,7 +345,7 @@ class Follower:
         return float(np.linalg.slogdet(columns)[0]) if self._square else 0.0
 
     def _held(self, u: float, piece: int) -> Array:
-        """p, p', p'' of the actuated joints, (3, m)."""
+        """Return p, p', p'' of the actuated joints, (3, m)."""
         return np.array(self.path.evaluate(np.array([u]), np.array([piece])))[:, 0]
 
     def _ends(self, u: float, q: Array, reason: str) -> PathEndError:
@@ -367,28 +370,28 @@ BLOCK = 20_000  # samples evaluated at once
 class WholePath(JointPath):
     """The path of all joints of a mechanism that follows a path of its actuated joints.
 
-    As it is, of a mechanism of which every joint is actuated and no loop is to be kept.
+    This class serves a mechanism without loops in which every joint is actuated.
     """
 
     def __init__(self, mechanism: Mechanism, path: JointPath) -> None:
         self.mechanism, self.path, self.breaks = mechanism, path, path.breaks
 
     def within(self, u: Array, piece: Pieces) -> Values:
-        """q, q', q'' of all joints at u (T,), each (T, n), as these pieces have it."""
+        """Return q, q', q'' of all joints at u (T,), each (T, n), from the given pieces."""
         return self.path.within(u, piece)
 
     def driven(self, u: Array, piece: Pieces) -> Values:
-        """The same of the actuated joints, (T, m) each."""
+        """Return p, p', p'' of the actuated joints, (T, m) each."""
         return self.path.evaluate(u, piece)
 
     def peaks(self) -> Array:
-        """The largest |q'| and |q''| of each actuated joint, (2, m)."""
+        """Return the largest |q'| and |q''| of each actuated joint, (2, m)."""
         pieces = len(self.breaks) - 1
         counts = np.full(pieces, max(8, FEWEST // pieces))
         return self.largest(samples(self.breaks, np.arange(pieces), counts))
 
     def largest(self, grid: Samples) -> Array:
-        """The same, looked for between these samples."""
+        """Return the largest |q'| and |q''| of each actuated joint between samples, (2, m)."""
 
         def of(order: int, joint: int) -> float:
             return largest(lambda *at: self.driven(*at)[order][:, [joint]], grid)
@@ -397,7 +400,7 @@ class WholePath(JointPath):
         return np.array([[of(order, joint) for joint in joints] for order in (1, 2)])
 
     def grid(self) -> Samples:
-        """Samples (u, piece) close enough to follow the path, the ends of each piece included."""
+        """Return samples (u, piece) close enough to follow the path, with all ends of pieces."""
         edges = self.path.breaks
         if len(returns := self.path.returns()):
             edges = np.array([0.0, returns[0]])
@@ -415,8 +418,8 @@ class WholePath(JointPath):
 class LoopPath(WholePath):
     """The path of all joints of a mechanism with passive joints, from the closed state `start`.
 
-    Raises PathEndError where the loops cannot be closed all the way, or the actuated joints do not
-    determine the others.
+    Raises PathEndError if the loops cannot be closed on the whole path, or if the actuated joints
+    do not determine the others.
     """
 
     def __init__(
@@ -433,11 +436,11 @@ class LoopPath(WholePath):
 
     @property
     def remark(self) -> str:
-        """What is said of a change point that the loops just miss on the way, if they do."""
+        """A remark if the loops nearly miss a change point on the way, else ""."""
         return miss_remark(self.mechanism, self._nodes.q)
 
     def within(self, u: Array, piece: Pieces) -> Values:
-        """As told; SingularError where the actuated joints determine no others."""
+        """Return q, q', q''; raise SingularError if the actuated joints are not sufficient."""
         result = [np.zeros((len(u), self.mechanism.n)) for _ in range(3)]
         direct = np.ones(len(u), bool)
         period = self._nodes.period
@@ -496,9 +499,9 @@ class LoopPath(WholePath):
 
 
 def _beside(at: float, step: float, begin: float, end: float) -> tuple[Array, float]:
-    """Where states lead across `at`, in steps from there, within [begin, end]; and the step.
+    """Return offsets around `at`, in units of the returned step, within [begin, end].
 
-    On both sides if there is room, else more of them on one.
+    They lie on both sides if there is room, else more of them on one side.
     """
     count = len(OFFSETS)
     step = min(step, (end - begin) / (count + 3))
@@ -509,14 +512,14 @@ def _beside(at: float, step: float, begin: float, end: float) -> tuple[Array, fl
 
 
 def _last_turn(period: float) -> int:
-    """The number of the last of the turns, of which the first is 0, that fill a path."""
+    """Return the number of the last period of a path; the first is 0."""
     return math.ceil((1.0 - 1e-9 * period) / period) - 1
 
 
 def _repeated(u: Array, pieces: Pieces, period: float) -> Samples:
-    """Samples of the first turn, in the first and in the last two as well.
+    """Return samples of the first period, repeated in the first and the last two.
 
-    What counts turns (a spring at a joint) grows from turn to turn, so its extremes are there.
+    Values that grow from turn to turn (a spring at a joint) have their extremes there.
     """
     last = _last_turn(period)
     turns = sorted({0, max(last - 1, 0), last})
@@ -525,17 +528,17 @@ def _repeated(u: Array, pieces: Pieces, period: float) -> Samples:
 
 
 def samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> Samples:
-    """count + 1 samples of each interval, both ends included, each with the interval's piece."""
+    """Return count + 1 samples of each interval, ends included, with the interval's piece."""
     each = zip(edges[:-1], edges[1:], counts, strict=True)
     us = [np.append(a + (b - a) / count * np.arange(count), b) for a, b, count in each]
     return np.concatenate(us), np.repeat(pieces, counts + 1)
 
 
 def least_along(columns: Columns, grid: Samples) -> tuple[float, float, int, int]:
-    """The least value of any column along samples of a path, with its u, piece and column.
+    """Return the least value of all columns along a path, with its u, piece and column.
 
-    Around each sample that may lead to it nine points are taken, then nine between the two next to
-    the best of them, a quarter of the interval each time.
+    Around promising samples nine points are taken, then nine between the neighbours of the best
+    one, with a quarter of the interval each time.
     """
     u, piece = grid
     blocks = range(0, len(u), BLOCK)
@@ -577,5 +580,5 @@ def least_along(columns: Columns, grid: Samples) -> tuple[float, float, int, int
 
 
 def largest(columns: Columns, grid: Samples) -> float:
-    """The largest absolute value of any column along samples of a path."""
+    """Return the largest absolute value of all columns along samples of a path."""
     return -least_along(lambda u, piece: -np.abs(columns(u, piece)), grid)[0]

@@ -1,9 +1,9 @@
-"""Postures: the poses in which a point of a mechanism is at one place.
+"""Postures: the poses in which a point of a mechanism is at a given place.
 
-The point is led by the guide of `task_space.py`.  Where the mechanism so guided is a chain of dyads
-each choice of their branches is a posture in closed form; else Newton's method is begun from the
-given pose and from poses around it, and of what closes the nearest is taken, for a redundant
-mechanism that of the least change.
+The point is led by the guide of `task_space.py`.  If the guided mechanism is a chain of dyads, each
+choice of branches is a posture in closed form.  Otherwise Newton's method starts from the given
+pose and from poses around it; the nearest result is taken, for a redundant mechanism that of least
+change.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ NEARER = 80  # steps towards the least change
 
 
 class Posture(NamedTuple):
-    """A pose q (n,), rad and m, and what tells it from the others that bring the point there."""
+    """A pose q (n,), rad and m, with the `branch` that tells it from other postures."""
 
     branch: str
     q: Array
@@ -45,19 +45,20 @@ def postures(
     angle: float | None = None,
     near: ArrayLike | None = None,
 ) -> list[Posture]:
-    """The postures in which the point `of` is at xy (2,), m, each with `branch` and q (n,), rad, m.
+    """Return the postures in which the point `of` is at xy (2,), m.
 
-    `angle`, rad, asks for the absolute angle of the point's link too, from the ground's X axis on.
-    Of an arm of two joints they are all, the nearest to `near` first: `left` or `right` says where
-    the second joint lies of the line from the first to the point, `stretched` or `folded` that it
-    lies on it; with a joint that slides, `ahead` or `behind` along it.  Of other mechanisms it is
-    one, the nearest to `near`.  `near` are all joints (n,), which need not close, or the actuated
-    ones; without it they are those of the scene's `start`, or of the first pose that closes.
-    Unless `near` has all joints, loops that are chains of dyads keep the scene's branch, which
-    `branch` tells.
+    `angle` (rad) also asks for the absolute angle of the point's link, from the ground's X axis.
 
-    Raises InputError for arguments that do not fit, AssemblyError for a place out of reach or on
-    another branch, SingularError where links that lead to it may have any direction.
+    For an arm of two joints all postures are returned, the nearest to `near` first.  `branch` is
+    then `left` or `right`: the side of the line from the first joint to the point on which the
+    second joint lies; `stretched` or `folded` if it lies on the line; with a sliding joint, `ahead`
+    or `behind`.  For other mechanisms the one nearest to `near` is returned.
+
+    `near` has all joints (n,), which need not close, or the actuated ones; by default it is the
+    scene's start, or the first pose that closes.  Unless `near` has all joints, loops that are
+    chains of dyads keep the scene's branch, which `branch` tells.  Raises InputError for wrong
+    arguments, AssemblyError for a place out of reach or on another branch, and SingularError if
+    links on the way may have any direction.
     """
     refuse_driven(mechanism, "inverse kinematics")
     named = named_point(mechanism, of, "of")
@@ -80,7 +81,7 @@ def postures(
 
 
 def _first(mechanism: Mechanism) -> Array:
-    """The pose that postures are near to where none is given; it need not be closed."""
+    """Return the pose near which to search if none is given; it need not be closed."""
     start = mechanism.description.start
     if start is None:
         try:
@@ -91,7 +92,7 @@ def _first(mechanism: Mechanism) -> Array:
 
 
 def postures_at(task: Task, place: Array, near: Array, whole: bool) -> list[Posture]:
-    """The postures of a task at a place (c,), from the nearest to the pose `near` (n,) on."""
+    """Return the postures of a task at a place (c,), nearest to the pose `near` (n,) first."""
     mechanism = task.mechanism
     dyads = is_dyads(task)
     q = _by_dyads(task, place, near) if dyads else _by_newton(task, place, near)
@@ -120,7 +121,7 @@ def postures_at(task: Task, place: Array, near: Array, whole: bool) -> list[Post
 
 
 def _has_words(mechanism: Mechanism) -> bool:
-    """Whether words tell the branch of every loop."""
+    """Return whether words determine the branch of every loop."""
     try:
         return not assembly.assembly_plan(mechanism).rest
     except InputError:
@@ -133,7 +134,7 @@ def _told(mechanism: Mechanism, words: tuple[str, ...] | None) -> str:
 
 
 def _words(mechanism: Mechanism, q: Array) -> tuple[str, ...] | None:
-    """The words of the branch that a closed pose q (n,) is on; the scene's where several meet."""
+    """Return the branch words of a closed pose q (n,); the scene's where branches meet."""
     own = assembly.scene_branches(mechanism)
     for words in (own, *assembly.all_branches(mechanism)):
         found, missing = assembly.attempt(mechanism, q[list(mechanism.actuated)], words, t=0.0)
@@ -143,7 +144,7 @@ def _words(mechanism: Mechanism, q: Array) -> tuple[str, ...] | None:
 
 
 def _of_arm(mechanism: Mechanism, task: Task, q: Array) -> list[Posture]:
-    """The postures q (k, 2) of an arm of two joints, each once."""
+    """Return the distinct postures among q (k, 2) of an arm of two joints."""
     apart: list[Array] = []
     for pose in q:
         if all(np.abs(wrapped(mechanism, pose - x)).max() >= ALIKE for x in apart):
@@ -158,7 +159,7 @@ def _of_arm(mechanism: Mechanism, task: Task, q: Array) -> list[Posture]:
 
 
 def _side(mechanism: Mechanism, task: Task, q: Array) -> str:
-    """Where the second joint lies of the line from the first joint to the point."""
+    """Return on which side of the line from the first joint to the point the second joint lies."""
     along, over = _lengths(mechanism, task, q)
     bend = (along.conjugate() * (along + over)).imag
     if abs(bend) <= ALIKE * abs(along) * abs(over):
@@ -167,7 +168,7 @@ def _side(mechanism: Mechanism, task: Task, q: Array) -> str:
 
 
 def _lengths(mechanism: Mechanism, task: Task, q: Array) -> tuple[complex, complex]:
-    """From the first joint to the second, and from there to the point, in the plane."""
+    """Return the plane vectors from first to second joint, and from there to the point."""
     first, second = mechanism.path(task.of.own.link)[:2]
     points = [mechanism.pivots[first], mechanism.pivots[second], task.of.point]
     a, b, c = point_motion(mechanism, points, q)[0]
@@ -175,7 +176,7 @@ def _lengths(mechanism: Mechanism, task: Task, q: Array) -> tuple[complex, compl
 
 
 def _by_dyads(task: Task, place: Array, near: Array) -> Array:
-    """q (k, n) of each choice of branches that closes."""
+    """Return q (k, n) for each choice of branches that closes."""
     mechanism, found, short = task.mechanism, [], []
     for words in assembly.all_branches(task.guided):
         q, missing = assembly.attempt(task.guided, place, words, t=0.0)
@@ -197,7 +198,7 @@ def _by_dyads(task: Task, place: Array, near: Array) -> Array:
 
 
 def _beyond(task: Task, place: Array, near: Array, reached: str) -> AssemblyError:
-    """The error of a place out of reach: its distance, and what is reached."""
+    """Return the error for a place out of reach, with its distance and what can be reached."""
     mechanism, (x, y) = task.mechanism, place[:2]
     first = mechanism.path(task.of.own.link)[0]
     base = point_motion(mechanism, [mechanism.pivots[first]], near)[0][0]
@@ -210,7 +211,7 @@ def _beyond(task: Task, place: Array, near: Array, reached: str) -> AssemblyErro
 
 
 def _by_newton(task: Task, place: Array, near: Array) -> Array:
-    """q (k, n) by Newton's method from `near` (n,) and around it."""
+    """Return q (k, n) found by Newton's method from `near` (n,) and from poses around it."""
     guided, n = task.guided, task.mechanism.n
     begins = np.tile(np.append(near, np.zeros(task.coordinates)), (1 + BEGUN, 1))
     far = np.pi * np.arange(1 + BEGUN)[:, None] / BEGUN
@@ -240,7 +241,10 @@ def _closes(mechanism: Mechanism, q: Array) -> Array:
 
 
 def _least_change(task: Task, whole: Array, near: Array) -> Array:
-    """q (k, n) of closed states (k, n + guide), moved along what is free towards `near`."""
+    """Move closed states (k, n + guide) along their free directions towards `near`.
+
+    Returns q (k, n).
+    """
     guided, n = task.guided, task.mechanism.n
     units = guided.arrays.units[:n]
     turning = [k for k in range(n) if k not in task.mechanism.slides]

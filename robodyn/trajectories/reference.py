@@ -1,7 +1,7 @@
-"""Reference motions: the joints of a mechanism led through points in given times.
+"""Reference motions: the joints of a mechanism led through points at given times.
 
-The path is that of the actuated joints (`joint_paths.py`); in a closed mechanism the others follow
-along one branch (`loop_path.py`).  With the duration T and u = t/T
+The path is that of the actuated joints (`joint_paths.py`).  In a closed mechanism the other joints
+follow along one branch (`loop_path.py`).  With duration T and u = t/T
 
     q = q(u)        qd = q'(u) / T        qdd = q''(u) / T^2
 """
@@ -33,7 +33,7 @@ SAME = 1e-4  # rad, by which a passive angle that is given may miss the one that
 @short_repr
 @dataclass(frozen=True, slots=True)
 class ReferenceMotion:
-    """A motion of all joints from the time `begin` on for `duration`, s."""
+    """A motion of all joints from time `begin` for `duration`, s."""
 
     mechanism: Mechanism
     path: WholePath
@@ -45,10 +45,10 @@ class ReferenceMotion:
         return self.begin + self.duration
 
     def states(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """q, qd, qdd (..., n) at times t (...) from `begin` to `end`, rad, rad/s, rad/s^2.
+        """Return q, qd, qdd (..., n) at times t (...) from `begin` to `end`.
 
-        At a jump of qdd it is the value after it.  Raises InputError for other times, and
-        SingularError where the actuated joints do not determine the others.
+        In rad, rad/s, rad/s^2, or m.  At a jump of qdd, the value after it.  Raises InputError for
+        other times, and SingularError if the actuated joints do not determine the others.
         """
         times = np.asarray(t, float)
         slack = 1e-9 * self.duration + 4 * math.ulp(abs(self.end))
@@ -81,18 +81,20 @@ def reference_motion(
     acceleration: float = ACCELERATION,
     natural: bool = False,
 ) -> ReferenceMotion:
-    """The motion through points (K, actuated) or (K, n), at rest at its ends.
+    """Return the motion through points (K, actuated) or (K, n), at rest at both ends.
 
-    In a closed mechanism a first point with all joints picks the branch, else the scene's
-    `assembly` does.  `times` (K,) s are those of the points; without them `duration` is spread in
-    proportion to the distances in joint space.  `profile` is cubic or quintic (through more than
-    two points a spline, C2 or C4; `natural`: a cubic spline with qdd = 0 at its ends in place of
-    qd = 0), or trapezoidal, cycloidal (these stop at each point).  `acceleration` is the part of
-    the time in which a trapezoidal one speeds up, > 0, <= 1/2.
+    In a closed mechanism, a first point with all joints selects the branch; otherwise the scene's
+    `assembly` does.  `times` (K,) in s belong to the points; without them `duration` is spread in
+    proportion to distances in joint space.
 
-    Raises InputError for arguments that do not fit, AssemblyError where a loop cannot be closed on
-    the way, SingularError where the actuated joints do not determine the others.  Warns
-    (RobodynWarning) of a change point that the loops just miss.
+    `profile` is cubic or quintic (through more than two points a C2 or C4 spline; `natural`: a
+    cubic spline with qdd = 0 at its ends in place of qd = 0), or trapezoidal or cycloidal, which
+    stop at each point.  `acceleration` is the fraction of the time in which a trapezoidal one
+    speeds up, > 0 and <= 1/2.
+
+    Raises InputError for wrong arguments, AssemblyError if a loop cannot be closed on the way, and
+    SingularError if the actuated joints do not determine the others.  Warns (RobodynWarning) of a
+    change point that the loops just miss.
     """
     full = all_joints(mechanism, points)
     if (duration is None) == (times is None):
@@ -113,10 +115,10 @@ def motion_along(
     begin: float = 0.0,
     watch: Watch = lambda u: None,
 ) -> ReferenceMotion:
-    """The motion along a path of the actuated joints from the first of points (K, n).
+    """Return the motion along a path of the actuated joints, from the first of points (K, n).
 
-    Passive angles that are not NaN must be those that the motion reaches.  `watch` is told how far
-    (0 to 1) the loops are followed.
+    Passive positions that are not NaN must be those that the motion reaches.  `watch` is called
+    with the followed part of the loops, 0 to 1.
     """
     check_duration(duration)
     clock = Clock(begin, duration) if mechanism.driven else Clock()
@@ -135,7 +137,7 @@ def whole_path(
     watch: Watch = lambda u: None,
     clock: Clock = Clock(),
 ) -> WholePath:
-    """The path of all joints; `points` (K, n) as for `motion_along`, the `clock` that of laws."""
+    """Return the path of all joints; `points` (K, n) as for `motion_along`."""
     if not mechanism.passive and not mechanism.rows:
         return WholePath(mechanism, path)
     driven, passive = list(mechanism.actuated), list(mechanism.passive)
@@ -170,7 +172,7 @@ def check_duration(duration: float) -> None:
 
 
 def check_driven(mechanism: Mechanism) -> None:
-    """Raise InputError where there are fewer actuated joints than freedoms, or laws lead all."""
+    """Raise InputError if actuated joints are fewer than freedoms, or laws drive all joints."""
     check_torques(mechanism)
     driven, freedoms = len(mechanism.actuated), mechanism.n - len(mechanism.rows)
     if driven < freedoms:
@@ -181,7 +183,7 @@ def check_driven(mechanism: Mechanism) -> None:
 
 
 def started(mechanism: Mechanism, pose: Array, driven: Array, t: float = 0.0) -> Array:
-    """The closed state (n,) of a pose (n,) at t, assembled from actuated joints if it has NaN."""
+    """Return the closed state (n,) of a pose (n,) at t; passive joints with NaN are assembled."""
     if np.isnan(pose).any():
         return assembly.assemble(mechanism, driven, t=t)
     fault = loop_rates.check_closed(mechanism, pose, t=t)
@@ -191,7 +193,7 @@ def started(mechanism: Mechanism, pose: Array, driven: Array, t: float = 0.0) ->
 
 
 def all_joints(mechanism: Mechanism, points: ArrayLike) -> Array:
-    """Points (K, n) from (K, n) or (K, actuated); the passive joints of the latter are NaN."""
+    """Return points (K, n) from (K, n) or (K, actuated), with NaN for missing passive joints."""
     given = np.array(points, dtype=float)
     n, driven = mechanism.n, list(mechanism.actuated)
     if given.ndim != 2 or given.shape[1] not in (n, len(driven)):

@@ -1,35 +1,35 @@
-"""Paths in task space: all joints from where a point of the mechanism goes.
+"""Paths in task space: all joints from the motion of a point of the mechanism.
 
 A point P that is led along x(u), y(u) is a closure with a guide: two slides on the ground, along Y
-and along X, carry a pin on P, and for an absolute angle a link that turns there keeps P's link
-aligned.  The guide's joints are the actuated ones of the mechanism so guided, and its own joints
-are passive: what closes loops in closed form or by Newton's method, stays on a branch, and has
-rates and accelerations, is then inverse kinematics as it is.
+and along X, carry a pin on P; for an absolute angle, a link that turns there keeps P's link
+aligned.  The guide's joints are the actuated ones of the guided mechanism, and its own joints are
+passive.  So the code that closes loops, stays on a branch, and computes rates and accelerations
+also does inverse kinematics.
 
-Paths in the plane are lines, arcs, and splines run through by their length.  A curve is c(s), s
-from 0 to 1 the part of its length behind the point, so that |dc/ds| is its length L; in the time T
-a profile s(u) leads along it with the speed L s'(u)/T.  More coordinates (an angle) go along with
-the two of the plane, and count for nothing in the length.
+Paths in the plane are lines, arcs, and splines, followed by arc length.  A curve is c(s), s from 0
+to 1 the covered fraction of its length L, so that |dc/ds| = L. In the time T a profile s(u) leads
+along it with speed L s'(u)/T. A further coordinate (an angle) moves along with the two of the
+plane, and does not count in the length.
 
-A spline in tau, natural and cubic, has the length int |c_tau| dtau (Gauss-Legendre, on intervals
-short enough to be right to rounding), from which tau follows by Newton's method, and by the length
+A natural cubic spline in tau has the length int |c_tau| dtau (Gauss-Legendre, on intervals short
+enough for rounding accuracy). tau follows from it by Newton's method, and derivatives by length are
 
     dc/ds = L c_tau / |c_tau|       d2c/ds2 = L^2 (c_tautau - c_tau (c_tau . c_tautau) / |c_tau|^2)
                                               / |c_tau|^2
 
-A mechanism that has more freedoms than its path asks for takes the least motion.  With A the
-columns of Psi of the passive joints y (displacements in units of a length), D those of the actuated
-ones, which follow p(u), the closures keep A y' = -D p', and
+A mechanism with more freedoms than its path needs makes the least motion.  With A the columns of
+Psi of the passive joints y (displacements in units of a length), D those of the actuated ones,
+which follow p(u), the closures require A y' = -D p', and
 
     y' = -A^+ D p' + (1 - A^+ A) w         w = k s'(u) (posture - y)
 
-is of least length (w = 0), or pulled toward a posture as far as the path leaves it free: what is
-free goes there by exp(-k s), s(u) the quintic profile.  Its rate, with y' = w + A^T mu, is
+is of least length (w = 0), or drawn toward a posture as far as the path permits: the free part
+approaches it by exp(-k s), s(u) the quintic profile.  Its rate, with y' = w + A^T mu, is
 
     y'' = -A^+ (D p'' + Psidot q') + (1 - A^+ A) (w' + Adot^T mu)
 
-(Adot^T mu by polarisation: Psidot q' is a quadratic form in q'.)  y is integrated by DOP853 far
-more closely than it is told, then closed by Newton's method.
+(Adot^T mu by polarisation: Psidot q' is a quadratic form in q'.) y is integrated by DOP853 at a
+much tighter tolerance than is reported, then closed by Newton's method.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 class AlongCurve(JointPath):
-    """The path along a curve of this length (m) by a profile."""
+    """The path along a curve of a given length (m) by a profile."""
 
     def __init__(self, curve: Curve, length: float, profile: Profile) -> None:
         self.curve, self.profile = curve, profile
@@ -102,7 +102,7 @@ class AlongCurve(JointPath):
 
 
 def arc(begin: Array, centre: Array, angle: float) -> tuple[Curve, float]:
-    """The arc from `begin` (2,) about a centre (2,) by an angle, rad, and its length."""
+    """Return the arc from `begin` (2,) about a centre (2,) by an angle (rad), and its length."""
     radius = complex(*(begin - centre))
 
     def curve(s: Array) -> Values:
@@ -115,10 +115,10 @@ def arc(begin: Array, centre: Array, angle: float) -> tuple[Curve, float]:
 
 
 def spline_curve(points: Array) -> tuple[Curve, float]:
-    """The natural cubic spline through points (K, 2 or more), and its length.
+    """Return the natural cubic spline through points (K, 2 or more), and its length.
 
-    Of two points it is the line; no two that follow one another coincide.  Raises InputError where
-    it turns back on itself: at a speed along it, the point's velocity would jump there.
+    Two points give a line; successive points must differ.  Raises InputError if the spline turns
+    back on itself, where the point's velocity would jump.
     """
     knots = spread(points[:, :2])
     of = joint_paths.spline(knots, points, "cubic", natural=True)
@@ -160,7 +160,7 @@ def spline_curve(points: Array) -> tuple[Curve, float]:
 
 
 def length_until(path: JointPath, u: float = 1.0) -> float:
-    """How far (m) the point of a path has gone at u."""
+    """Return the distance (m) that the point of a path has covered at u."""
     edges = _finer(np.unique(np.append(np.clip(path.breaks, 0.0, u), u)))
     return float(_lengths(path.evaluate, edges[:-1], edges[1:]).sum())
 
@@ -171,7 +171,10 @@ def _finer(knots: Array) -> Array:
 
 
 def _lengths(curve: Callable[[Array], Sequence[Array]], begin: Array, end: Array) -> Array:
-    """Of smooth parts of a curve in the plane, whose rates are the second of its values."""
+    """Return the lengths of smooth parts of a curve in the plane.
+
+    The second value of `curve` is its derivative.
+    """
     half = 0.5 * (end - begin)
     at = begin[:, None] + half[:, None] * (1.0 + NODES)
     speed = np.linalg.norm(curve(at.reshape(-1))[1][:, :2], axis=1).reshape(at.shape)
@@ -186,9 +189,9 @@ REASON = "that is as far as they can be closed on this branch"
 
 
 class RedundantPath(WholePath):
-    """The path from the closed state `start` (n,) on; perhaps toward `posture` (n,).
+    """The path of least motion from the closed state `start` (n,), perhaps toward `posture`.
 
-    Raises PathEndError where the loops cannot be closed all the way.
+    Raises PathEndError if the loops cannot be closed on the whole path.
     """
 
     def __init__(
@@ -273,7 +276,7 @@ class RedundantPath(WholePath):
         return corrected(self.mechanism, self._whole(u, piece, y), 0.0)
 
     def _rates(self, q: Array, u: Array, piece: Pieces, second: bool = True) -> tuple[Array, Array]:
-        """q' and, if it is wanted, q'' at states q (T, n)."""
+        """Return q' and, if `second`, q'' at states q (T, n)."""
         mechanism, units = self.mechanism, self._units
         _, p1, p2 = self.path.evaluate(u, piece)
         Psi = scaled_jacobian(mechanism, q, 0.0)
@@ -329,11 +332,11 @@ class Task(NamedTuple):
 
     @property
     def coordinates(self) -> int:
-        """x, y and perhaps the angle of the point's link."""
+        """The number of coordinates: x, y, and perhaps the angle of the point's link."""
         return self.guided.n - self.mechanism.n
 
     def place(self, q: Array) -> Array:
-        """The coordinates (..., 2 or 3) at q (..., n), m and rad."""
+        """Return the coordinates (..., 2 or 3) at q (..., n), m and rad."""
         xy = point_motion(self.mechanism, [self.of.point], q)[0][..., 0, :]
         if self.coordinates == 2:
             return xy
@@ -341,16 +344,16 @@ class Task(NamedTuple):
         return np.concatenate([xy, turns[..., self.of.own.link, None]], axis=-1)
 
     def with_guide(self, q: Array, place: Array) -> Array:
-        """The state (n + guide) from q (n,) and its coordinates."""
+        """Return the state (n + guide) from q (n,) and its coordinates."""
         whole = np.concatenate([q, np.zeros(self.coordinates)])
         whole[list(self.guided.actuated)] = place
         return whole
 
 
 def task_of(mechanism: Mechanism, of: NamedPoint, angle: bool = False) -> Task:
-    """The task that leads a point, and with `angle` its link's angle.
+    """Return the task that leads a point, and with `angle` its link's angle.
 
-    Raises InputError where fewer freedoms than coordinates move the point, or joints are not
+    Raises InputError if fewer freedoms than coordinates move the point, or if joints are not
     actuated.
     """
     refuse_driven(mechanism, "a trajectory")
@@ -389,11 +392,11 @@ def task_of(mechanism: Mechanism, of: NamedPoint, angle: bool = False) -> Task:
 
 
 class TaskPath(WholePath):
-    """The path of all joints where the point follows a path of its coordinates.
+    """The path of all joints for a point that follows a path of its coordinates.
 
-    It begins at the closed state `start` (n,), the point at the path's start; `posture` (n,) is
-    what a redundant mechanism is pulled to.  Raises AssemblyError where the path leaves the
-    workspace, or meets a singularity.
+    It begins at the closed state `start` (n,) with the point at the path's start.  A redundant
+    mechanism is drawn toward `posture` (n,).  Raises AssemblyError if the path leaves the workspace
+    or meets a singularity.
     """
 
     def __init__(
@@ -437,14 +440,14 @@ class TaskPath(WholePath):
         return (1.0 + ROUNDING) * self.largest(self.grid())
 
     def fastest(self) -> float:
-        """The largest speed of the point in u, m."""
+        """The largest speed of the point by u, m."""
         return largest(
             lambda *at: np.linalg.norm(self.path.within(*at)[1][:, :2], axis=1, keepdims=True),
             self.grid(),
         )
 
     def _end(self, error: PathEndError) -> AssemblyError:
-        """What is told of the end of a path: at which length, where, how far beyond is out."""
+        """Return the error for the end of a path: the covered length, the place, and the excess."""
         task, u = self._task, error.u
         behind, length = length_until(self.path, u), length_until(self.path)
         beyond = self.path.evaluate(np.linspace(u, 1.0, LOOKED_AT)[1:])[0]
@@ -460,10 +463,10 @@ class TaskPath(WholePath):
 
 
 def out_of_reach(task: Task, q: Array, places: Array) -> float:
-    """How far the point stays from the farthest of places (k, c), m; q (n + guide,) is closed.
+    """Return the distance between the point and the farthest of places (k, c), m.
 
-    Levenberg and Marquardt's method on closed states whose x and y are free; what is far pulls as
-    if it were at a distance like the arm's, for only the direction tells where it is nearest.
+    q (n + guide,) is closed.  Uses Levenberg-Marquardt steps on closed states with free x and y.
+    Distant places count as if they were at arm's length, since only their direction matters.
     """
     guided, rng = task.guided, np.random.default_rng(0)
     free = list(range(guided.n))[: task.mechanism.n + 2]
@@ -496,7 +499,7 @@ def out_of_reach(task: Task, q: Array, places: Array) -> float:
 
 
 def pose_of(task: Task, pose: Array) -> Array:
-    """The closed state (n,) of a pose (n,), NaN where passive joints are not given."""
+    """Return the closed state (n,) of a pose (n,) with NaN for passive joints not given."""
     mechanism = task.mechanism
     begin = started(mechanism, pose, pose[list(mechanism.actuated)])
     return close_positions(mechanism, begin, mechanism.actuated, t=0.0)
@@ -512,16 +515,16 @@ def inverse_kinematics(
     angle: ArrayLike | None = None,
     near: ArrayLike | None = None,
 ) -> Array:
-    """The joints q (..., n), rad, that bring the point `of` to places xy (..., 2), m.
+    """Return the joints q (..., n) that bring the point `of` to places xy (..., 2), m.
 
-    `angle` (...) asks for the absolute angle of the point's link too, rad.  The places follow one
-    another along one branch: the one nearest to the pose `near` (n, or actuated) at the first, or
-    that of the scene's `assembly` (`open` for the point itself).  Chains of dyads are solved in
-    closed form; else, and where the mechanism is redundant (then by least motion), Newton's method
-    follows straight lines from `near` and from place to place.
+    q is in rad, or m.  `angle` (...) also asks for the absolute angle of the point's link, rad.
+    The places follow one another along one branch: the branch nearest to the pose `near` (n, or
+    actuated) at the first place, or that of the scene's `assembly` (`open` for the point itself).
+    Chains of dyads are solved in closed form.  Otherwise, and for redundant mechanisms (by least
+    motion), Newton's method follows straight lines from `near` and from place to place.
 
-    Raises InputError for arguments that do not fit, AssemblyError where a place is out of reach,
-    SingularError where links that lead to it may have any direction.
+    Raises InputError for wrong arguments, AssemblyError if a place is out of reach, and
+    SingularError if links on the way may have any direction.
     """
     named = named_point(mechanism, of, "of")
     places = numbers("xy", xy)
@@ -545,7 +548,7 @@ def inverse_kinematics(
 
 
 def along_branch(task: Task, places: Array, pose: Array | None) -> Array:
-    """q (K, n) at places (K, c), from the branch that is nearest to a closed pose (n,) on."""
+    """Return q (K, n) at places (K, c), on the branch nearest to a closed pose (n,)."""
     n = task.mechanism.n
     if not len(places):
         return np.zeros((0, n))
@@ -575,7 +578,7 @@ def along_branch(task: Task, places: Array, pose: Array | None) -> Array:
 
 
 def is_dyads(task: Task) -> bool:
-    """Whether there is a closed form."""
+    """Return whether there is a closed form."""
     if task.redundant or task.mechanism.description.couplings:  # couplings count turns
         return False
     try:
@@ -586,7 +589,7 @@ def is_dyads(task: Task) -> bool:
 
 
 def _nearest_branches(task: Task, place: Array, pose: Array | None) -> tuple[str, ...]:
-    """The words of the branch that is nearest to a pose at a place, among those that close."""
+    """Return the words of the closing branch nearest to a pose at a place."""
     words = scene_branches(task.guided)
     if pose is None:
         return words
@@ -600,7 +603,7 @@ def _nearest_branches(task: Task, place: Array, pose: Array | None) -> tuple[str
 
 
 def _followed(task: Task, places: Array, pose: Array) -> Array:
-    """By Newton's method along straight lines from the pose and from place to place."""
+    """Return q by Newton's method along straight lines from the pose and between places."""
     points = np.concatenate([task.place(pose)[None], places])
     points[0, 2:] -= 2 * np.pi * np.round((points[0, 2:] - places[0, 2:]) / (2 * np.pi))
     moved = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 0.0)

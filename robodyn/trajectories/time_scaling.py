@@ -1,19 +1,19 @@
 """Limits of a reference motion, and the shortest duration that keeps them.
 
-A path q(u) run through in the time T has, with x = 1/T,
+A path q(u) followed in the time T has, with x = 1/T,
 
     qd = x q'(u)        qdd = x^2 q''(u)        tau = a(u) x^2 + b(u) x + g(u)
 
-for open and for closed mechanisms (Hollerbach, Dynamic scaling of manipulator trajectories, 1984).
-So rates and accelerations bound T directly, by the peaks of the path.  For torques, a, b and g
-follow from inverse dynamics at three values of x, and each u has the least x > 0 at which |tau|
-reaches its limit; the least of all these bounds T.  A slower motion keeps the limits too.  Coulomb
-friction is no such polynomial: with it the three values of x are taken about the bound that the
-ones before gave, from a slow motion on, until it stays.
+for open and closed mechanisms (Hollerbach, Dynamic scaling of manipulator trajectories, 1984).  So
+rates and accelerations bound T directly, by the peaks of the path.  For torques, a, b and g follow
+from inverse dynamics at three values of x, and each u has a least x > 0 at which |tau| reaches its
+limit; the least of all bounds T. A slower motion keeps the limits too.  With Coulomb friction tau
+is no such polynomial: then the three values of x are taken around the previous bound, starting from
+a slow motion, until it converges.
 
-A joint that starts from rest needs what its static friction holds, however slow the motion.
+A joint that starts from rest needs the torque of its static friction, however slow the motion.
 
-Limits hold between the rows too: extremes are found between the samples that follow a path.
+Limits also hold between rows: extremes are searched between the samples that follow a path.
 """
 
 from __future__ import annotations
@@ -65,7 +65,8 @@ class Limits:
 class LimitError(RobodynError):
     """A motion exceeds a limit, perhaps one `of_motor`; `quantity` is qd, qdd or tau.
 
-    `place` is that of the joint among the actuated ones; `told` says what is wrong, {} the limit.
+    `place` is the index of the joint among the actuated ones.  `told` is the message, with {} for
+    the limit.
     """
 
     def __init__(
@@ -93,7 +94,7 @@ def limits_of(
     qdd: ArrayLike | None = None,
     tau: ArrayLike | None = None,
 ) -> Limits:
-    """Limits from one value for all actuated joints, or one for each; InputError if not > 0."""
+    """Return limits from one value for all actuated joints, or one each; InputError if not > 0."""
     found = {}
     for name, given in zip(UNITS, (qd, qdd, tau), strict=True):
         if given is not None:
@@ -105,7 +106,7 @@ def limits_of(
 
 
 def with_motors(mechanism: Mechanism, limits: Limits = Limits()) -> Limits:
-    """The limits, or those of the motors of the scene where these are smaller."""
+    """Return the limits, reduced to those of the scene's motors."""
 
     def least(given: Array | None, own: list[float]) -> Array | None:
         if not np.isfinite(own).any():
@@ -122,11 +123,10 @@ def limited_joint(mechanism: Mechanism, name: str, place: int) -> str:
 
 
 def check_starts(motion: ReferenceMotion, limits: Limits) -> None:
-    """Raise LimitError for a joint that static friction holds against the largest torque.
+    """Raise LimitError if static friction holds a joint against its largest torque.
 
-    A joint starts from rest where the motion begins, after a stop, and where it turns back. Its
-    torque must reach there what static friction holds and what acts on the joint without an
-    acceleration of its own.
+    A joint starts from rest at the beginning, after a stop, and where it turns back.  Its torque
+    must then overcome static friction and the other loads for zero acceleration of the joint.
     """
     mechanism, most, x = motion.mechanism, limits.tau, 1.0 / motion.duration
     rubbing, driven = set(mechanism.sticks), list(mechanism.actuated)
@@ -166,9 +166,9 @@ def check_starts(motion: ReferenceMotion, limits: Limits) -> None:
 
 
 def check_ends(motion: ReferenceMotion) -> None:
-    """Raise RobodynError, for the joint that goes farthest beyond an end, if one does anywhere.
+    """Raise RobodynError for the joint that goes farthest beyond an end, if any does.
 
-    Compliant stops give way, and are none.
+    Compliant stops yield, and are no ends.
     """
     mechanism = motion.mechanism
     ends = [
@@ -207,14 +207,14 @@ CREEP = 1e-3  # part of a friction's speed at which it is still no more than a d
 @short_repr
 @dataclass(frozen=True, slots=True)
 class Shortest:
-    """The shortest motion within limits, and which limit bounds it (of which joint, at which t)."""
+    """The shortest motion within limits, and which limit, joint and time determine it."""
 
     motion: ReferenceMotion
     bound: str
 
 
 def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
-    """Raise LimitError, for the value that exceeds its limit most, if one does anywhere."""
+    """Raise LimitError for the value that exceeds its limit most, if any does."""
     if not limits.given:
         return
     mechanism, T = motion.mechanism, motion.duration
@@ -254,12 +254,12 @@ def shortest_motion(
     acceleration: float = ACCELERATION,
     natural: bool = False,
 ) -> ReferenceMotion:
-    """The shortest `reference_motion` of which no slower one exceeds a limit either.
+    """Return the shortest `reference_motion` that, like all slower ones, keeps the limits.
 
-    Each limit is one value, or one an actuated joint; those of the scene's motors hold too.
+    Each limit is one value, or one per actuated joint; limits of the scene's motors hold too.
     `times` give proportions only.  A profile that stops at each point takes the shortest time for
-    each leg, unless there are `times`.  Raises what `reference_motion` does, InputError where
-    nothing bounds the duration, and LimitError where a torque is too large however slow the motion.
+    each leg, unless there are `times`.  Raises the errors of `reference_motion`, InputError if
+    nothing bounds the duration, and LimitError if a torque is too large however slow the motion.
     """
     full = all_joints(mechanism, points)
     limits = limits_of(mechanism, max_qd, max_qdd, max_tau)
@@ -276,7 +276,7 @@ def shortest_through(
     natural: bool,
     watch: Watch = lambda u: None,
 ) -> Shortest:
-    """`shortest_motion` through points (K, n), of which passive angles may be NaN."""
+    """Return `shortest_motion` through points (K, n); passive joints may be NaN."""
     refuse_driven(mechanism, "a shortest time")
     driven = points[:, list(mechanism.actuated)]
     path = path_through(driven, times, profile, acceleration, natural)
@@ -308,7 +308,7 @@ def shortest_along(
     begin: float = 0.0,
     watch: Watch = lambda u: None,
 ) -> Shortest:
-    """The shortest motion along a path; `points` as for `reference.motion_along`."""
+    """Return the shortest motion along a path; `points` as for `reference.motion_along`."""
     refuse_driven(mechanism, "a shortest time")
     if not path.scalable:
         raise InputError("duration", value="min", limit="a sweep is another path in another time")
@@ -321,7 +321,10 @@ def shortest_along(
 def shortest_of(
     whole: WholePath, limits: Limits, begin: float = 0.0, least: tuple[float, str] = (0.0, "")
 ) -> Shortest:
-    """The shortest motion along the path of all joints; `least`: a duration, what bounds it."""
+    """Return the shortest motion along the path of all joints.
+
+    `least` is a lower bound of the duration, and its reason.
+    """
     mechanism, found = whole.mechanism, [least]
     rates, accelerations = whole.peaks()
     for name, most in limits.given:
@@ -351,7 +354,10 @@ def _shortest_by_torque(
     mechanism.check_rubbing("shortest times by torque limits")
 
     def parts(u: Array, piece: Pieces, scale: float) -> tuple[Array, Array, Array]:
-        """a, b, g (T, actuated) of tau = a x^2 + b x + g, from x = 1/2, 1 and 3/2 times scale."""
+        """Return a, b, g (T, actuated) of tau = a x^2 + b x + g.
+
+        They come from x = 1/2, 1 and 3/2 times `scale`.
+        """
         q, q1, q2 = whole.evaluate(u, piece)
         one, two, three = (
             inverse_dynamics(mechanism, q, x * q1, x * x * q2)[:, driven]
@@ -363,7 +369,10 @@ def _shortest_by_torque(
         return a, b, one - 0.5 * b * scale - 0.25 * a * scale**2
 
     def reached(scale: float) -> Columns:
-        """The least x > 0 at which +tau and -tau reach their limits, (T, 2 actuated)."""
+        """Return a function that gives the least x > 0 at a limit, (T, 2 actuated).
+
+        Columns are for +tau, then for -tau.
+        """
 
         def least_x(u: Array, piece: Pieces) -> Array:
             a, b, g = (np.concatenate([v, -v], axis=1) for v in parts(u, piece, scale))
@@ -399,7 +408,10 @@ def _shortest_by_torque(
 
 
 def _natural_scale(mechanism: Mechanism, whole: WholePath) -> float:
-    """x that makes the fastest acceleration or rate of the path about 1; low in any friction."""
+    """Return the x at which the path's largest acceleration or rate is about 1.
+
+    It is smaller if friction must be entered slowly.
+    """
     _, q1, q2 = whole.evaluate(*whole.grid())
     fastest = max(float(np.abs(q1).max()), math.sqrt(float(np.abs(q2).max())))
     for joint, speed in _friction_speeds(mechanism):
@@ -408,6 +420,6 @@ def _natural_scale(mechanism: Mechanism, whole: WholePath) -> float:
 
 
 def _friction_speeds(mechanism: Mechanism) -> list[tuple[int, float]]:
-    """The joints at which something bends with the rate, and about which rate it does."""
+    """Return joints with a force that bends with the rate, and the rate at which it does."""
     bending = ((x.at, x.bend_rate) for x in mechanism.elements)
     return [(k, rate) for k, rate in bending if k is not None and rate is not None]
