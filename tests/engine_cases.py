@@ -95,7 +95,7 @@ KINDS = ("tree", *LOOPS, *SLIDERS, "geared tree", "geared five-bar", *MOTORED, *
 # a joint without an actuator, a zero along a weld, constants, friction by the forces in pins, the
 # law of a coupling: the oracle does not know them
 UNLIKE = ("cart-pole", "bell-crank", "weather-vane", "shaper", "disc-cam", "shaken-pendulum")
-UNLIKE += ("recovery-truck", *MASSLESS)
+UNLIKE += ("recovery-truck", "lift", *MASSLESS)
 ROBOTS = sorted(x for x in (ROOT / "robots").glob("*.yaml") if x.stem not in UNLIKE)
 
 

@@ -15,7 +15,7 @@ import sympy as sp
 from conftest import Outcome
 from derivation_oracle import Oracle, evaluated, wrong
 from sliding_scenes import SLIDING_SCENES, TURNED
-from unwritten import UNWRITTEN, WITH_LAWS
+from unwritten import TIMED, UNWRITTEN, WITH_LAWS
 
 from random_mechanisms import (
     LOOPS,
@@ -38,7 +38,7 @@ from robodyn.mechanics.mechanism import Mechanism, load
 
 Run = Callable[..., Outcome]
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
-NAMES = sorted({path.stem for path in ROBOTS.glob("*.yaml")} - UNWRITTEN - WITH_LAWS)
+NAMES = sorted({path.stem for path in ROBOTS.glob("*.yaml")} - UNWRITTEN - WITH_LAWS - TIMED)
 COMPILER = shutil.which("pdflatex") or shutil.which("lualatex") or shutil.which("tectonic")
 LAWS = """\
 gravity: 9.81

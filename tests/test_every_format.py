@@ -60,6 +60,7 @@ REFUSED = {
     "engine 3": ("equations",),
     "gearbox 5": ("equilibrium",),
     "scene 8": ("equilibrium", "linearize"),
+    "lift": ("equilibrium", "linearize"),
     "recovery-truck": ("equations", "equilibrium", "linearize"),
     "shaken-pendulum": ("equilibrium", "linearize", "identify", "fit", "trajectory"),
 }

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import sympy
 from conftest import Outcome
+from scipy.integrate import solve_ivp
 from test_scene_schema import obeys
 
 import robodyn
@@ -126,6 +127,44 @@ def test_an_exact_fall(method: str) -> None:
     assert motion.q[:, 0] == pytest.approx(y, rel=1e-7)
     v = (0.5 - 4 / 6) - 9.81 * t[-1] + 4 / 6 * math.cos(6 * t[-1])
     assert motion.report.work == pytest.approx(v**2 - 0.25, rel=1e-7)
+
+
+@EACH
+def test_the_lift_is_one_that_rides(method: str) -> None:
+    """The balance by its closed form, the lamp by an equation of its own.
+
+    m x'' + c x' + k x = m a sin(w t) from rest: a sine, and what decays.
+    """
+    a, w, m, k, c = 1.1, 2 * math.pi / 8, 0.8, 160.0, 3.0
+    t, tolerance = np.linspace(0.0, 8.0, 9), 1e-8 if method == "Radau" else 1e-10
+    start = [m * 9.81 / k, -1.2]
+    found = robodyn.simulate(
+        robodyn.load("lift"),
+        start,
+        [0.0, 0.0],
+        8.0,
+        t_eval=t,
+        method=method,
+        rtol=tolerance,
+        atol=tolerance,
+    )
+    swing = a / (k / m - w * w + 1j * w * c / m)
+    decay = np.roots([m, c, k])
+    own = np.linalg.solve(
+        np.array([[1, 1], decay]), [-swing.imag + 0j, -(1j * w * swing).imag + 0j]
+    )
+    x = (swing * np.exp(1j * w * t)).imag + (own @ np.exp(np.outer(decay, t))).real
+    assert found.q[:, 0] == pytest.approx(start[0] + x, abs=1e-6)
+
+    def lamp(t: float, y: np.ndarray) -> list[float]:
+        g = 9.81 + a * math.sin(w * t)
+        torque = -0.35 * 0.26 * g * math.cos(y[0]) - 0.002 * y[1]
+        return [y[1], torque / (0.0017 + 0.35 * 0.26**2)]
+
+    exact = solve_ivp(
+        lamp, (0, 8), [start[1], 0], t_eval=t, method="DOP853", rtol=1e-12, atol=1e-12
+    )
+    assert found.q[:, 1] == pytest.approx(exact.y[0], abs=1e-6)
 
 
 @EACH

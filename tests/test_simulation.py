@@ -79,7 +79,7 @@ class TestReferenceDigits:
         # a hard case, and scenes whose mechanics others of their kind have
         others = {"parallelogram", "cart-pole", "scotch-yoke", "hydraulic-boom", "toggle-press"}
         others |= {"rack-gripper", "jansen-leg", "drawn-six-bar", "bell-crank", "weather-vane"}
-        others |= {"disc-cam", "shaper", "shaken-pendulum", "recovery-truck", *MASSLESS}
+        others |= {"disc-cam", "shaper", "shaken-pendulum", "recovery-truck", "lift", *MASSLESS}
         assert examples - scenes == {f"robots/{x}.yaml" for x in others}
         assert set(SENSITIVITY) == {path.stem for path in REFERENCES.glob("*.json")}
 

@@ -12,4 +12,4 @@ from robodyn import load
 MASSLESS = frozenset(x.stem for x in ROOT.glob("robots/*.yaml") if load(x).massless)
 UNWRITTEN = frozenset(("shaper", "recovery-truck")) | MASSLESS
 WITH_LAWS = frozenset(("disc-cam", "shaken-pendulum"))
-TIMED = frozenset(("shaken-pendulum",))  # those of the time
+TIMED = frozenset(("lift", "shaken-pendulum"))  # those of the time
