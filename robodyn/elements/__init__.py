@@ -1,1 +1,1 @@
-"""What acts on the links of a mechanism: each kind declared once."""
+"""Elements that act on the links of a mechanism; each kind is declared once."""

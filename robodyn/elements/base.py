@@ -1,4 +1,4 @@
-"""What every kind of element has: how it acts, what it holds, which part of the equations it is."""
+"""The interface of all elements: how they act, what energy they hold, where they enter."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ FRICTION, SPENT_LAW, STORED_LAW, SLIPPING, LINEAR = 0, 1, 2, 3, 4
 
 
 class Element(Declared):
-    """One thing that acts; its numbers may be floats or formulas.
+    """Something that acts on links or joints; its numbers may be floats or formulas.
 
-    A kind that files have declares its keys, and in `ways` how it is written.
-    `acts` is STORED for what has a potential (part of G and of PE), SPENT for what is part of Q,
-    and empty for what is constants of the mechanism (D, M) or acts in no mode of its own.  `at` is
-    the joint at which it acts; None where it acts on links.  `rank` orders sums.
+    A kind that occurs in files declares its keys, and in `ways` how it is written.  `acts` is
+    STORED if it has a potential (part of G and PE), SPENT if it is part of Q, and empty if it only
+    contributes constants (D, M) or acts in modes alone.  `at` is the joint at which it acts, None
+    if it acts on links.  `rank` orders sums.
     """
 
     # fields that are points of the scene, with their letters and meaning in equations
@@ -34,37 +34,37 @@ class Element(Declared):
 
     @property
     def acts(self) -> str:
-        """STORED, SPENT, or nothing."""
+        """STORED, SPENT, or ""."""
         return ""
 
     @property
     def rank(self) -> int:
-        """Its place among those that act at the same joint, or on links."""
+        """Its order among elements at the same joint, or on links."""
         return 0
 
     @property
     def at(self) -> int | None:
-        """The joint at which it acts."""
+        """The joint at which it acts, or None."""
         return None
 
     @property
     def is_load(self) -> bool:
-        """Whether it comes from without: nothing inside of the mechanism feels the opposite."""
+        """Whether it comes from outside: nothing inside the mechanism feels the opposite."""
         return False
 
     @property
     def steady(self) -> bool:
-        """Whether it is among the constant weights and moments of the mechanism."""
+        """Whether it is included in the constant weights and moments of the mechanism."""
         return False
 
     @property
     def steady_force(self) -> tuple[Point, complex] | None:
-        """A constant force that is among the weights, N in the ground's frame, and its point."""
+        """A constant force (N, ground's frame) among the weights, and its point; or None."""
         return None
 
     @property
     def steady_moment(self) -> tuple[int, float] | None:
-        """A link, and the constant torque on it that is among the moments, N m."""
+        """A link, and a constant torque on it (N m) among the moments; or None."""
         return None
 
     @property
@@ -74,113 +74,113 @@ class Element(Declared):
 
     @property
     def changes_energy(self) -> bool:
-        """Whether the energy of the mechanism changes by it."""
+        """Whether it changes the energy of the mechanism."""
         return self.acts == SPENT and not self.steady
 
     def placed(self, tree: Tree) -> Iterator[Element]:
-        """The elements that act in a mechanism of these links, of one that a scene has."""
+        """Yield the elements that act in a mechanism with these links."""
         yield self
 
     def moved(
         self, point: Callable[[Point], Point], turn: Callable[[int | None], complex]
     ) -> Element | None:
-        """It on other links: `point` takes its points there, whose frames have a `turn` there.
+        """Return the element moved to other links; None if it then acts on the ground alone.
 
-        None if it then acts on the ground alone.
+        `point` maps its points, and `turn` gives the turn of the new frame of a link.
         """
         return self
 
     def varies(self) -> Iterator[tuple[str, Signal]]:
-        """Its signals, each with the place in its mapping."""
+        """Yield its signals, each with its place in the mapping."""
         yield from ()
 
     def called(self, names: Sequence[str]) -> str:
-        """What a legend adds to its number, of links with these names."""
+        """Return what a legend adds to its number; `names` are those of the links."""
         return ""
 
     def rows(self, b: Builder) -> None:
-        """Write what it does."""
+        """Write its rows."""
 
     def energy(self, b: Builder) -> Iterator[Term]:
-        """What it holds, J."""
+        """Yield the terms of its potential energy, J."""
         yield from ()
 
     def kinetic(self, b: Builder) -> Iterator[Term]:
-        """What moves in it, J."""
+        """Yield the terms of its kinetic energy, J."""
         yield from ()
 
     def also(self) -> Iterable[Element]:
-        """Further elements that stand for it: a damper beside a spring, a rotor."""
+        """Return further elements that stand for it: a damper of a spring, a rotor."""
         return ()
 
     def stored(self) -> Element | None:
-        """The part of it that has a potential."""
+        """Return the part of it that has a potential, or None."""
         return self if self.acts == STORED else None
 
     def spent(self) -> Element | None:
-        """The part of it that is in Q."""
+        """Return the part of it that is in Q, or None."""
         return self if self.acts == SPENT else None
 
     def untimed(self) -> Element | None:
-        """What remains of it where nothing knows the time."""
+        """Return the part of it that does not depend on time, or None."""
         return self
 
     # -- in modes ----------------------------------------------------------------------------------
 
     @property
     def contact(self) -> str:
-        """STICKS, HARD or COMPLIANT where it is a contact, which acts in modes alone."""
+        """STICKS, HARD or COMPLIANT for a contact, which acts in modes alone; else ""."""
         return ""
 
     def in_mode(self, mode: Mode) -> Iterable[Element]:
-        """What stands for it where the mechanism is in a mode."""
+        """Return the elements that stand for it in a mode."""
         return (self,)
 
     def guards(self, mode: Mode, touches: Collection[End]) -> Iterator[Guard]:
-        """What ends a mode, where joints rest on the hard ends `touches`."""
+        """Yield the guards of a mode in which joints rest on the hard ends `touches`."""
         yield from ()
 
     # -- what others ask of it ---------------------------------------------------------------------
 
     @property
     def word(self) -> str:
-        """What its kind is called."""
+        """The name of its kind."""
         return re.sub("(?<!^)(?=[A-Z])", " ", type(self).__name__).lower()
 
     def parted(self, tree: Tree) -> PlanarPoint | None:
-        """The way between its ends, m, if its force has no limit where that vanishes."""
+        """Return the vector between its ends (m) if it must not vanish, else None."""
         return None
 
     @property
     def free(self) -> float | None:
-        """Where its joint, whose turns count by it, is free of it, rad or m; None: they do not."""
+        """The position (rad, m) at which it is free, if it counts its joint's turns; or None."""
         return None
 
     def gradual(self, rate: float) -> Element:
-        """It, if what it gives falls by that rate of its joint, rad/s or m/s, and not at once."""
+        """Return it with a force that vanishes gradually below `rate` (rad/s or m/s)."""
         return self
 
     @property
     def bend_rate(self) -> float | None:
-        """The rate of its joint, rad/s or m/s, about which it bends; None: it does not so."""
+        """The rate of its joint (rad/s or m/s) around which its force bends; or None."""
         return None
 
     @property
     def bell(self) -> tuple[float, float] | None:
-        """The width of a bell over its joint's rate, and the rate beyond which it vanishes.
+        """The width of a peak over its joint's rate, and the rate beyond which it vanishes.
 
-        Both are rad/s or m/s.
+        Both in rad/s or m/s.  None if there is no peak.
         """
         return None
 
 
 def whole(elements: Iterable[Element]) -> Iterator[Element]:
-    """The elements, each followed by those that stand for it as well."""
+    """Yield the elements, each followed by those that stand for it."""
     for x in elements:
         yield x
         yield from whole(x.also())
 
 
 def conserves(law: Signal | None) -> bool:
-    """Whether what a spring gives depends on its extension alone, and has a potential."""
+    """Return whether a spring's force depends on its extension alone: it has a potential."""
     return law is None or law.names <= {"x"}

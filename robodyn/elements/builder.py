@@ -1,7 +1,7 @@
-"""The builder: what elements write their rows with.
+"""The builder through which elements write their rows.
 
-A force f at a point that has the coefficients c_k gives F_k -= conj(c_k) f.
-`equations_of_motion.py` gathers what they write.
+A force f at a point with coefficients c_k gives F_k -= conj(c_k) f.  `equations_of_motion.py`
+collects what elements write.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ Grip = tuple[PlanarPoint, int | None]  # a point, and the link (None: the ground
 
 
 class Name(Record):
-    """What written equations call a slot of an element: letters before its number, and after.
+    """The name of an element's slot in written equations: letters before its number, and after.
 
-    `meaning` has {} for the element; `link` orders what acts on a link.
+    `meaning` has {} for the element; `link` orders names that belong to a link.
     """
 
     letter: str
@@ -48,9 +48,9 @@ class Name(Record):
 
 
 class PointForce(NamedTuple):
-    """A force of an element at a point, N: `unit` times the planar slot `force`, or `unit` itself.
+    """A force of an element at a point, N: `unit` times the planar slot `force`, or `unit`.
 
-    What feels the opposite, if anything does, is `back`.
+    `back` is the point that feels the opposite, if any.
     """
 
     element: Any  # whose force it is
@@ -73,11 +73,11 @@ class NoDirection(ZeroDivisionError):
 
 
 class Builder(LinkRows, ABC):
-    """What acts, of each force once.
+    """Collects forces and torques, each written once.
 
-    `torques` (n) are all that acts at each joint, None where nothing does; `forces` and `couples`
-    what elements do to links.  F, constants and moments (n each) gather what acts on each link,
-    `power` what changes the energy, with `work` alone.
+    `torques` (n) are the sums at joints, None for no torque.  `forces` and `couples` act on links.
+    F, constants and moments (n each) are sums per link.  `power` changes the energy; it is
+    collected only with `work`.
     """
 
     def __init__(self, mechanism: Links) -> None:
@@ -97,78 +97,79 @@ class Builder(LinkRows, ABC):
     # what elements write rows with
 
     def number(self, value: float) -> Coefficient:
-        """A number of the scene as a coefficient."""
+        """Return a number of the scene as a coefficient."""
         return self.program.number(value)
 
     def planar_number(self, value: complex) -> PlanarCoefficient:
-        """The same, planar."""
+        """Return a complex number of the scene as a coefficient."""
         return self.program.planar_number(value)
 
     def number_slot(self, value: float) -> Slot:
-        """The slot of a number of the scene."""
+        """Return a slot with a number of the scene."""
         return self.program.add(Sum(self.program.number(value), ()))
 
     def sum(self, *terms: Term, constant: Coefficient = 0.0) -> Slot:
-        """constant + sum of c x."""
+        """Return constant + sum of c x."""
         return self.program.sum(*terms, constant=constant)
 
     def planar_sum(self, *terms: PlanarTerm) -> Slot:
-        """The sum of c x, planar."""
+        """Return the planar sum of c x."""
         return self.program.planar_sum(*terms)
 
     def product(self, x: Slot, y: Slot) -> Slot:
-        """x y."""
+        """Return x y."""
         return self.program.add(Product(x, y))
 
     def quotient(self, x: Slot, y: Slot) -> Slot:
-        """x/y."""
+        """Return x/y."""
         return self.program.add(Quotient(x, y))
 
     def power_of(self, x: Slot, exponent: float) -> Slot:
-        """x to a power."""
+        """Return x to a power."""
         return self.program.add(Power(x, exponent))
 
     def function(self, name: str, x: Slot) -> Slot:
-        """A function of x."""
+        """Return a function of x."""
         return self.program.add(Function(name, x))
 
     def inner(self, x: Slot, y: Slot) -> Slot:
-        """The dot product of two planar slots."""
+        """Return the dot product of two planar slots."""
         return self.program.add(Inner(x, y))
 
     def scaled(self, x: Slot, y: Slot) -> Slot:
-        """x times the planar y."""
+        """Return x times the planar y."""
         return self.program.add(Scaled(x, y))
 
     def rate(self, x: Slot) -> Slot:
-        """x'."""
+        """Return dx/dt."""
         return self.program.add(Derivative(x))
 
     @abstractmethod
     def signal(
         self, signal: Signal, arm: PlanarPoint | float, name: Name, x: Slot | None = None
     ) -> Slot:
-        """What a signal is, of a spring's extension x; the arm makes a torque of it."""
+        """Return the value of a signal, at a spring's extension x; `arm` makes a torque of it."""
 
     @abstractmethod
     def stored(self, law: Signal, x: Slot) -> Slot:
-        """The energy of a spring at its extension x."""
+        """Return the energy of a spring at its extension x."""
 
     # what equations call it
 
     def named(self, name: Name, slot: Slot, sign: float = 1.0) -> Slot:
-        """The slot; in written equations the name stands there, for `sign` times it."""
+        """Return the slot; in written equations, the name stands for `sign` times it."""
         return slot
 
     def span(self, name: Name, place: PlanarPoint, always: bool) -> Slot:
-        """A point less another, planar.
+        """Return a difference of points, planar.
 
-        In written equations two names stand there, `always` or if it joins two branches of links.
+        In written equations two names stand for it, `always` or only if it joins two branches of
+        links.
         """
         return self.point(place)
 
     def root(self, name: Name, square: Slot) -> None:
-        """In written equations the name stands for the square root of a slot."""
+        """In written equations, let the name stand for the square root of a slot."""
 
     # what elements do
 
@@ -177,14 +178,14 @@ class Builder(LinkRows, ABC):
         element.rows(self)
 
     def force(self, acting: PointForce, between: PlanarPoint | None = None) -> None:
-        """A force at a point, N; `between` is the way to there from what feels the opposite."""
+        """Add a force at a point, N; `between` is its vector from where the opposite acts."""
         self.forces.append(acting)
         if acting.force is not None and acting.unit:
             for k, c in (between or acting.at[0]).terms:
                 self.F[k].append((self.planar_number(-c.conjugate() * acting.unit), acting.force))
 
     def moment(self, link: int | None, torque: Slot, spends: bool = True) -> None:
-        """A torque on a link, N m; whether the energy changes by it."""
+        """Add a torque on a link, N m; `spends` if it changes the energy."""
         self.couples.append(LinkMoment(link, torque))
         d = None if link is None else self.mechanism.frames[link]
         if d is not None:
@@ -193,38 +194,38 @@ class Builder(LinkRows, ABC):
                 self.works(1.0, self.product(torque, self.w(d)))
 
     def spin(self, joint: int, ratio: float, carrier: int | None) -> Slot:
-        """w_carrier + ratio qd, the rate of a rotor at a joint, rad/s."""
+        """Return w_carrier + ratio qd, the rate of a rotor at a joint, rad/s."""
         terms: list[Term] = [(self.number(ratio), self.v(joint))]
         if carrier is not None:
             terms.append((1.0, self.w(carrier)))
         return self.sum(*terms)
 
     def rotor(self, joint: int, inertia: float, ratio: float, carrier: int | None) -> None:
-        """What a rotor does to the joint that drives it, and to the link that carries it."""
+        """Add a rotor, which acts on the joint that drives it and the link that carries it."""
         bend = self.rate(self.spin(joint, ratio, carrier))
         self._rotors.append((joint, carrier, inertia, ratio, bend))
 
     def torque(self, joint: int, c: Coefficient, slot: Slot, spends: bool = True) -> None:
-        """A torque c times `slot` at a joint, N m, or N; whether the energy changes by it."""
+        """Add a torque c times `slot` at a joint, N m or N; `spends` if it changes the energy."""
         self._acting[joint].append((c, slot))
         if spends and self.work:
             self.works(c, self.product(slot, self.v(joint)))
 
     def constant_torque(self, joint: int, torque: float) -> None:
-        """A constant torque at a joint, N m, or N."""
+        """Add a constant torque at a joint, N m or N."""
         self._constant[joint] += torque
 
     def works(self, c: Coefficient, slot: Slot) -> None:
-        """Power by which the energy changes, W: c times `slot`."""
+        """Add c times `slot` to the power that changes the energy, W."""
         self.power.append((c, slot))
 
     def bends(self, slot: Slot, arm: float) -> None:
-        """A slot whose series may hold only in part of a step, and what makes a torque of it."""
+        """Mark a slot whose series may hold only in part of a step; `arm` makes a torque of it."""
         self.program.named["bends"].append(slot)
         self.program.arms[slot] = arm
 
     def bends_planar(self, slot: Slot, place: PlanarPoint) -> None:
-        """The same of both parts of a planar slot, a force at a place."""
+        """Mark both components of a planar slot, a force at a place, as `bends`."""
         for along in ((1.0, 0.0), (0.0, -1.0)):
             part = self.program.add(RealPart(self.planar_sum((along, slot))))
             self.bends(part, place.reach)

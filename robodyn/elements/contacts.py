@@ -1,4 +1,4 @@
-"""The modes of what acts: which joints are held, slip or press a stop; and what ends a mode."""
+"""Modes of contacts: which joints are held, slip or press a stop, and what ends a mode."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ End = tuple[int, int]  # a joint, and the side of it that ends: -1 or 1
 
 
 class Mode(NamedTuple):
-    """Which joints are held, which slip and which way, which press the stop of which side."""
+    """Joints that are held, joints that slip with direction, and pressed stops with side."""
 
     held: tuple[int, ...] = ()
     slips: tuple[tuple[int, int], ...] = ()

@@ -1,4 +1,4 @@
-"""A gravity field that varies with the time: forces on all masses, without a lasting potential.
+"""Gravity that varies in time: forces on all masses, without a potential.
 
 A link of mass m and first moment s about its own origin, in its frame, feels m g there and the
 moment Im(conj(s E) g).
@@ -18,7 +18,7 @@ UNITS = ((1.0, 0.0), (0.0, 1.0))
 
 
 class GravityField(Element):
-    """The components of gravity that vary; one that is constant is None, and among the weights.
+    """The varying components of gravity; None for a constant one, which is in the weights.
 
     `masses` (n), kg, and `first` (n), kg m, are those of the links, payloads included.
     """

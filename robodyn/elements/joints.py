@@ -1,11 +1,12 @@
-"""What rubs and ends at joints, and the rotors of their motors.
+"""Friction and stops at joints, and the rotors of their motors.
 
-A joint's friction is -torque tanh(qd/speed); one that slips one way (way = 1 or -1) loses
+A joint's smooth friction is -torque tanh(qd/speed).  A joint that slips in one direction (way = 1
+or -1) loses
 
     way (torque + (static - torque) exp(-(qd/stribeck)^2)),
 
-or exp(-|qd|/stribeck) in place of that bell, the force along its axis where the joint slides.
-Where friction differs with the direction its amount is a pair, of positive rates and of negative.
+or exp(-|qd|/stribeck) in place of that bell; a force along its axis if the joint slides.  If
+friction differs by direction, its amount is a pair, for positive and for negative rates.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ ByWay = float | tuple[float, float]  # one amount, or that of positive and that 
 
 
 def of_way(amount: ByWay, way: int) -> float:
-    """The amount of the rates of a sign, 1 or -1."""
+    """Return the amount for the direction 1 or -1."""
     return amount[way < 0] if isinstance(amount, tuple) else amount
 
 
 def acts_at_all(amount: ByWay) -> bool:
-    """Whether the amount of either sign is not zero."""
+    """Return whether the amount is nonzero in any direction."""
     return bool(of_way(amount, 1)) or bool(of_way(amount, -1))
 
 
 class SmoothFriction(Element):
-    """Coulomb friction of a joint, smoothed through rest."""
+    """Coulomb friction of a joint, smoothed around zero rate."""
 
     joint: int
     torque: ByWay = key(
@@ -104,9 +105,9 @@ class SmoothFriction(Element):
 
 
 class DryFriction(Element):
-    """Coulomb friction with true sticking: it acts in a mode alone, as `Slipping` or by a row.
+    """Coulomb friction with sticking; it acts in modes, as `Slipping` or by a held row.
 
-    A joint at rest holds up to `static`; one that moves is held back as `Slipping` has it.
+    A joint at rest is held up to `static`; a moving one is braked by `Slipping`.
     """
 
     joint: int
@@ -203,7 +204,7 @@ class DryFriction(Element):
                 yield Guard("slips", joint, way, partial(self._onward, way), self._rates)
 
     def _onward(self, way: int, q: Array, qd: Array) -> Array:
-        """How fast its joint slips this way."""
+        """Return the rate of its joint in this direction."""
         return way * qd[:, self.joint]
 
     def _rates(self, q: Array, qd: Array) -> Array:
@@ -212,7 +213,7 @@ class DryFriction(Element):
 
 
 class Slipping(Element):
-    """Dry friction of a joint that slips one way, 1 or -1."""
+    """Dry friction of a joint that slips in one direction, 1 or -1."""
 
     joint: int
     torque: float
@@ -261,7 +262,7 @@ class Slipping(Element):
 
 
 class Range(Record):
-    """From where to where a joint goes, rad or m; None: on and on."""
+    """The range of a joint, rad or m; None for no end."""
 
     joint: int
     low: float | None
@@ -270,12 +271,12 @@ class Range(Record):
 
     @property
     def ends(self) -> list[tuple[int, float]]:
-        """The sides, -1 and 1, that have an end, and where."""
+        """The sides, -1 and 1, that have an end, with its position."""
         sides = ((-1, self.low), (1, self.high))
         return [(side, end) for side, end in sides if end is not None]
 
     def guards(self, touches: Collection[End]) -> Iterator[Guard]:
-        """Of each end that nothing passes, unless the joint rests on it."""
+        """Yield a guard for each firm end on which the joint does not rest."""
         for side, end in self.ends if self.firm else ():
             if (self.joint, side) not in touches:
                 inside, reach = partial(self._inside, side, end), partial(self._reach, end)
@@ -289,9 +290,9 @@ class Range(Record):
 
 
 class Stops(Element):
-    """Where a joint ends: at compliant stops, at hard ones, or at no more than a limit.
+    """The ends of a joint: compliant stops, hard stops, or limits only.
 
-    In a mechanism it is a `Range`, and a stop at each end of it.
+    In a mechanism it becomes a `Range` with a stop at each end.
     """
 
     joint: int
@@ -360,7 +361,7 @@ class Stops(Element):
 
 
 class HardStop(Element):
-    """What throws a joint back at an end of its range: it acts in impacts, and as a row."""
+    """A stop that throws a joint back at an end; it acts in impacts, and as a held row."""
 
     joint: int
     side: int  # -1: at the low end, 1: at the high one
@@ -380,7 +381,7 @@ class HardStop(Element):
 
 
 class CompliantStop(Element):
-    """A spring and a damper beyond an end of a joint's range, which push and never pull."""
+    """A spring and a damper beyond an end of a joint's range; they push and never pull."""
 
     joint: int
     side: int  # -1: at the low end, 1: at the high one
@@ -402,14 +403,15 @@ class CompliantStop(Element):
             yield JointDamper(self.joint, self.damping)
 
     def push(self, q: Any, qd: Any) -> Any:
-        """Its force over its stiffness, away from its side, rad or m, by q and qd of its joint.
+        """Return its force over its stiffness (rad or m), away from its side.
 
-        As its spring and damper have it: below zero it would pull, and does not act.
+        q and qd are those of its joint.  It does not act if the value is negative, where it would
+        pull.
         """
         return self.side * (q - self.end + self.damping / self.stiffness * qd)
 
     def pushes(self, q: float, qd: float) -> bool:
-        """Whether its joint is beyond it, and no faster out than it follows."""
+        """Return whether its joint is beyond it, and not leaving faster than it follows."""
         return self.side * (q - self.end) > 0.0 and self.push(q, qd) > 0.0
 
     def guards(self, mode: Mode, touches: Collection[End]) -> Iterator[Guard]:
@@ -425,7 +427,7 @@ class CompliantStop(Element):
         return push
 
     def _apart(self, q: Array, qd: Array) -> Array:
-        """Inside of the end, or faster out than the stop follows."""
+        """Return a guard value that is positive while the joint is not pressed."""
         import numpy as np  # of a run, which has it
 
         inside = -self.side * (q[:, self.joint] - self.end)
@@ -439,8 +441,8 @@ class CompliantStop(Element):
 class Rotor(Element):
     """The rotor of the motor at a joint; it sits on the link that carries the joint.
 
-    It spins with w_carrier + ratio qd, w_carrier the rate of what turns that link, if anything
-    does.  So KE has inertia/2 (w_carrier + ratio qd)^2 more, and M the constant inertia r r^T.
+    It spins with w_carrier + ratio qd, w_carrier the rate of the carrying link if it can turn.  So
+    KE has another inertia/2 (w_carrier + ratio qd)^2, and M the constant inertia r r^T.
     """
 
     joint: int
@@ -451,7 +453,7 @@ class Rotor(Element):
 
     @property
     def spin(self) -> tuple[tuple[int, float], ...]:
-        """r in x: its rate is the sum of coefficients times x'."""
+        """r in coordinates x: its rate is the sum of coefficients times x'."""
         own = self.joint, self.ratio
         if self.carrier is None:
             return (own,)

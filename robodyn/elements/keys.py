@@ -1,9 +1,9 @@
-"""How a record of a scene declares the keys of its mapping in files, each beside its field.
+"""Keys of a record's mapping in files, declared beside its fields.
 
     length: float = key("amount", "free length", unit="m", symbol="S0: free length of {}")
 
-From the declarations follow the reader, the JSON Schema, the names of numbers, the symbols of
-equations and the guide's tables: see `grammar.py`.
+The reader, the JSON Schema, the names of numbers, the symbols of equations and the guide's tables
+follow from these declarations: see `grammar.py`.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ Sided = Any  # a text, or a pair of texts: of joints that turn, and of those tha
 
 
 class Key(Record):
-    """A key of a mapping, with the kind of its value and what stands where a file leaves it out.
+    """A key of a mapping: kind of its value, default and help.
 
-    What differs between joints that turn and joints that slide is a pair; `of` picks.
+    What differs between turning and sliding joints is a pair; `of` selects.
     """
 
     kind: Sided  # of its value
@@ -52,34 +52,34 @@ class Key(Record):
 
     @property
     def value(self) -> Any:
-        """The value where a file leaves it out; NEEDED if there is none."""
+        """The value if a file leaves it out; NEEDED if there is none."""
         return self.default if self.absent is NEEDED else self.absent
 
     @property
     def optional(self) -> bool:
-        """Whether it is a number that is zero where a file leaves it out."""
+        """Whether it is a number that is zero if a file leaves it out."""
         is_number = isinstance(self.value, (float, complex))
         return is_number and not (self.one or self.value)
 
     @property
     def shown_default(self) -> str:
-        """The default in words; for one that is needed, that it is."""
+        """The default in words, or "needed"."""
         if self.told:
             return str(self.told)
         return "needed" if self.needed else "0" if self.optional else "none"
 
     @property
     def one(self) -> bool:
-        """Whether it is one of several, of which a file must have exactly one."""
+        """Whether a file must have exactly one of several keys including this one."""
         return self.told in ONES
 
     @property
     def together(self) -> bool:
-        """Whether it is one of several, of which a file has all or none."""
+        """Whether a file must have all or none of several keys including this one."""
         return bool(self.told == TOGETHER)
 
     def of(self, slides: bool) -> Key:
-        """The key of a joint that turns, or slides."""
+        """Return the key for a sliding, or a turning joint."""
         each = zip(self._fields, self, strict=True)
         pairs = {x: y for x, y in each if isinstance(y, tuple) and x in _SIDED}
         return self._replace(**{x: y[slides] for x, y in pairs.items()})
@@ -89,15 +89,15 @@ _SIDED = frozenset(("kind", "help", "unit", "told", "hint", "symbol", "name"))
 
 
 def key(kind: Sided, help: Sided, **more: Any) -> Any:
-    """The declaration of a key, as the default of its field; for `more` see `Key`."""
+    """Return the declaration of a key, as default of its field; for `more` see `Key`."""
     return Key(kind, help, **more)
 
 
 class Way(Record):
     """One way to write a record as a mapping.
 
-    `among` is the kind of value that it is a mapping of, `marks` are the keys that tell it from
-    others of this kind, and `slides` is whether it is of joints that slide.
+    `among` is the kind of value that the mapping is, `marks` are keys that distinguish it from
+    other mappings of this kind, and `slides` tells whether it is for sliding joints.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Way(Record):
 
 
 def at_joints(name: str, among: str, help: Sided, marks: tuple[str, ...] = ()) -> tuple[Way, Way]:
-    """The way to write what stands at a joint, of joints that turn and of those that slide."""
+    """Return the ways to write a record at a turning and at a sliding joint."""
     turns, slides = (help, help) if isinstance(help, str) else help
     return (
         Way(name, among, turns, marks),
@@ -120,7 +120,7 @@ def at_joints(name: str, among: str, help: Sided, marks: tuple[str, ...] = ()) -
 class Declared(Record):
     """A record whose fields may be declared by keys.
 
-    A key that is annotated as a ClassVar belongs to the mapping, and no field is its own.
+    A key annotated as ClassVar belongs to the mapping, but has no field.
     """
 
     ways: ClassVar[tuple[Way, ...]] = ()  # to write it; none: files do not have it
@@ -145,7 +145,7 @@ class Declared(Record):
 
     @classmethod
     def keys_of(cls, way: Way) -> dict[str, Key]:
-        """The keys of a way to write it, by their names."""
+        """Return the keys of one way to write it, by name."""
         found = {}
         base = way.name.removeprefix("slide_")
         for field, declared in cls.keys.items():
@@ -159,15 +159,15 @@ class Declared(Record):
 
     @classmethod
     def from_keys(cls, values: dict[str, Any]) -> Self:
-        """The record of values by fields."""
+        """Return a record from values by field."""
         return cls(**values)
 
     def to_keys(self) -> dict[str, Any]:
-        """The values by fields; what is left out has its default."""
+        """Return the values by field; missing ones have their default."""
         return {x: getattr(self, x) for x in self.keys if x in self._fields}
 
     def linear(self) -> Iterator[tuple[str, Key]]:
-        """The fields that torques are linear in, with their keys."""
+        """Yield the fields in which torques are linear, with their keys."""
         for field, declared in self.keys.items():
             replaced = declared.instead and getattr(self, declared.instead)
             lacks = declared.only_with and getattr(self, declared.only_with) is None
@@ -176,8 +176,8 @@ class Declared(Record):
                 yield field, declared
 
     def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
-        """The faults of values that are right each by itself: field, limit and value.
+        """Yield faults of values that are valid separately: field, limit and value.
 
-        `names` are those of the keys, by fields.
+        `names` are the keys' names by field.
         """
         yield from ()

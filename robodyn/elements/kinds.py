@@ -34,5 +34,5 @@ KINDS: tuple[type[Element], ...] = (
 
 
 def place_of(element: Element) -> int:
-    """The place of an element's kind among the kinds; new ones come last."""
+    """Return the order of an element's kind; unknown kinds come last."""
     return KINDS.index(type(element)) if type(element) in KINDS else len(KINDS)

@@ -1,4 +1,4 @@
-"""Points of a mechanism, and the rows of where its links are, and of how they move."""
+"""Points of a mechanism, and rows for positions and motions of its links."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class PlanarPoint(Record):
 
     @property
     def reach(self) -> float:
-        """How far it may be from the origin at most, m: the arm of a force there."""
+        """Its largest distance from the origin, m: the arm of a force there."""
         return abs(self.constant) + sum(abs(c) for _, c in self.terms)
 
 
 class Tree(Protocol):
-    """What elements ask of the links of a scene, see `link_tree.Tree`."""
+    """What elements need to know of the links of a scene; see `link_tree.Tree`."""
 
     @property
     def frames(self) -> Sequence[int | None]: ...
@@ -45,7 +45,7 @@ class Tree(Protocol):
 
 
 class Links(Protocol):
-    """What rows read of a mechanism, see `planar_model.Mechanism`."""
+    """What rows read of a mechanism; see `planar_model.Mechanism`."""
 
     @property
     def n(self) -> int: ...
@@ -67,7 +67,7 @@ class Links(Protocol):
 
 
 class LinkRows:
-    """X, and P = X'', of the coordinates of a mechanism, and what follows from them.
+    """X and P = X'' of the coordinates of a mechanism, and slots that follow from them.
 
     `x` are the coordinates' own slots: E of a link that turns, s of one that slides.
     """
@@ -90,17 +90,17 @@ class LinkRows:
                 self.children[above].append(k)
 
     def w(self, k: int) -> Slot:
-        """The angular velocity of link k, which turns."""
+        """Return the angular velocity of link k, which turns."""
         return self.program.add(Rate(self.x[k]))
 
     def coordinate(self, k: int) -> Slot:
-        """Its angle, or displacement."""
+        """Return coordinate k: an angle, or displacement."""
         if k in self.mechanism.slides:
             return self.x[k]
         return self.program.add(Integral(self.w(k), f"alpha{k}"))
 
     def v(self, j: int) -> Slot:
-        """The rate qd of joint j."""
+        """Return the rate qd of joint j."""
         if j in self.mechanism.slides:
             return self.program.add(Derivative(self.x[j]))
         above = self.mechanism.above[j]
@@ -110,24 +110,24 @@ class LinkRows:
         return self.program.add(Anchored(relative, f"qd{j}"))
 
     def q(self, j: int) -> Slot:
-        """The angle, or displacement, of joint j."""
+        """Return the angle, or displacement, of joint j."""
         if j in self.mechanism.slides:
             return self.x[j]
         return self.program.add(Integral(self.v(j), f"q{j}"))
 
     def variable(self, name: str) -> Slot:
-        """The slot of t, q0.. or qd0..."""
+        """Return the slot of t, q0.. or qd0..."""
         if name == "t":
             return self.program.add(Given("t"))
         return self.v(int(name[2:])) if name.startswith("qd") else self.q(int(name[1:]))
 
     def direction(self, link: int) -> Slot | None:
-        """E of a link; None: it is that of the ground, 1."""
+        """Return E of a link; None if it is that of the ground, 1."""
         frame = self.mechanism.frames[link]
         return None if frame is None else self.x[frame]
 
     def point(self, point: PlanarPoint) -> Slot:
-        """A point of the mechanism."""
+        """Return a point of the mechanism."""
         number = self.program.planar_number
         terms = tuple((number(c), self.X[k]) for k, c in point.terms)
         return self.program.add(PlanarSum(number(point.constant), terms))

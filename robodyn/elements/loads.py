@@ -1,11 +1,10 @@
 """Loads: forces at points and torques on links.
 
-A constant force F turns with its link as F E.  A force f at a point that has the coefficients c_k
-gives F_k -= conj(c_k) f.  Loads that vary are signals in place of numbers.
+A constant force F that turns with its link is F E. A force f at a point with coefficients c_k gives
+F_k -= conj(c_k) f.  Loads that vary have signals in place of numbers.
 
-Where a force acts at a place of its link that varies, it acts on the material point that is there:
-as at a fixed place of the link, with the moment of the way from there, z of the link's frame,
-Im(conj(z E) f).
+A force at a varying place of its link acts on the material point there: as at a fixed place of the
+link, with the added moment Im(conj(z E) f) of the vector z between the two, in the link's frame.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ AXES = tuple(Name("F", "N", f"force of {{}}, {axis}", axis) for axis in "xy")
 class Force(Element):
     """A force at a point of a link; one that turns with the link, or varies, has no potential.
 
-    Where x or y is a signal it is in `varying`, and zero in `force`; so are coordinates of its
-    place along the link in `moving`, and zero in `point`.
+    If x or y is a signal it is in `varying`, and zero in `force`.  Likewise coordinates of a
+    varying place are in `moving`, and zero in `point`.
     """
 
     link: ClassVar[Any] = key("link_name", "the link that it acts on", ways=("force",))
@@ -94,7 +93,7 @@ class Force(Element):
 
     @property
     def varied(self) -> bool:
-        """Whether it is not constant."""
+        """Whether the force is not constant."""
         return self.varying != (None, None)
 
     @property
@@ -112,7 +111,7 @@ class Force(Element):
         return f", in {'its link' if self.turns else 'the ground'}'s frame"
 
     def placed(self, tree: Tree) -> Iterator[Force]:
-        """It is one of the ground's frame where its link cannot turn."""
+        """Yield the force, in the ground's frame if its link cannot turn."""
         k = self.point.link
         if not self.turns or k is None or tree.frames[k] is not None or self.varied:
             yield self
@@ -188,7 +187,7 @@ class Force(Element):
 
 
 class Moment(Element):
-    """A torque on a link; where it varies it is zero, and `varying`."""
+    """A torque on a link; a varying one is zero, and in `varying`."""
 
     link: int = key("link_name", "the link that it acts on")
     torque: float = key(
@@ -230,7 +229,7 @@ class Moment(Element):
         return (self.link, self.torque) if self.varying is None else None
 
     def placed(self, tree: Tree) -> Iterator[Moment]:
-        """A constant one is among the constant moments of the mechanism."""
+        """Yield it if it varies; a constant one is in the mechanism's constant moments."""
         if self.varying is not None:
             yield self
 

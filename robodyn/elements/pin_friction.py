@@ -1,12 +1,12 @@
 """Friction in pins and on slides, by the force that they carry.
 
-With N the force in the pin, or that across the line of a slide, it is
+With N the force in the pin, or the force normal to the line of a slide, it is
 
     -coefficient radius |N| tanh(rate/speed)        a torque, at pins
     -coefficient |N| tanh(rate/speed)               a force, along slides
 
-against the relative rate.  N comes from the whole mechanism, and this friction is part of what
-makes it: no rows of a program have it, and `dynamics/friction_rounds.py` solves for it.
+against the relative rate.  N depends on the whole mechanism, this friction included.  So no rows of
+a program have it, and `dynamics/friction_rounds.py` solves for it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ TORQUE, FORCE = "coefficient radius |pin force|", "coefficient |normal force|"
 
 
 class PinFriction(Element):
-    """Friction at a joint, or at the closure of a number, by the force there."""
+    """Friction at a joint, or at the closure with a number, by the force there."""
 
     joint: int | None
     coefficient: float = key("amount", ("of the force in the pin", "of the force across the slide"))
@@ -81,4 +81,4 @@ class PinFriction(Element):
         return self.speed
 
     def untimed(self) -> None:
-        """A controller's model does not know it."""
+        """Return None: a controller's model does not include it."""

@@ -1,16 +1,16 @@
-"""A program of rows: equations of motion as a list of slots, each defined by those before it.
+"""A program of rows: equations of motion as a list of slots, each defined by earlier ones.
 
-A slot holds a number that changes in time, real or planar (a complex number, as x and y); a row
-says how it follows from other slots.  The rows know nothing of how they are evaluated: at one
-state, or as power series in time, on floats, recorded formulas, numpy arrays or numbers of many
-digits, is the business of an engine (`engines/series.py`).
+A slot holds a quantity that changes in time, real or planar (a complex number, as x and y); a row
+defines it by other slots.  Rows do not know how they are evaluated: at one state or as power series
+in time, on floats, recorded formulas, numpy arrays or numbers of many digits.  That is the task of
+an engine (`engines/series.py`).
 
-Unknowns (accelerations of links, forces of closures) enter linearly, and the residuals are zero
-when the unknowns are right.
+Unknowns (accelerations of links, forces of closures) enter linearly, and the residuals are zero for
+the right unknowns.
 
-Coefficients are either part of a program's shape (plain floats such as 1 and -1) or numbers of
-the scene, which stand in `numbers` and are named in the rows by their place there: programs of one
-shape differ in their numbers alone.
+Coefficients are either part of a program's shape (plain floats such as 1 and -1) or numbers of the
+scene.  These are listed in `numbers`, and rows refer to them by index: programs of one shape differ
+only in their numbers.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Slot = int
 
 
 class Number(NamedTuple):
-    """A number of the scene, by its place in `Program.numbers`, or its opposite."""
+    """A number of the scene, by its index in `Program.numbers`, or its negative."""
 
     place: int
     sign: float = 1.0
@@ -37,13 +37,13 @@ PlanarCoefficient = tuple[Coefficient, Coefficient]  # real and imaginary part; 
 
 
 class Given(NamedTuple):
-    """Real: what comes from outside: the time, a torque, an angle where a motion starts."""
+    """Real: an input: time, a torque, an angle at which a motion starts."""
 
     name: str
 
 
 class Unknown(NamedTuple):
-    """Real: an unknown that enters linearly, such as a multiplier of a closure."""
+    """Real: an unknown that enters linearly, such as a closure's multiplier."""
 
     name: str
 
@@ -74,7 +74,7 @@ class Integral(NamedTuple):
 
 
 class Anchored(NamedTuple):
-    """Real: x, but its first coefficient is the given value `start`, not rounded as x is."""
+    """Real: x, with its first coefficient replaced by the given value `start`, which is exact."""
 
     x: Slot
     start: str
@@ -128,9 +128,9 @@ class Inner(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """Real: inertia a + Im(conj(E) F), what turns the link of `turn`; F is without P.
+    """Real: inertia a + Im(conj(E) F), the moment on the link of `turn`; F without P.
 
-    `bend` is the slot of P = E''.  The link's own part is exact so: Im(conj(E) inertia P).
+    `bend` is the slot of P = E''. The link's own term is exact in this form: Im(conj(E) inertia P).
     """
 
     turn: Slot
@@ -169,9 +169,9 @@ class Primitive(NamedTuple):
 
 
 class Step(NamedTuple):
-    """Real: one of the values, by the interval between increasing knots in which x is.
+    """Real: the value for the interval between increasing knots that contains x.
 
-    With a period x is brought into the one from `first` on, and the value gains `rise` for each.
+    With a period, x is reduced to the one from `first` on, and the value gains `rise` per period.
     """
 
     x: Slot
@@ -198,7 +198,7 @@ SHIFT: dict[type, int] = {Derivative: 1, Rate: 1, Integral: -1}  # orders that a
 
 
 class Schedule(NamedTuple):
-    """Slots in order; how many orders each is ahead of the unknowns; what the unknowns change.
+    """Slots in order; by how many orders each is ahead of the unknowns; slots that they change.
 
     `live` maps a slot whose coefficient depends on the unknowns of its order to the slots through
     which it does.
@@ -210,7 +210,7 @@ class Schedule(NamedTuple):
 
 
 class Program:
-    """Rows in the order of their slots, residuals, and what is read out, by name."""
+    """Rows in the order of their slots, residuals, and outputs by name."""
 
     def __init__(self) -> None:
         self.rows: list[Row] = []
@@ -226,9 +226,9 @@ class Program:
     # -- building ----------------------------------------------------------------------------------
 
     def number(self, value: float) -> Coefficient:
-        """A coefficient of the scene; zero is part of the program's shape.
+        """Return a coefficient of the scene; zero is part of the program's shape.
 
-        It is kept as it is: formulas take numbers that are formulas of parameters themselves.
+        Numbers are kept unchanged: they may be formulas of parameters.
         """
         if value == 0.0:
             return 0.0
@@ -236,11 +236,11 @@ class Program:
         return Number(len(self.numbers) - 1)
 
     def planar_number(self, value: complex) -> PlanarCoefficient:
-        """The same of a complex coefficient."""
+        """Return a complex coefficient of the scene."""
         return self.number(value.real), self.number(value.imag)
 
     def add(self, row: Row) -> Slot:
-        """The slot of a row; equal rows share one."""
+        """Return the slot of a row; equal rows share one."""
         key = type(row), row  # rows of two types may hold the same
         if (known := self._known.get(key)) is not None:
             return known
@@ -253,26 +253,26 @@ class Program:
         return slot
 
     def sum(self, *terms: tuple[Coefficient, Slot], constant: Coefficient = 0.0) -> Slot:
-        """The slot of a `Sum`, or of its one term where that is all."""
+        """Return the slot of a `Sum`, or of its only term."""
         kept = tuple((c, x) for c, x in terms if c != 0.0)
         if constant == 0.0 and len(kept) == 1 and kept[0][0] == 1.0:
             return kept[0][1]
         return self.add(Sum(constant, kept))
 
     def planar_sum(self, *terms: tuple[PlanarCoefficient, Slot]) -> Slot:
-        """The slot of a `PlanarSum` without a constant."""
+        """Return the slot of a `PlanarSum` without a constant."""
         return self.add(PlanarSum((0.0, 0.0), terms))
 
     # -- reading -----------------------------------------------------------------------------------
 
     @property
     def shape(self) -> tuple[object, ...]:
-        """What programs that differ in their numbers alone share; a key of dicts."""
+        """A hashable key, equal for programs that differ only in their numbers."""
         named = tuple((name, tuple(slots)) for name, slots in self.named.items())
         return tuple((type(row), row) for row in self.rows), tuple(self.residuals), named
 
     def schedule(self, wanted: Sequence[Slot] = ()) -> Schedule:
-        """In what order, and how many orders ahead of the unknowns, slots must be known."""
+        """Return the order of slots, and how many orders they are ahead of the unknowns."""
         key = (len(self.rows), len(self.residuals), *self.residuals, *wanted)
         if key not in self._schedules:
             self._schedules[key] = self._scheduled(wanted)
@@ -300,12 +300,12 @@ class Program:
 
 
 def arguments(row: Row) -> Iterator[Slot]:
-    """The slots that a row reads."""
+    """Return the slots that a row reads."""
     if isinstance(row, (Sum, PlanarSum)):
         return (x for _, x in row.terms)
     return (getattr(row, name) for name in SLOTS[type(row)])
 
 
 def finite(numbers: list[float]) -> bool:
-    """Whether all of them are."""
+    """Return whether all numbers are finite."""
     return all(map(math.isfinite, numbers))

@@ -1,11 +1,11 @@
-"""Springs, between points and at joints, and dampers.
+"""Springs and dampers, between points and at joints.
 
-A spring between points d = const + sum_k c_k X_k from end to end pulls its first end by
+A spring between points, d = const + sum_k c_k X_k from end to end, pulls its first end by
 
     f = (k L s^-1/2 - k - D (d.d')/s) d,        s = d.d,
 
-and its second by -f; one at a joint gives -k (q - angle), a damper there -D qd.  A spring with a
-law F pulls by F(x, v) in the place of k x, with its extension x = sqrt(s) - L or q - angle, v = x'.
+and its second by -f.  One at a joint gives -k (q - angle), a damper there -D qd.  A spring with a
+law F has F(x, v) in place of k x, with its extension x = sqrt(s) - L or q - angle, v = x'.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ DAMPED = "stands beside law; damping is in the law, by its v"
 
 
 def _one_law(values: dict[str, Any]) -> dict[str, Any]:
-    """The values by fields, of keys that exclude one another."""
+    """Return values by field from keys that exclude one another."""
     table = values.pop("table", None)
     return values | {"law": values["law"] or table}
 
 
 def _as_written(values: dict[str, Any], law: Signal | None) -> dict[str, Any]:
-    """The values by keys, of which one is the spring's."""
+    """Return values by key; only one key describes the spring."""
     if law is None:
         return values | {"law": None}
     given = {"law": None, "table": law} if isinstance(law, Table) else {"law": law}
@@ -158,11 +158,11 @@ class PointSpring(Element):
             yield b.number(0.5 * self.stiffness), square
 
     def reach(self, tree: Tree) -> PlanarPoint:
-        """Its first end less its second."""
+        """Return its first end less its second."""
         return tree.difference(self.first, self.second)
 
     def _longer(self, b: Builder, square: Slot) -> Slot:
-        """Its length, by the square of that, less the free one."""
+        """Return its extension from the square of its length."""
         return b.sum((1.0, b.power_of(square, 0.5)), constant=b.number(-self.length))
 
     def rows(self, b: Builder) -> None:
@@ -203,7 +203,7 @@ class PointSpring(Element):
 
 
 class JointSpring(Element):
-    """A spring and damper at a joint; in a mechanism its damper is an element of its own."""
+    """A spring and damper at a joint; in a mechanism its damper is a separate element."""
 
     joint: int = key(
         "joint_name",
@@ -303,7 +303,7 @@ class JointSpring(Element):
         return self.angle
 
     def _turned(self, b: Builder) -> Slot:
-        """How far its joint is from where it is free."""
+        """Return the displacement of its joint from where it is free."""
         return b.sum((1.0, b.q(self.joint)), constant=b.number(-self.angle))
 
     def energy(self, b: Builder) -> Iterator[Term]:
@@ -326,7 +326,7 @@ class JointSpring(Element):
 
 
 class JointDamper(Element):
-    """A damper at a joint, N m s/rad, or N s/m; the sum of those at a joint is its entry of D."""
+    """A damper at a joint, N m s/rad or N s/m; D has the sum of those at a joint."""
 
     joint: int
     damping: float

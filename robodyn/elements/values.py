@@ -1,4 +1,4 @@
-"""What fields of a scene hold beside numbers: points, and what varies."""
+"""Values of a scene's fields that are no numbers: points, laws, tables and curves."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Point(Declared):
 
 
 class Law(Record):
-    """A smooth expression: as its file has it, its tree (`scene/syntax.py`), and its names."""
+    """A smooth expression: its text, its tree (`scene/syntax.py`), and its names."""
 
     text: str
     node: Any
@@ -33,9 +33,9 @@ class Law(Record):
 
 
 class Lines(NamedTuple):
-    """A function that is a line on each piece between increasing knots x (k + 1,).
+    """A piecewise linear function with increasing knots x (k + 1,).
 
-    `first` and `last` (k,) are its values at the ends of each piece.
+    `first` and `last` (k,) are its values at both ends of each piece.
     """
 
     x: tuple[float, ...]
@@ -56,9 +56,9 @@ class Lines(NamedTuple):
 
 
 def lines_of(x: Sequence[float], F: Sequence[float], hold: bool) -> Lines:
-    """The function of rows x, F: linear between them, or of `hold` steps; two at one x are a step.
+    """Return the function with rows x, F: linear between them, or with `hold` by steps.
 
-    The value at a step is that which follows it.
+    Two rows at one x are a step; the value there is the later one.
     """
     pairs = list(zip(pairwise(x), pairwise(F), strict=True))
     wide = [((a, b), (c, c if hold else d)) for (a, b), (c, d) in pairs if b > a]
@@ -67,7 +67,7 @@ def lines_of(x: Sequence[float], F: Sequence[float], hold: bool) -> Lines:
 
 
 class Table(Declared):
-    """A function of one variable by rows, x increasing: linear between them, or of `hold` steps.
+    """A function of one variable by rows, x increasing: linear between them, or `hold` steps.
 
     Over t two rows may have one time: there the value jumps.
     """
@@ -91,12 +91,12 @@ class Table(Declared):
 
     @property
     def lines(self) -> Lines:
-        """The lines of which it is."""
+        """The table as a piecewise linear function."""
         return lines_of(self.x, self.F, self.hold)
 
     @property
     def names(self) -> frozenset[str]:
-        """The variable, as a law has its own; t or q0..; of a spring x."""
+        """The name of its variable: t or q0..; x for a spring."""
         return frozenset((self.over,))
 
 
@@ -104,7 +104,7 @@ MOST_DECIMALS = 14  # from which the digits of a file are those of floats
 
 
 def _decimals(value: float) -> int:
-    """The decimals that a number is written with."""
+    """Return the number of decimals with which a number is written."""
     number, _, power = repr(round(value, MOST_DECIMALS)).partition("e")
     written = number.rstrip("0").partition(".")[2]
     return max(0, len(written) - int(power or 0))
@@ -114,7 +114,7 @@ class Curve(Record):
     """A cubic spline through the rows of a table, twice differentiable: a coupling's law.
 
     On piece k, from x_k to x_{k+1}, it is the sum of `pieces[k][i]` (x - x_k)^i.  If it `repeats`
-    it gains `rise` with each span; else it ends at its first and last row.
+    it gains `rise` per period; otherwise it ends at its first and last row.
     """
 
     file: str  # the CSV file, from the scene file's folder
@@ -127,7 +127,7 @@ class Curve(Record):
 
     @property
     def names(self) -> frozenset[str]:
-        """The variable, as a law has its own."""
+        """The name of its variable."""
         return frozenset((self.over,))
 
     @property
@@ -147,10 +147,10 @@ class Curve(Record):
 
     @property
     def bend_of_digits(self) -> float:
-        """What the second derivative may be off by, as the values have only so many decimals.
+        """The error of the second derivative caused by the rounding of values in the file.
 
-        A value that is rounded by d makes 4 d/h^2 of a second difference over rows h apart, and a
-        spline three times as much at most.
+        A value rounded by d changes a second difference over rows h apart by 4 d/h^2, and the
+        spline by at most three times as much.
         """
         decimals = max(_decimals(piece[0]) for piece in self.pieces)
         if decimals >= MOST_DECIMALS:
@@ -167,5 +167,5 @@ Tables = dict[tuple[str, str, str, bool], tuple[tuple[float, ...], tuple[float, 
 
 
 def told(signal: Signal) -> str:
-    """An expression as its file has it, or the file of a table."""
+    """Return an expression's text, or the file of a table."""
     return signal.text if isinstance(signal, Law) else signal.file

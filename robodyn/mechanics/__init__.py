@@ -1,1 +1,1 @@
-"""The mechanics of a scene: its numbers, and the one program of rows that every engine runs."""
+"""The mechanics of a scene: its constants, and its equations of motion as rows of a program."""

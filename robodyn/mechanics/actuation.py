@@ -1,7 +1,7 @@
-"""Where a simulation's torque comes from: constants, expressions of t, q, qd, or a table.
+"""Sources of joint torques in a simulation: constants, expressions of t, q, qd, or a table.
 
-Each source becomes lines of Python that the generated right-hand side contains; constants are
-folded into it.  How expressions are read is told in `scene/syntax.py`.
+Each source becomes lines of Python in the generated right-hand side; constants are folded into it.
+`scene/syntax.py` describes expressions.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Change = Callable[[list[Node]], list[Node]]  # of expressions into others
 
 
 class CallerError(Exception):
-    """Carries an exception of a caller's function past the handlers of numerical errors."""
+    """Carries an exception of a caller's function past handlers of numerical errors."""
 
     def __init__(self, error: Exception) -> None:
         super().__init__(error)
@@ -48,12 +48,12 @@ class CallerError(Exception):
 class Actuation:
     """Joint torques over time: constants (n), or lines that set tau0.. from t, q0.., qd0...
 
-    `kinks` are the increasing times at which the torque bends or jumps; an integrator must step
-    onto them.  It calls `told`, where there is one, at the start and at each of them.  `jumps` are
-    increasing times at which tables over time jump, of torques or of the scene's loads: what they
-    give there is what follows.  `leaves` are ends of times, counted from the start: no step may be
-    longer than one that it enters.  Torques may have `states` of their own, z0..: integrated beside
-    q and qd by the rates zd0.. that the lines set.
+    `kinks` are increasing times at which torques bend or jump; an integrator must step onto them.
+    It calls `told`, if there is one, at the start and at each kink.  `jumps` are increasing times
+    at which tables over time (of torques or of loads) jump; their value there is the later one.
+    `leaves` are ends of intervals, counted from the start: a step may not be longer than an
+    interval that it enters.  Torques may have `states` of their own, z0.., integrated with q and qd
+    by rates zd0.. that the lines set.
     """
 
     constants: tuple[float, ...] | None
@@ -76,13 +76,13 @@ class Actuation:
 
     @classmethod
     def of(cls, torques: Sequence[Node], where: str = "") -> Actuation:
-        """Torques by expressions, one a joint, that were given as the argument `where`."""
+        """Return torques from expressions, one per joint; `where` is the name of the argument."""
         lines = tuple(f"tau{k} = {code_of(node)}" for k, node in enumerate(torques))
         return cls(None, lines, tuple(torques), dict(SCOPE), where=where)
 
     @property
     def told(self) -> Steps | None:
-        """What follows the steps of a run."""
+        """The object that follows the steps of a run, if any."""
         return self.control or self.pieces
 
     @cached_property
@@ -94,15 +94,18 @@ class Actuation:
 
     @property
     def active(self) -> bool:
-        """Whether any torque can act at all."""
+        """Whether any torque can act."""
         return self.constants is None or any(self.constants)
 
     def own(self, name: str) -> list[str]:
-        """Its states by name, or their rates."""
+        """Return the names of its states, or of their rates."""
         return [f"{name}{k}" for k in range(self.states)]
 
     def function(self, n: int) -> Callable[[float, Sequence[float]], list[float]]:
-        """The torques (n), and the rates of their own states, of t and y = (q, qd, z, ...)."""
+        """Return the torques (n), and rates of their states, as a function of t and y.
+
+        y is (q, qd, z, ...).
+        """
         if self.constants is not None and not self.states:
             constants = list(self.constants)
             return lambda t, y: constants
@@ -120,7 +123,10 @@ class Actuation:
 def _each_joint(
     mechanism: Mechanism, given: list[T], nothing: tuple[T, ...], what: str, where: str = ""
 ) -> list[T]:
-    """One for each joint, given so or for the actuated ones; passive ones have `nothing`."""
+    """Return one item per joint from items of all or of the actuated joints.
+
+    Passive joints get `nothing`.
+    """
     n, driven = mechanism.n, mechanism.actuated
     if len(given) not in (n, len(driven)):
         limit = f"must have {n} {what}, one a joint"
@@ -138,7 +144,7 @@ def _each_joint(
 
 
 def constant(mechanism: Mechanism, values: Sequence[float]) -> Actuation:
-    """Constant torques: all joints (passive ones zero), or the actuated ones, N m."""
+    """Return constant torques, N m, of all joints (passive ones zero) or of the actuated ones."""
     torques = _each_joint(mechanism, list(map(float, values)), (0.0,), "values")
     return Actuation(tuple(torques))
 
@@ -150,11 +156,11 @@ def expressions(
     driving: Change | None = None,
     unit: str = "",
 ) -> Actuation:
-    """Torques from comma-separated expressions in t, q1.., qd1.., one an actuated joint, N m.
+    """Return torques from comma-separated expressions in t, q1.., qd1.., one per actuated joint.
 
-    `driving` makes torques of what the expressions are in another `unit`.  Raises InputError for
-    units that do not fit, and for anything but arithmetic, comparisons, `a if b else c`, the
-    functions above, pi and e.
+    In N m, or N. `driving` converts expressions in another `unit` to torques.  Raises InputError
+    for wrong units, and for anything but arithmetic, comparisons, `a if b else c`, known functions,
+    pi and e.
     """
     variables = state_variables(mechanism.n, mechanism.slides)
     try:
@@ -193,10 +199,10 @@ def table(
     until: float = 0.0,
     hold: bool = False,
 ) -> Actuation:
-    """Torques (rows, actuated), N m, at increasing times, s, interpolated linearly between them.
+    """Return torques (rows, actuated), N m, at increasing times (s), linear between them.
 
-    With `hold` those of a row hold until the next.  Two rows at one time are a step.
-    Raises InputError unless there are two times, which increase, and all of 0 to `until`.
+    With `hold`, a row holds until the next.  Two rows at one time are a step.  Raises InputError
+    unless there are two rows, with increasing times that cover 0 to `until`.
     """
     first, last = min(0.0, until), max(0.0, until)
     if len(times) < 2:
@@ -241,9 +247,9 @@ def table(
 def callback(
     mechanism: Mechanism, function: Callable[[float, list[float], list[float]], Sequence[float]]
 ) -> Actuation:
-    """Torques from a Python function of t, q (n), qd (n): all joints, or the actuated ones.
+    """Return torques from a Python function of t, q (n), qd (n), for all or the actuated joints.
 
-    An exception of the function comes as a CallerError.
+    An exception of the function is raised as CallerError.
     """
     n = mechanism.n
 
@@ -261,7 +267,7 @@ def callback(
 
 
 def values_given(given: Iterable[float], what: str) -> list[float]:
-    """What a function of the caller gives, as floats; InputError where it is no list of numbers."""
+    """Return a caller's values as floats; InputError if they are no list of numbers."""
     try:
         return [float(x) for x in given]
     except (TypeError, ValueError):
@@ -270,7 +276,7 @@ def values_given(given: Iterable[float], what: str) -> list[float]:
 
 
 def for_each_actuated(mechanism: Mechanism, given: ArrayLike, name: str) -> list[float]:
-    """One value for each actuated joint; InputError, naming the argument, for another number."""
+    """Return one value per actuated joint; InputError for another number of values."""
     import numpy as np
 
     count = len(mechanism.actuated)

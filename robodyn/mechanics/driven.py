@@ -1,4 +1,4 @@
-"""Joints that laws of the time drive, and the error of what cannot take such a scene."""
+"""Joints driven by laws of time, and errors of functions that cannot take such scenes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robodyn.scene.scene import Curve, Description, Law
 
 
 def driven_joints(description: Description) -> frozenset[int]:
-    """The joints that the time alone tells, by laws of couplings, one after another."""
+    """Return the joints that are determined by time alone, through laws of couplings."""
     known: set[int] = set()
     timed: set[int] = set()
     waiting = list(description.couplings)
@@ -30,7 +30,7 @@ def driven_joints(description: Description) -> frozenset[int]:
 
 @lru_cache(maxsize=64)
 def lasts(law: Law | Curve) -> bool:
-    """Whether a law is the same at all times: its slope by t is 0, whatever the joints."""
+    """Return whether a law does not depend on time: its partial derivative by t is zero."""
     if isinstance(law, Curve):
         return law.over != "t" or not any(any(c[1:]) for c in law.pieces)
     program = Program()
@@ -39,9 +39,9 @@ def lasts(law: Law | Curve) -> bool:
 
 
 def refuse_driven(mechanism: Mechanism, what: str) -> None:
-    """Raise InputError, which names the law, if a coupling of the mechanism is a law of the time.
+    """Raise InputError, with the law's name, if a coupling is a law of time.
 
-    `what` cannot take such a scene.  Laws that are the same at all times pass.
+    `what` is the function that cannot take such a scene.  Laws that are constant in time pass.
     """
     lasting = all(lasts(x.law) for x in mechanism.description.couplings if x.law is not None)
     for place, law in () if lasting else _laws_of_time(mechanism):
@@ -50,9 +50,9 @@ def refuse_driven(mechanism: Mechanism, what: str) -> None:
 
 
 def check_times(mechanism: Mechanism, timed: bool, source: str = "") -> None:
-    """Raise InputError for rows, of the file `source`, if a law needs times that they lack.
+    """Raise InputError for rows of the file `source` if a law needs times that they lack.
 
-    `timed` says that they have times.
+    `timed` tells whether the rows have times.
     """
     for place, law in () if timed else _laws_of_time(mechanism):
         limit = f"no times of the rows: {place} = {law} is a law of the time"
@@ -60,7 +60,7 @@ def check_times(mechanism: Mechanism, timed: bool, source: str = "") -> None:
 
 
 def check_torques(mechanism: Mechanism) -> None:
-    """Raise InputError if laws of the time lead all joints: none has a torque of its own."""
+    """Raise InputError if laws of time drive all joints, so that none has a torque."""
     if mechanism.driven and not mechanism.actuated:
         place, law = next(_laws_of_time(mechanism))
         limit = "none: laws of the time lead the mechanism, and no joint is actuated "
@@ -69,7 +69,7 @@ def check_torques(mechanism: Mechanism) -> None:
 
 
 def _laws_of_time(mechanism: Mechanism) -> Iterator[tuple[str, str]]:
-    """The places and the texts of laws of the time, those first that are not the same always."""
+    """Yield places and texts of laws of time, constant ones last."""
     laws = [(c, x.law) for c, x in enumerate(mechanism.description.couplings) if x.timed]
     for c, law in sorted(laws, key=lambda x: lasts(x[1])):
         if law is not None:

@@ -1,4 +1,4 @@
-"""The equations of motion of a scene as rows: the one place where its mechanics stands.
+"""The equations of motion of a scene as rows: the only place where its mechanics is written.
 
 With X_k = E_k, the directions of links that turn, and X_k = s_k E_d of those that slide on link d
 (E_d = 1 on the ground), a_k and s_k'' their accelerations, P_k = X_k'', the constants of
@@ -10,11 +10,11 @@ With X_k = E_k, the directions of links that turn, and X_k = s_k E_d of those th
     0 = Re(conj(E_d) F_k) + sum_r angles_rk mu_r - T_k        of each k that slides
     0 = gap_r'',      gap_r = Re(sum_k R_rk X_k) + sum_k angles_rk x_k + offset_r
 
-A_dd P_d is left out of F_d, as its part is exact so.  On a line of link l, mu conj(R) of the gap
-Re(conj(E_l) sum R X) is mu E_l conj(R), and link l feels the opposite about its own.
-A rotor on link d spins with s = w_d + N qd_k and adds J s' to the row of d (where d turns), and
--N J s' to T_k.  f are the forces at points with the coefficients c_k, and T the torques at joints,
-as the kinds in `elements` write them: the place of a new kind of either.  Every engine then has it.
+A_dd P_d is left out of F_d; as A_dd a_d it is exact.  For a line on link l, mu conj(R) of the gap
+Re(conj(E_l) sum R X) is mu E_l conj(R), and link l feels the opposite about its own origin.  A
+rotor on link d spins with s = w_d + N qd_k and adds J s' to the row of d (if d turns), and -N J s'
+to T_k. f are forces at points with coefficients c_k, and T torques at joints, written by the kinds
+in `elements`.  A new kind of either is added there, and every engine then has it.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ from robodyn.scene.scene import Curve, Law, Signal, Table
 class EquationsOfMotion(Builder):
     """Writes the program of a scene.
 
-    `program.named` tells the slots of x (n: E, or s), mu (r), gap (r), load (n: of coordinates,
-    without the torques at joints), bends (what a series may not tell), power, KE and PE.
+    `program.named` has the slots of x (n: E, or s), mu (r), gap (r), load (n: of coordinates,
+    without joint torques), bends (values not covered by a series), power, KE and PE.
     """
 
     mechanism: Mechanism
@@ -65,11 +65,12 @@ class EquationsOfMotion(Builder):
         steady: bool = False,
         chained: bool = False,
     ) -> Program:
-        """The residuals, with the joint torques tau (n; None where there is none).
+        """Write the residuals, with joint torques tau (n; None for no torque).
 
-        With `work` the energies are among `named` (PE less its constant), and the power of torques
-        and of what has no potential; that of `steady` torques is left out, as their work is tau
-        times the way.  With `chained` the sums over A run along the tree: fewer in deep ones.
+        With `work`, `named` has the energies (PE without its constant), and the power of torques
+        and of forces without potential.  The power of `steady` torques is left out, as their work
+        is tau times the displacement.  With `chained`, sums over A run along the tree, which is
+        cheaper in deep trees.
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
         mechanism.check_masses()
@@ -119,7 +120,10 @@ class EquationsOfMotion(Builder):
         return program
 
     def _load(self, k: int, F: Sequence[Slot], inertia: Coefficient) -> Slot:
-        """What turns link k, or draws it along its axis, without the torques at joints."""
+        """Return the load that turns link k, or moves it along its axis.
+
+        Torques at joints are not included.
+        """
         program, mechanism = self.program, self.mechanism
         if k in mechanism.slides:
             d = mechanism.frames[k]
@@ -140,7 +144,10 @@ class EquationsOfMotion(Builder):
     def signal(
         self, signal: Signal, arm: PlanarPoint | float, name: Name, x: Slot | None = None
     ) -> Slot:
-        """What a signal is, of a spring's extension x; the arm makes a torque of it."""
+        """Return the value of a signal, at a spring's extension x.
+
+        `arm` converts it to a torque.
+        """
         from robodyn.mechanics.signal_rows import signal_rows  # only scenes with signals import it
 
         if isinstance(signal, Table):
@@ -157,7 +164,7 @@ class EquationsOfMotion(Builder):
         return slot
 
     def stored(self, law: Signal, x: Slot) -> Slot:
-        """The energy of a spring at its extension x."""
+        """Return the energy of a spring at its extension x."""
         from robodyn.mechanics.signal_rows import stored_energy
 
         return stored_energy(self, law, x)
@@ -168,7 +175,7 @@ class EquationsOfMotion(Builder):
             self.write_rows(element)
 
     def _joints(self, torques: Sequence[Slot | None], steady: bool) -> None:
-        """Torques at the joints: what a link gets its parent gives."""
+        """Write torques at the joints; the parent link gets the opposite."""
         here: list[list[Element]] = [[] for _ in torques]
         for element in self.mechanism.elements:
             if element.at is not None:
@@ -187,7 +194,7 @@ class EquationsOfMotion(Builder):
                 self.torques[j] = self.sum(*acting, constant=self.number(constant))
 
     def _spun(self) -> None:
-        """What rotors do, beside all that acts at their joints."""
+        """Write the effect of rotors."""
         for k, d, inertia, ratio, bend in self._rotors:
             before = self.torques[k]
             own: list[Term] = [] if before is None else [(1.0, before)]
@@ -196,7 +203,7 @@ class EquationsOfMotion(Builder):
                 self.moments[d].append((self.number(inertia), bend))
 
     def kinetic(self) -> Slot:
-        """1/2 sum of A_jj w_j^2, or A_jj |X_j'|^2, of Re(conj(X_j') A_jk X_k'), and of elements."""
+        """Return KE: A_jj w_j^2/2 or A_jj |X_j'|^2/2, Re(conj(X_j') A_jk X_k'), elements."""
         program = self.program
         terms: list[Term] = []
         for j, k, value in self.mechanism.A:
@@ -212,14 +219,14 @@ class EquationsOfMotion(Builder):
         return program.sum(*terms)
 
     def _moving(self, k: int) -> Slot:
-        """X_k', planar."""
+        """Return X_k' as a planar slot."""
         rate = self.program.add(Derivative(self.X[k]))
         if self.program.planar[rate]:
             return rate
         return self.program.planar_sum(((1.0, 0.0), rate))
 
     def potential(self) -> Slot:
-        """That of weights, of constant moments, and of springs."""
+        """Return PE of weights, constant moments, and springs."""
         program, number, mechanism = self.program, self.program.number, self.mechanism
         terms: list[Term] = []
         for k in range(mechanism.n):
@@ -234,10 +241,11 @@ class EquationsOfMotion(Builder):
         return program.sum(*terms)
 
     def _chain(self) -> None:
-        """The sums over A in O(links): A_jk = conj(p_jk) B_k, with p_jk where the path leaves j.
+        """Write the sums over A in O(links).
 
-        So what is above link k acts through the acceleration h_k of its joint, less gravity, and
-        what is below through the sums s_c of B P.
+        A_jk = conj(p_jk) B_k, with p_jk the point where the path leaves link j.  So links above k
+        act through the acceleration h_k of its joint, less gravity, and links below through sums
+        s_c of B P.
         """
         program, mechanism = self.program, self.mechanism
         B = [program.planar_number(b) for b in mechanism.B]
@@ -259,7 +267,7 @@ class EquationsOfMotion(Builder):
             s[k] = program.planar_sum((B[k], self.P[k]), *below)
 
     def _closures(self) -> list[Slot]:
-        """The rows of the closures, and what their multipliers do."""
+        """Write the rows of the closures, and the forces of their multipliers."""
         program, number = self.program, self.program.planar_number
         multipliers: list[Slot] = []
         gaps = program.named["gap"] = []
@@ -305,9 +313,9 @@ class EquationsOfMotion(Builder):
         return multipliers
 
     def _law(self, row: ClosureRow, mu: Slot) -> tuple[Term, Slot]:
-        """What the law f of a coupling adds to its gap, -arm f; and -arm times its slope by t.
+        """Return what the law f of a coupling adds to its gap, -arm f; and -arm df/dt.
 
-        mu turns the joints of f by their slopes, and works by that of t.
+        mu acts on the joints of f by their derivatives, and does work by the derivative by t.
         """
         from robodyn.mechanics.law_rows import LawRows
         from robodyn.mechanics.signal_rows import degree

@@ -1,6 +1,6 @@
 """Expressions as rows of the program: smooth functions of its slots.
 
-What has no series (comparisons, abs, min, ...) is refused.
+Functions without a series (comparisons, abs, min, ...) are refused.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST_FACTORS = 64  # of a whole power that is written as products
 
 
 class Slotted(int):
-    """A slot, told from a number."""
+    """A slot, as distinct from a number."""
 
 
 Part = Slotted | float  # a number may be a formula of numbers of the scene
@@ -36,10 +36,10 @@ Part = Slotted | float  # a number may be a formula of numbers of the scene
 
 @dataclass
 class ExpressionRows:
-    """Rows of expressions; what is constant stays a number.
+    """Rows of expressions; constant parts stay numbers.
 
-    `variable` has the slot of a name, `refused` the error of what has no series.  `held` tells how
-    the switches of an expression stand (see `torque_rows.torque_slots`).
+    `variable` returns the slot of a name, `refused` the error for a function without a series.
+    `held` has the values of switches (see `torque_rows.torque_slots`).
     """
 
     program: Program
@@ -48,17 +48,17 @@ class ExpressionRows:
     held: Sequence[float] | None = None
 
     def slot(self, part: Part) -> Slot:
-        """The slot of a part, constants included."""
+        """Return the slot of a part; a constant gets one."""
         if isinstance(part, Slotted):
             return int(part)
         return self.program.add(Sum(self.program.number(part), ()))
 
     def read(self, tree: Node) -> Part:
-        """What an expression is, after its parts."""
+        """Return the part of an expression."""
         return fold(self.chosen(tree), self.leaf, self.applied)
 
     def chosen(self, tree: Node) -> Node:
-        """The tree with what its switches hold; all of it where they are not known."""
+        """Return the tree with the branches that its switches select, or all of it."""
         held = self.held
         if held is None:
             return tree
@@ -73,7 +73,7 @@ class ExpressionRows:
         return changed(tree, choose)
 
     def leaf(self, leaf: float | str) -> Part:
-        """What a number or a name is."""
+        """Return the part of a number or name."""
         if not isinstance(leaf, str):
             return leaf
         k = switch_number(leaf)
@@ -82,7 +82,7 @@ class ExpressionRows:
         return Slotted(self.variable(leaf))
 
     def applied(self, node: tuple[Any, ...], x: list[Part]) -> Part:
-        """What an operation is of its parts."""
+        """Return the part of an operation on parts."""
         match node[0]:
             case "+":
                 return self.sum(x[0], x[1], 1.0)
@@ -105,7 +105,7 @@ class ExpressionRows:
         return self.function(node[0], x)
 
     def sum(self, a: Part, b: Part, sign: float) -> Part:
-        """a + sign b."""
+        """Return a + sign b."""
         if not isinstance(a, Slotted) and not isinstance(b, Slotted):
             return a + sign * b
         terms = [(c, int(x)) for c, x in ((1.0, a), (sign, b)) if isinstance(x, Slotted)]
@@ -113,7 +113,7 @@ class ExpressionRows:
         return Slotted(self.program.sum(*terms, constant=self.program.number(constant)))
 
     def product(self, a: Part, b: Part) -> Part:
-        """a b."""
+        """Return a b."""
         if isinstance(a, Slotted) and isinstance(b, Slotted):
             return Slotted(self.program.add(Product(int(a), int(b))))
         if isinstance(a, Slotted):
@@ -124,7 +124,7 @@ class ExpressionRows:
         return a * b
 
     def quotient(self, a: Part, b: Part) -> Part:
-        """a / b."""
+        """Return a / b."""
         if not isinstance(b, Slotted):
             if b == 0.0:
                 return Slotted(self.program.add(Quotient(self.slot(a), self.slot(b))))
@@ -132,7 +132,7 @@ class ExpressionRows:
         return Slotted(self.program.add(Quotient(self.slot(a), int(b))))
 
     def power(self, base: Part, exponent: Part) -> Part:
-        """base to an exponent: products where it is a small whole number."""
+        """Return base to an exponent, by products for small whole exponents."""
         if not isinstance(exponent, Slotted | float):
             exponent = Slotted(self.slot(exponent))
         if isinstance(exponent, Slotted):
@@ -158,7 +158,10 @@ class ExpressionRows:
         return result
 
     def function(self, name: str, x: list[Part]) -> Part:
-        """sin' = cos x', exp' = exp x', and y' = x'/density for log and the inverse functions."""
+        """Return a function of x.
+
+        Rows use sin' = cos x', exp' = exp x', and y' = x'/density for log and inverse functions.
+        """
         add = self.program.add
         if all(isinstance(part, float) for part in x):
             try:
@@ -194,6 +197,6 @@ class ExpressionRows:
 
 
 def _held(test: Node) -> int | None:
-    """The number of the switch that a condition is."""
+    """Return the number of the switch that a condition is, or None."""
     name = test[1] if type(test) is tuple else test
     return switch_number(name) if isinstance(name, str) else None

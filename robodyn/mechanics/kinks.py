@@ -1,4 +1,4 @@
-"""Times at which a torque bends or jumps, as an integrator meets them: it steps onto each."""
+"""Times at which a torque bends or jumps; an integrator steps onto each."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ NEAR = 4.0  # spacings of floats
 
 
 def switch(k: int) -> str:
-    """The name, in trees of torques, of what stands still between two times."""
+    """Return the name of switch k in trees of torques."""
     return f"_s[{k}]"
 
 
 def switch_number(name: str) -> int | None:
-    """The k of a name that is of a switch."""
+    """Return the k of a switch's name; None for other names."""
     return int(name[3:-1]) if name.startswith("_s[") else None
 
 
 class Pieces:
-    """Which piece between increasing `kinks` holds at a time.
+    """Finds the piece between increasing `kinks` that holds at a time.
 
-    From a kink that a run has come to until it comes to the next no further piece holds: so a step
+    From a kink that a run has reached until it reaches the next, no later piece holds.  So a step
     that ends on a kink does not see beyond it.
     """
 
@@ -31,16 +31,16 @@ class Pieces:
         self.reset()
 
     def reset(self) -> None:
-        """Let each piece hold in its time."""
+        """Let each piece hold in its own time."""
         self.first, self.last, self.find = 0, len(self.kinks), bisect_right
 
     def piece(self, t: float) -> int:
-        """The number of the piece, from 0."""
+        """Return the index of the piece."""
         k = self.find(self.kinks, t)
         return self.first if k < self.first else self.last if k > self.last else k
 
     def come_to(self, t: float, forward: bool) -> None:
-        """A run has come to t: the piece ahead of it is the furthest."""
+        """Tell that a run has reached t: the piece ahead is the last one allowed."""
         self.reset()
         if forward:
             self.last = self.piece(t)
@@ -50,10 +50,10 @@ class Pieces:
 
 
 class Ahead:
-    """The times of a piece between two of the increasing `jumps`, of what jumps at these alone.
+    """The times of the piece between two of the increasing `jumps`.
 
-    At a jump the value is that which follows it.  A step that ends there must not see that value,
-    nor one backwards that begins there: the times of a piece end one float before its second jump.
+    At a jump the value is the later one.  A forward step that ends there must not see it, nor a
+    backward step that begins there; so the piece ends one float before its second jump.
     """
 
     def __init__(self, jumps: Sequence[float]) -> None:
@@ -61,7 +61,7 @@ class Ahead:
         self.low, self.high = -math.inf, math.inf
 
     def begin(self, t: float, forward: bool) -> None:
-        """Keep to the piece that a step from t enters."""
+        """Select the piece that a step from t enters."""
         near = NEAR * math.ulp(t)
         jumps = self.jumps
         k = bisect_right(jumps, t + near) if forward else bisect_left(jumps, t - near)
@@ -69,14 +69,14 @@ class Ahead:
         self.high = math.nextafter(jumps[k], -math.inf) if k < len(jumps) else math.inf
 
     def __call__(self, t: float) -> float:
-        """The time of the piece that is nearest to t."""
+        """Return t, clipped to the piece."""
         return min(max(t, self.low), self.high)
 
 
 def next_kink(kinks: Sequence[float], t: float, end: float, spacings: float = 0.0) -> float:
-    """The next of the increasing `kinks` from t towards `end`, or the end.
+    """Return the next of the increasing `kinks` from t towards `end`, or the end.
 
-    One that is only so many spacings of floats ahead is passed over.
+    A kink less than `spacings` floats ahead is skipped.
     """
     near = spacings * math.ulp(t)
     if end >= t:
@@ -89,9 +89,9 @@ def next_kink(kinks: Sequence[float], t: float, end: float, spacings: float = 0.
 def next_stop(
     kinks: Sequence[float], leaves: Sequence[float], t: float, end: float, spacings: float = 0.0
 ) -> float:
-    """Where a step from t towards `end` must end at the latest: at a kink, or by a leaf's length.
+    """Return the latest end of a step from t towards `end`: a kink, or a leaf's length.
 
-    `leaves` are the increasing ends, in |t|, of what no step may enter that is longer.
+    `leaves` are the increasing ends, in |t|, of intervals that no longer step may enter.
     """
     stop = next_kink(kinks, t, end, spacings)
     if not leaves:
@@ -106,7 +106,7 @@ def next_stop(
 
 
 def kink_at(kinks: Sequence[float], t: float) -> float | None:
-    """The one of the increasing `kinks` that is at t, but for rounding."""
+    """Return the kink at t, up to rounding, or None."""
     near = NEAR * math.ulp(t)
     k = bisect_left(kinks, t - near)
     return kinks[k] if k < len(kinks) and kinks[k] <= t + near else None

@@ -1,7 +1,7 @@
-"""Laws of couplings as rows: the law, and its slopes by the joints, by one rule a kind of row.
+"""Laws of couplings as rows: the law and its slopes by joints.
 
-A slope is a `Part` like the law itself: a slot, or a number where it is constant.  Series and
-machine code want slopes as rows, with coefficients of every order; numpy reads the same rows.
+A slope is a `Part` like the law itself: a slot, or a number if it is constant.  Series and machine
+code need slopes as rows, for coefficients of every order; numpy evaluates the same rows.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from robodyn.scene.scene import Curve, Law
 
 
 class LawRows:
-    """The rows of laws; `variable` has the slot of q0, q1, .."""
+    """The rows of laws; `variable` returns the slot of q0, q1, .."""
 
     def __init__(self, program: Program, variable: Callable[[str], Slot]) -> None:
         self.program, self.variable = program, variable
         self.made = ExpressionRows(program, variable, lambda what: InputError(what))
 
     def value(self, law: Law | Curve) -> Part:
-        """The law."""
+        """Return the law."""
         return self.made.read(law.node) if isinstance(law, Law) else self._curve(law)
 
     def _curve(self, curve: Curve) -> Part:
-        """c0 + xi (c1 + xi (c2 + xi c3)), xi = x - x_k of the interval k in which x is."""
+        """Return c0 + xi (c1 + xi (c2 + xi c3)), xi = x - x_k in interval k."""
         made, x = self.made, self.variable(curve.over)
 
         def step(values: Sequence[float], rise: float = 0.0) -> Part:
@@ -54,7 +54,7 @@ class LawRows:
         return made.sum(step(c0, curve.rise), total, 1.0)
 
     def zigzag(self, curve: Curve) -> Slot:
-        """Between 1 and 2 from row to row: a series that passes a row shows by it."""
+        """Return a zigzag between 1 and 2 from row to row, which shows when a series passes one."""
         made, x, rows = self.made, self.variable(curve.over), curve.x
         if curve.repeats and len(rows) % 2 == 0:  # it must meet its own beginning
             k = max(range(len(rows) - 1), key=lambda k: rows[k + 1] - rows[k])
@@ -72,11 +72,11 @@ class LawRows:
         return made.slot(made.sum(step(levels[:-1]), made.product(xi, step(slopes)), 1.0))
 
     def slopes(self, value: Part, names: Sequence[str]) -> list[Part]:
-        """The derivatives of a value by variables of these names."""
+        """Return the derivatives of a value by the variables `names`."""
         return [self._slope(value, self.variable(name), {}) for name in names]
 
     def _slope(self, value: Part, by: Slot, known: dict[Slot, Part]) -> Part:
-        """The derivative of a value by the slot of a variable; `known` keeps those of parts."""
+        """Return the derivative of a value by a variable's slot; `known` caches those of parts."""
         if not isinstance(value, Slotted):
             return 0.0
         slot = int(value)
@@ -122,7 +122,7 @@ class LawRows:
         return 0.0  # what does not move with the variable
 
     def _of_function(self, name: str, slot: Slot, x: Slot) -> Part:
-        """f' of a function f that stands in `slot`."""
+        """Return f' of a function f with value in `slot`."""
         made = self.made
         match name:
             case "exp":
@@ -134,7 +134,7 @@ class LawRows:
 
 
 def step_of(curve: Curve, x: Slot, values: Sequence[float], rise: float) -> Step:
-    """One value an interval of the curve; beyond a curve that does not repeat there is none."""
+    """Return one value per interval of the curve; nan beyond a curve that does not repeat."""
     inner = tuple(curve.x[1:-1])
     if curve.repeats:
         first, period = curve.x[0], curve.x[-1] - curve.x[0]
@@ -152,5 +152,5 @@ PARTNERS = {
 
 
 def _moves(part: Part) -> bool:
-    """Whether a part is anything but zero."""
+    """Return whether a part is other than zero."""
     return isinstance(part, Slotted) or part != 0.0

@@ -1,6 +1,7 @@
-"""The links of a scene as a tree: the paths to its points, the loops that closures make.
+"""The links of a scene as a tree: paths to its points, and loops of its closures.
 
-And the links as bodies: what the equations of motion are linear in, and its sums along the tree.
+Also the mass properties of links, in which the equations of motion are linear, and their sums along
+the tree.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from robodyn.scene.scene import Closure, Link, Point
 
 
 class Tree:
-    """The links as a tree: points in terms of X.
+    """The links as a tree; points are linear in X.
 
     The frame of link k is phase_k E_frame, with constants phase_k: axes of prismatic joints, and
     turns of welds.
@@ -46,11 +47,11 @@ class Tree:
             self._root[k] = k if j is None else self._root[j]
 
     def turned(self, k: int, at: complex) -> complex:
-        """A vector of link k's frame in that of its E."""
+        """Return a vector of link k's frame in the frame of its E."""
         return at if self.phases[k] == 1.0 else self.phases[k] * at
 
     def terms(self, point: Point) -> Iterator[tuple[int | None, complex]]:
-        """What a point's link adds to where its joint hangs: the terms of its path on that link."""
+        """Yield the terms that a point's own link adds to the place of its joint."""
         k = point.link
         assert k is not None
         if point.at:
@@ -59,15 +60,15 @@ class Tree:
             yield k, self.phases[k]
 
     def point(self, point: Point) -> PlanarPoint:
-        """The point, summed from the ground."""
+        """Return the point as a sum from the ground."""
         return self.difference(point, Point(None, 0j))
 
     def ground(self, point: Point) -> complex:
-        """Where on the ground the path to a point begins."""
+        """Return where on the ground the path to a point begins."""
         return point.at if point.link is None else self.links[self._root[point.link]].hangs_from.at
 
     def common(self, first: Point, second: Point) -> int | None:
-        """The last link that the paths to two points share; None where it is the ground."""
+        """Return the last link shared by the paths to two points; None for the ground."""
         one, two = first.link, second.link
         if one is None or two is None or self._root[one] != self._root[two]:
             return None
@@ -79,14 +80,14 @@ class Tree:
         return one
 
     def leaves(self, point: Point, common: int | None) -> Iterator[Point]:
-        """The points at which the path to `point` leaves its links, downward to `common`."""
+        """Yield the points at which the path to `point` leaves its links, down to `common`."""
         while point.link is not None and point.link != common:
             yield point
             point = self.links[point.link].hangs_from
         yield point
 
     def difference(self, first: Point, second: Point) -> PlanarPoint:
-        """First less second, without the terms that cancel."""
+        """Return first less second, without terms that cancel."""
         common = self.common(first, second)
         (*one, a), (*two, b) = self.leaves(first, common), self.leaves(second, common)
         found: dict[int | None, complex] = {None: self.ground(first) - self.ground(second)}
@@ -100,21 +101,21 @@ class Tree:
         return PlanarPoint(constant, tuple((k, c) for k, c in found.items() if k is not None and c))
 
     def constant(self, first: Point, second: Point) -> complex:
-        """What is constant of first less second."""
+        """Return the constant part of first less second."""
         if None not in self.frames:  # all links turn: paths need not be walked
             return self.ground(first) - self.ground(second)
         return self.difference(first, second).constant
 
     @cached_property
     def lengths(self) -> dict[int, float]:
-        """Of each joint that slides the length that its displacements are compared by, m."""
+        """The length (m) that displacements of each sliding joint are compared with."""
         return {k: self.unit for k, link in enumerate(self.links) if link.slides}
 
     @cached_property
     def unit(self) -> float:
-        """A length of the mechanism, m, by which displacements are compared with angles.
+        """A length of the mechanism (m), by which displacements are compared with angles.
 
-        1 where the scene has symbols for numbers.
+        It is 1 if the scene has symbols for numbers.
         """
         lengths = [z for x in self.links for z in (x.l, x.r, x.hangs_from.at)]
         if not all(isinstance(z, (int, float, complex)) for z in lengths):
@@ -131,13 +132,13 @@ class Tree:
         return found
 
     def reach(self, first: Point, second: Point) -> float:
-        """The length of the paths from one point to another, m."""
+        """Return the length of the paths from one point to another, m."""
         common = self.common(first, second)
         ends = [abs(x.at) + self._length[x.link] for x in (first, second) if x.link is not None]
         return sum(ends) - len(ends) * self._length[common]
 
     def moves(self, first: Point, second: Point) -> bool:
-        """Whether the difference of two points can change."""
+        """Return whether the difference of two points can change."""
         common = self.common(first, second)
         paths = (x for point in (first, second) for x in self.leaves(point, common))
         return any(x.at for x in paths if x.link not in (common, None)) or bool(
@@ -145,10 +146,10 @@ class Tree:
         )
 
     def loops(self, closures: Sequence[Closure]) -> Iterator[set[int]]:
-        """Of each closure the joints on the path to one side only.
+        """Yield for each closure the joints on the path to one side only.
 
-        Where earlier closures share a part of the path with it, one joint stands for that part:
-        the time is that of the links and closures, not of their product.
+        If earlier closures share a part of the path, one joint stands for that part: the cost is
+        the number of links plus closures, not their product.
         """
         shared: dict[int, tuple[int, set[int]]] = {}
         for closure in closures:
@@ -170,7 +171,7 @@ class Tree:
     def _climb(
         self, k: int, depth: int, shared: dict[int, tuple[int, set[int]]], loop: set[int]
     ) -> int:
-        """The link at `depth` below which link k hangs; the joints on the way come to `loop`."""
+        """Return the link at `depth` below which link k hangs; add joints on the way to `loop`."""
         passed: list[int] = []
         while self._depth[k] > depth:
             passed.append(k)
@@ -190,9 +191,9 @@ class Tree:
 
 
 def places_of(tree: Tree, points: Sequence[Point] | None = None) -> tuple[Any, Any]:
-    """Points of the tree as arrays: constants (p,) and coefficients of X (p, n).
+    """Return points of the tree as arrays: constants (p,) and coefficients of X (p, n).
 
-    By default the joints of the links.  Numbers are complex, or objects where links have formulas.
+    By default, the joints of the links.  Numbers are complex, or objects if links have formulas.
     """
     import numpy as np
 
@@ -224,9 +225,9 @@ def places_of(tree: Tree, points: Sequence[Point] | None = None) -> tuple[Any, A
 
 
 class Bodies(NamedTuple):
-    """Of each link with its payload: mass, kg, first moment, kg m, and J about its joint, kg m^2.
+    """Mass properties of each link with payload: mass (kg), first moment (kg m), J (kg m^2).
 
-    Both about the link's own origin, in its frame.
+    First moment and J are about the link's own origin, in its frame.
     """
 
     mass: list[float]
@@ -235,7 +236,7 @@ class Bodies(NamedTuple):
 
 
 def bodies(links: Sequence[Link]) -> Bodies:
-    """What the links are to the equations of motion, which are linear in it."""
+    """Return the mass properties of links, in which the equations of motion are linear."""
     return Bodies(
         [link.m + link.payload for link in links],
         [link.r * link.m + link.l * link.payload for link in links],
@@ -250,7 +251,7 @@ def _square(z: complex) -> float:
 def carried_by(
     tree: Tree, own: Bodies | None = None
 ) -> tuple[list[float], list[complex], list[float]]:
-    """Of all that each link carries: its mass, its first moment B_k, and A_kk."""
+    """Return mass, first moment B_k, and A_kk of all that each link carries."""
     links = tree.links
     given = own or bodies(links)
     mass, B, inertia = list(given.mass), list(given.first), list(given.inertia)
@@ -264,7 +265,7 @@ def carried_by(
 
 
 def largest(tree: Tree) -> Iterator[complex]:
-    """Numbers that are finite only where A is: the products' sizes, from below."""
+    """Yield numbers that are finite only if A is."""
     _, B, inertia = carried_by(tree)
     yield from map(complex, inertia)
     most = [max(abs(b.real), abs(b.imag)) for b in B]

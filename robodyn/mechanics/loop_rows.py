@@ -1,6 +1,6 @@
-"""The equations of loops: of pins, of points on lines, of angles that are kept, of couplings.
+"""The equations of loops: pins, points on lines, fixed angles, and couplings.
 
-And what kind of loop each closure makes (Grashof's classes of four-bars, slider-cranks, others).
+Also the kind of loop that each closure makes (Grashof's classes of four-bars, slider-cranks, ...).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ EQUAL = 1e-12  # lengths that differ by less than this part count as equal
 
 
 def closure_rows(description: Description, tree: Tree) -> list[ClosureRow]:
-    """The equations of the closures; InputError for points that cannot move apart."""
+    """Return the equations of the closures; InputError for points that cannot move apart."""
     rows: list[ClosureRow] = []
     for c, closure in enumerate(description.closures):
         if not tree.moves(closure.first, closure.second):  # nothing to measure its row against
@@ -31,7 +31,7 @@ def closure_rows(description: Description, tree: Tree) -> list[ClosureRow]:
 
 
 def _point_rows(tree: Tree, c: int, closure: Closure) -> Iterator[ClosureRow]:
-    """Of its points; on a line of a link the gap is measured in the frame of that link."""
+    """Yield the rows of a closure's points; on a link's line they are in its frame."""
     constant = tree.constant(closure.first, closure.second)
     directions: tuple[complex, ...] = (1 + 0j, 1j)
     line = None
@@ -54,7 +54,7 @@ def _point_rows(tree: Tree, c: int, closure: Closure) -> Iterator[ClosureRow]:
 
 
 def _aligned_row(description: Description, tree: Tree, c: int) -> ClosureRow:
-    """The sine of the angle by which the first point's link is off, times a length."""
+    """Return the row of a fixed angle: the sine of the angle's error, times a length."""
     closure = description.closures[c]
     k, j = closure.first.link, closure.second.link
     assert k is not None
@@ -73,7 +73,7 @@ def _aligned_row(description: Description, tree: Tree, c: int) -> ClosureRow:
 
 
 def coupling_rows(description: Description) -> list[ClosureRow]:
-    """Each coupling in absolute angles, as long as the closures' rows are."""
+    """Return each coupling in absolute angles, scaled like the closures' rows."""
     links, tree = description.links, Tree(description.links)
     size = max((tree.reach(x.first, x.second) for x in description.closures), default=0.0)
     length = size or max((link.l for link in links), default=0.0) or 1.0
@@ -95,7 +95,7 @@ def coupling_rows(description: Description) -> list[ClosureRow]:
 
 
 def check_cams(description: Description) -> None:
-    """Raise InputError for a cam on another carrier, or that cannot move what touches it."""
+    """Raise InputError for a cam on another carrier, or one that cannot move its follower."""
     links = description.links
     for c, coupling in enumerate(description.couplings):
         cam = coupling.cam
@@ -122,17 +122,16 @@ def _gap(tree: Tree, closure: Closure) -> Terms:
 def _turned(
     tree: Tree, closure: Closure, w: complex, line: int | None
 ) -> Iterator[tuple[int, complex]]:
-    """The terms of a gap along w, but for those that are told in the frame of the line."""
+    """Yield the terms of a gap along w, except those in the frame of the line."""
     for k, p in _gap(tree, closure):
         if line is None or tree.frames[k] != line:
             yield k, w * p
 
 
 def loop_class(mechanism: Mechanism, closure: int) -> str:
-    """The class of a closure's loop: `crank-rocker (Grashof)`, `slider-crank ...`, `6-link loop`.
+    """Return the class of a closure's loop: `crank-rocker (Grashof)`, `slider-crank ...`, ...
 
-    A four-bar's class is told for the joints of its links as they stand in the scene: the links
-    that hang from the ground are its cranks or rockers.
+    For a four-bar, cranks and rockers are the links that hang from the ground in the scene.
     """
     row = next(row for row in mechanism.rows if row.closure == closure)
     sliding = [k for k, _ in (*row.P, *row.angles) if k in mechanism.slides]

@@ -1,24 +1,24 @@
-"""Description -> mechanism: the constants of the one formula that covers every planar linkage.
+"""Builds a mechanism: the constants of the formula that covers every planar linkage.
 
-Points of the plane are complex numbers and E_k = exp(i alpha_k), alpha_k the angle by which the
-links of a frame have turned.  A link on a prismatic joint has the frame of what it slides on, and
-its displacement s_k takes it along: X_k = s_k E there, X_k = E_k for the others.  Every point of
-the mechanism is then `constant + sum_k rho_k X_k`, and the whole dynamics follows from
+Points of the plane are complex numbers and E_k = exp(i alpha_k), alpha_k the angle of link k's
+frame.  A link on a prismatic joint has the frame of the link on which it slides, and moves with its
+displacement s_k: X_k = s_k E there, X_k = E_k for the others.  Every point of the mechanism is then
+`constant + sum_k rho_k X_k`, and the whole dynamics follows from
 
     A_jk = sum_b m_b conj(rho_bj) rho_bk + I_j delta_jk      B_k = sum_b m_b rho_bk      (b: bodies)
 
-and from the closures, which are linear in X.  For j above k in the tree every body below k leaves
-link j at the same point p_jk, so A_jk = conj(p_jk) B_k, with B_k the first moment of all that
-link k carries: the constants cost O(links * depth), and only nonzero ones are kept.  What costs as
-much (A, and points in terms of X) is made when it is first read, so that a command whose options
-are wrong says so at once.
+and from the closures, which are linear in X. For j above k in the tree every body below k leaves
+link j at the same point p_jk, so A_jk = conj(p_jk) B_k, with B_k the first moment of all that link
+k carries.  So the constants cost O(links * depth), and only nonzero ones are kept.  Expensive ones
+(A, and points in terms of X) are computed when first read, so that a command with wrong options
+fails at once.
 
 Constant forces and torques act like weights: with p_b = const + sum_k c_k X_k the point of such a
 force F, the potential energy is
 
     PE = const - Re(weights . X) - moments . alpha,      weights_k = conj(gamma) B_k + conj(F) c_k
 
-What holds them all is `planar_model.py`.
+The result is a `Mechanism` (`planar_model.py`).
 """
 
 from __future__ import annotations
@@ -51,19 +51,18 @@ from robodyn.scene.welds import without_welds
 
 
 def load(path: str | Path) -> Mechanism:
-    """The mechanism that the scene file at `path` describes.
+    """Return the mechanism of the scene file at `path`.
 
-    Raises DescriptionError (an InputError) that tells every fault of the file.
+    Raises DescriptionError (an InputError) that lists every fault of the file.
     """
     return build(scene_files.read(path))
 
 
 def build(description: Description) -> Mechanism:
-    """The numeric model of a description.
+    """Return the numeric model of a description.
 
-    Raises InputError where the products of masses and lengths leave the range of floats, for a
-    closure of points that cannot move apart, and for friction by the forces in pins beside what
-    sticks or bounces.
+    Raises InputError if products of masses and lengths overflow, for a closure of points that
+    cannot move apart, and for friction by the forces in pins beside contacts.
     """
     try:
         description = without_welds(description)
@@ -92,10 +91,10 @@ def build(description: Description) -> Mechanism:
 
 
 def constants(description: Description, bodies: Bodies | None = None) -> Mechanism:
-    """The numeric model less couplings; of symbols too, where a description has them for numbers.
+    """Return the numeric model without couplings; numbers may be symbols.
 
-    With `bodies` the links are these.  Raises InputError for a closure of points that cannot
-    move apart.
+    `bodies` replace the mass properties of the links.  Raises InputError for a closure of points
+    that cannot move apart.
     """
     links, tree = description.links, Tree(description.links)
     carried, first, inertia = carried_by(tree, bodies)
@@ -157,7 +156,7 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
 
 
 def with_kept(named: Mechanism, kept: Mapping[int, ClosureRow]) -> Mechanism:
-    """The mechanism with the rows of angles that closures keep, each after its closure's others."""
+    """Return the mechanism with rows of fixed angles, each after its closure's other rows."""
     rows: list[Any] = [*((row.closure, row) for row in named.rows), *kept.items()]
     return replace(named, rows=tuple(row for _, row in sorted(rows, key=lambda pair: pair[0])))
 
@@ -165,7 +164,7 @@ def with_kept(named: Mechanism, kept: Mapping[int, ClosureRow]) -> Mechanism:
 def _couplings_of_links(
     tree: Tree, mass: Sequence[float], B: Sequence[complex], inertia: Sequence[float]
 ) -> Iterator[tuple[int, int, complex]]:
-    """The entries of A that are not zero: those of the diagonal first."""
+    """Yield the nonzero entries of A, diagonal first."""
     found: dict[tuple[int, int], complex] = {}
 
     def add(j: int | None, k: int | None, value: complex) -> None:
@@ -200,7 +199,7 @@ def _couplings_of_links(
 def _dense_couplings(
     tree: Tree, mass: Sequence[float], B: Sequence[complex], inertia: Sequence[float]
 ) -> Any:
-    """All entries of A as an array (n, n)."""
+    """Return A as an array (n, n)."""
     import numpy as np
 
     n, above = len(inertia), places_of(tree)[1]
@@ -222,7 +221,7 @@ def _dense_couplings(
 
 
 def _elements(tree: Tree, description: Description, own: Bodies | None = None) -> Iterator[Element]:
-    """What acts, of each kind in the order of the scene."""
+    """Yield what acts, by kind, in the order of the scene."""
     found: list[Element] = list(_dampers(description))
     found += [y for _, x in description.elements for each in whole([x]) for y in each.placed(tree)]
     if description.field is not None:
@@ -246,7 +245,7 @@ def _rotors(tree: Tree) -> Iterator[Rotor]:
 
 
 def _dampers(description: Description) -> Iterator[JointDamper]:
-    """The dampers of joints and of the rotors there; others are those of elements."""
+    """Yield the dampers of joints and their rotors, without those of elements."""
     for k, link in enumerate(description.links):
         damping = link.damping
         if link.motor is not None and link.motor.damping:
@@ -255,7 +254,7 @@ def _dampers(description: Description) -> Iterator[JointDamper]:
 
 
 def joint_damping(description: Description) -> tuple[float, ...]:
-    """Of the joints' own dampers, those of the rotors there, and those of elements."""
+    """Return the damping at each joint: of joints, rotors and elements."""
     damping = [x.damping for x in _dampers(description)]
     for x in whole(element for _, element in description.elements):
         if isinstance(x, JointDamper):
@@ -264,16 +263,17 @@ def joint_damping(description: Description) -> tuple[float, ...]:
 
 
 def too_large(description: Description) -> InputError:
-    """The error of a scene whose numbers leave the range of floats."""
+    """Return the error for a scene whose numbers overflow."""
     limit = "masses, lengths or gravity are too large: their products overflow"
     return InputError("links", where=description.source, limit=limit)
 
 
 def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:
-    """As the scene says; else every joint outside of loops, and the first of each group of loops.
+    """Return the actuated joints: the scene's, else joints outside loops and one per group.
 
-    Loops that share joints, or have coupled ones, are a group; a joint that a coupling gives is
-    never actuated, and a group with a coupled joint outside of loops is driven from there.
+    A group are loops that share joints or have coupled ones; its first joint is actuated.  A joint
+    given by a coupling is never actuated, and a group with a coupled joint outside loops is driven
+    from there.
     """
     if description.actuated is not None:
         for k in sorted(driven_joints(description) & set(description.actuated)):

@@ -1,4 +1,4 @@
-"""What the numeric model of a mechanism consists of: rows of closures, and lists on demand."""
+"""Parts of the numeric model: rows of closures, and lists that are made on demand."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
@@ -11,7 +11,7 @@ Terms = Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones o
 
 
 class OnDemand(Sequence[T]):
-    """What `make(*arguments)` gives, made when it is first read."""
+    """A list that `make(*arguments)` returns when it is first read."""
 
     def __init__(self, make: Callable[..., Iterable[T]], *arguments: object) -> None:
         self._recipe = make, arguments
@@ -35,7 +35,7 @@ class OnDemand(Sequence[T]):
 
 
 class Inertias(OnDemand[tuple[int, int, complex]]):
-    """Entries (j, k, A_jk) of A that are not zero, or by `dense` all of A (n, n) at once."""
+    """Nonzero entries (j, k, A_jk) of A; `dense` makes all of A (n, n) at once."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class Inertias(OnDemand[tuple[int, int, complex]]):
         self._whole = whole
 
     def dense(self) -> Any:
-        """A as an array: of long chains far sooner than from its entries."""
+        """Return A as an array, for long chains much faster than from its entries."""
         return self._whole(*self._recipe[1])
 
     def __getstate__(self) -> dict[str, object]:
@@ -55,18 +55,19 @@ class Inertias(OnDemand[tuple[int, int, complex]]):
 
 
 class ClosureRow(NamedTuple):
-    """One real equation of the gap, m: with E_line = 1 where no link carries the line,
+    """One real equation of the gap, m; with E_line = 1 if no link carries the line,
 
         Re(conj(E_line) (ground + sum_k P_k X_k)) + sum_k angles_k x_k + offset = 0
 
-    `direction` is the unit vector along which the gap (first side minus second) is measured, in
-    the frame E_line of the link that carries the line, if one does (else E_line = 1); a multiplier
-    lambda of this row is the force lambda * direction * E_line on the side named first, N.  A
-    coupling has no P: an equation of coordinates is multiplied by `arm` (m), so that gaps compare,
-    and arm * lambda is the torque on the coupling's joint, N m.  Of an angle that a closure keeps
-    the gap is arm times the sine of what it is off, arm * lambda the moment on the first side's
-    link.  A joint that is `held` where it is has a row of rates alone: its gap counts as zero.
-    Of a coupling with a `law` f the row is that of its joint alone, and the gap has -arm f more.
+    `direction` is the unit vector along which the gap (first side minus second) is measured, in the
+    frame E_line.  A multiplier lambda of this row is the force lambda * direction * E_line on the
+    first side, N.
+
+    A coupling has no P: its equation of coordinates is multiplied by `arm` (m), so that gaps
+    compare, and arm * lambda is the torque on the coupling's joint, N m.  For a fixed angle, the
+    gap is arm times the sine of its error, and arm * lambda the moment on the first side's link.  A
+    joint that is `held` has a row of rates alone; its gap counts as zero.  For a coupling with a
+    `law` f the row is that of its joint alone, and the gap includes -arm f.
     """
 
     closure: int | None  # None: of a coupling
@@ -83,6 +84,6 @@ class ClosureRow(NamedTuple):
 
     @property
     def size(self) -> float:
-        """The sum of its terms' sizes, m."""
+        """The sum of the sizes of its terms, m."""
         terms = sum(abs(c) * self.lengths.get(k, 1.0) for k, c in (*self.P, *self.angles))
         return terms + abs(self.ground)

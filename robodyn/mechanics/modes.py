@@ -1,8 +1,9 @@
-"""The modes of a mechanism whose joints stick, or end: in each its equations of motion are smooth.
+"""Modes of a mechanism with contacts; in each, the equations of motion are smooth.
 
-A joint with dry friction sticks or slips one way; one with ends is free, presses a compliant stop,
-or rests at a hard one.  What sticks or rests is held: a row in its rates, whose multiplier is what
-holds it.  The mechanism in a mode is one like any other, and every engine serves it.
+A joint with dry friction sticks, or slips in one direction.  A joint with stops is free, presses a
+compliant stop, or rests on a hard one.  A joint that sticks or rests is held: it has a row in its
+rates, whose multiplier is the holding force.  The mechanism in a mode is an ordinary mechanism for
+every engine.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 @lru_cache(maxsize=256)
 def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
-    """The mechanism in a mode; the rows of what is held follow its own."""
+    """Return the mechanism in a mode; rows of held joints follow its own rows."""
     if mode.stands:
         return _standing(mechanism)
     description = mechanism.description
@@ -41,7 +42,7 @@ def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
 
 
 def _standing(mechanism: Mechanism) -> Mechanism:
-    """Its joints, each alone and held: no rounding of what acts on them moves them in any time."""
+    """Return the mechanism with every joint held by itself, so that nothing ever moves."""
     from robodyn.mechanics.mechanism import build
 
     description = mechanism.description
@@ -67,7 +68,7 @@ def _standing(mechanism: Mechanism) -> Mechanism:
 
 
 def pressed(mechanism: Mechanism, q: Sequence[float], qd: Sequence[float]) -> tuple[End, ...]:
-    """The compliant stops that push in a state: of joints beyond them, and no faster out."""
+    """Return the compliant stops that push in a state (q, qd)."""
     if COMPLIANT not in mechanism.contacts:
         return ()
     stops = mechanism.of(CompliantStop)
@@ -77,9 +78,9 @@ def pressed(mechanism: Mechanism, q: Sequence[float], qd: Sequence[float]) -> tu
 def pushes(
     mechanism: Mechanism, mode: Mode, q: NDArray[Any], qd: NDArray[Any]
 ) -> Iterator[tuple[int, NDArray[Any]]]:
-    """The joints that press compliant stops in a mode, and the forces (k,) of the stops on them.
+    """Yield the joints that press compliant stops in a mode, and the forces (k,) on them.
 
-    The states q, qd are (k, n); a force is N m, or N, and counts towards larger q.
+    The states q, qd are (k, n).  Forces are in N m or N, positive towards larger q.
     """
     for stop in mechanism.of(CompliantStop):
         if (stop.joint, stop.side) in mode.pressed:
@@ -90,10 +91,10 @@ def pushes(
 def beyond(
     mechanism: Mechanism, q: Sequence[float], turns: bool = False
 ) -> list[tuple[int, int, float]]:
-    """The ends that q is beyond, but for rounding: joint, side, and where the end is.
+    """Return the firm ends that q is beyond by more than rounding: (joint, side, position).
 
-    Those that no compliant stop makes: nothing passes them.  With `turns` an angle is within its
-    limits of both sides where it is so but for whole turns.
+    Compliant stops yield and do not count.  With `turns`, full turns are ignored for angles with
+    limits on both sides.
     """
     found = []
     for joint, ends in ((x.joint, x.ends) for x in mechanism.ranges if x.firm):
@@ -108,12 +109,12 @@ def beyond(
 
 
 def end_word(side: int) -> str:
-    """Which end of a joint is meant."""
+    """Return "max" or "min"."""
     return "max" if side > 0 else "min"
 
 
 def resting_friction(mechanism: Mechanism, qd: NDArray[Any], qdd: NDArray[Any]) -> bool:
-    """Whether in any of the motions (k, n) a joint with dry friction stays at rest."""
+    """Return whether a joint with dry friction is at rest in any motion (k, n)."""
     joints = list(mechanism.dry)
     return bool(((qd[:, joints] == 0.0) & (qdd[:, joints] == 0.0)).any())
 
@@ -121,9 +122,9 @@ def resting_friction(mechanism: Mechanism, qd: NDArray[Any], qdd: NDArray[Any]) 
 def moving_mode(
     mechanism: Mechanism, q: Sequence[float], qd: Sequence[float], qdd: Sequence[float]
 ) -> Mode:
-    """The mode of a motion that is given: joints slip as they move, or as they are about to.
+    """Return the mode of a given motion: joints slip in the direction in which they move.
 
-    A joint that neither moves nor starts has no friction here: all within what it holds is right.
+    A joint that neither moves nor starts has no friction in this mode.
     """
     ways = ((j, qd[j] or qdd[j]) for j in mechanism.dry)
     slips = tuple((j, 1 if way > 0.0 else -1) for j, way in ways if way)
@@ -133,11 +134,11 @@ def moving_mode(
 def falls_over(
     mechanism: Mechanism, before: Sequence[float], after: Sequence[float], h: float
 ) -> bool:
-    """Whether friction that falls with the rate may rise and fall between two states (q, qd, ...).
+    """Return whether a step may have leapt over a peak of friction at low rates.
 
-    Its bell, exp(-(v/width)^2) or exp(-|v|/width), and all derivatives vanish from some reach of v
-    on: no method sees from there that it comes.  The states are h (s) apart, and v in the middle is
-    what Simpson's rule makes of the way between them: it may turn round there.
+    The peak, exp(-(v/width)^2) or exp(-|v|/width), and all its derivatives vanish beyond some reach
+    of v, so no method sees it coming.  The states (q, qd, ...) are h (s) apart; v in the middle
+    follows from Simpson's rule, since the motion may turn back within the step.
     """
     n = mechanism.n
     for joint, width, reach in mechanism.bells:

@@ -1,6 +1,6 @@
-"""A mechanism with a part of what acts on it: what makes one term of its equation of motion.
+"""A mechanism with only a part of its forces, for single terms of its equation of motion.
 
-Massless, weightless, without closures or dampers of joints.  Numbers may be symbols too.
+It has no masses, weights, closures or joint dampers.  Numbers may be symbols.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ NOTHING = 8 * sys.float_info.epsilon  # part of the lengths to a distance that i
 
 
 def bare(mechanism: Mechanism, elements: Iterable[Element | None] = ()) -> Mechanism:
-    """The links alone, and these elements."""
+    """Return the links alone, with these elements."""
     zero = (0.0,) * mechanism.n
     return replace(
         mechanism,
@@ -35,32 +35,32 @@ def bare(mechanism: Mechanism, elements: Iterable[Element | None] = ()) -> Mecha
 
 
 def stored(mechanism: Mechanism) -> Mechanism:
-    """The springs with a potential, whose torques are part of G."""
+    """Return the mechanism with only the springs that have a potential, which are part of G."""
     return bare(mechanism, (x.stored() for x in mechanism.elements))
 
 
 def loaded(mechanism: Mechanism) -> Mechanism:
-    """The loads at points: without weights only those act that turn with a link."""
+    """Return the mechanism with only its loads at points."""
     return bare(mechanism, (x for x in mechanism.elements if x.is_load))
 
 
 def spent(mechanism: Mechanism) -> Mechanism:
-    """What makes Q: dampers of springs, forces that turn with a link or vary, friction."""
+    """Return the mechanism with only the forces of Q: dampers, varying loads, friction."""
     return bare(mechanism, (x.spent() for x in mechanism.elements))
 
 
 def check_lasting_gravity(mechanism: Mechanism, what: str) -> None:
-    """Raise InputError, naming gravity, if it varies with the time, which `what` does not know."""
+    """Raise InputError if gravity varies in time, which `what` does not support."""
     if mechanism.description.field is not None:
         limit = f"varies with the time, which {what} does not know"
         raise InputError("gravity", where=mechanism.source, limit=limit)
 
 
 def untimed(mechanism: Mechanism) -> Mechanism:
-    """All that a model of a controller knows.
+    """Return the mechanism as a controller's model knows it.
 
-    Those are neither loads that depend on the time nor friction by the forces in pins.  Raises
-    InputError if gravity varies.
+    Loads that depend on time and friction by the forces in pins are left out.  Raises InputError if
+    gravity varies.
     """
     check_lasting_gravity(mechanism, "the model of a controller")
     if not (mechanism.timed or mechanism.rubbing):
@@ -71,7 +71,7 @@ def untimed(mechanism: Mechanism) -> Mechanism:
 
 @lru_cache(maxsize=64)
 def without_rubbing(mechanism: Mechanism) -> Mechanism:
-    """All but friction by the forces in pins and slides."""
+    """Return the mechanism without friction by the forces in pins and slides."""
     if not mechanism.rubbing:
         return mechanism
     kept = tuple(x for x in mechanism.elements if not isinstance(x, PinFriction))
@@ -79,16 +79,16 @@ def without_rubbing(mechanism: Mechanism) -> Mechanism:
 
 
 def acting(mechanism: Mechanism) -> Mechanism:
-    """Both of what is stored and what is spent."""
+    """Return the mechanism with its springs, loads and friction only."""
     return bare(mechanism, (x for x in mechanism.elements if x.acts))
 
 
 def met_ends(mechanism: Mechanism, q: Sequence[Any], exp: Callable[[Any], Any]) -> dict[int, Any]:
-    """Return whether the ends of each element that needs a direction meet within rounding.
+    """Return whether the ends of each element that needs a direction coincide.
 
-    Keys are places among the elements.  The n values of `q` are floats or arrays, and `exp` is the
-    complex exponential of them.  Ends that are apart by less than NOTHING of the lengths which lead
-    from one to the other meet.
+    Keys are indices of elements.  The n values of `q` are floats or arrays, and `exp` is their
+    complex exponential.  Ends closer than NOTHING times the lengths between them count as
+    coincident.
     """
     x, met = list(q), {}
     for k in mechanism.order if mechanism.parted else ():
@@ -106,7 +106,7 @@ def met_ends(mechanism: Mechanism, q: Sequence[Any], exp: Callable[[Any], Any]) 
 
 
 def no_direction(mechanism: Mechanism, name: str) -> SingularPoseError:
-    """The error of the element of this name (`Mechanism.name_of`), whose ends coincide."""
+    """Return the error for the element `name`, whose ends coincide."""
     return SingularPoseError(
         f"the ends of {name} between two points coincide",
         where=mechanism.source,

@@ -1,8 +1,8 @@
-"""The numeric model of a planar mechanism: what every computation reads, and nothing else.
+"""The numeric model of a planar mechanism.
 
-`mechanism.py` makes it from a description, and has the formulas of its constants.  Nothing here
-needs numpy until `Mechanism.arrays` is asked for: a command that evaluates one state in plain
-floats starts without it.
+`mechanism.py` builds it from a description, and has the formulas of its constants.  Nothing here
+imports numpy before `Mechanism.arrays` is read, so a command that evaluates one state in plain
+floats starts fast.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Kind = TypeVar("Kind", bound=Element)
 
 
 class Spin(NamedTuple):
-    """What spins beside the links, a rotor: M has inertia r r^T more."""
+    """Something that spins beside the links, such as a rotor; it adds inertia r r^T to M."""
 
     inertia: float  # kg m^2
     carrier: int | None  # the link on which it sits; None: the ground
@@ -51,11 +51,11 @@ class Spin(NamedTuple):
 class Mechanism:
     """A planar mechanism as numbers; immutable, compared by identity.
 
-    q_i is the angle (rad) of link i relative to the link it hangs from, or from +X; where its joint
-    slides, the displacement (m) of its origin along the axis.  Coordinates x = J q are the angles
-    alpha_k that directions E_k = exp(i alpha_k) turn by, and displacements s_k as they are.  A link
-    that slides has the direction of what it slides on, `frames`: X_k = s_k E_frame there, else
-    X_k = E_k, and every point is linear in X.
+    q_i is the angle (rad) of link i relative to the link it hangs from, or to +X; for a sliding
+    joint, the displacement (m) of its origin along the axis.  Coordinates x = J q are the angles
+    alpha_k of directions E_k = exp(i alpha_k), and displacements s_k.  A link that slides has the
+    direction of the link it slides on, `frames`: X_k = s_k E_frame there, else X_k = E_k.  Every
+    point is linear in X.
     """
 
     name: str
@@ -85,28 +85,28 @@ class Mechanism:
     tree: Tree = field(kw_only=True)  # the links as the scene has them
 
     def to_dict(self) -> dict[str, object]:
-        """The scene as the mapping that `robodyn.load` takes: SI units, radians, names of links."""
+        """Return the scene as a mapping for `robodyn.load`: SI units, radians, link names."""
         from robodyn.scene.plain_scene import plain_scene
 
         return plain_scene(self.description)
 
     def of(self, kind: type[Kind]) -> tuple[Kind, ...]:
-        """The elements of a kind, in their order."""
+        """Return the elements of a kind, in order."""
         return tuple(x for x in self.elements if isinstance(x, kind))
 
     def name_of(self, element: Element) -> str:
-        """What one of the elements is called: its kind, and its number among those from 1."""
+        """Return the name of an element: its kind and number, from 1."""
         alike = (x for x in self.elements if x.word == element.word)
         return f"{element.word} {next(k for k, x in enumerate(alike, start=1) if x is element)}"
 
     def with_added(self, *elements: Element) -> Mechanism:
-        """The same with these too, and with the elements that stand for each of them."""
+        """Return the mechanism with further elements and those that stand for them."""
         more = tuple(whole(elements))
         return replace(self, elements=(*self.elements, *more), added=(*self.added, *more))
 
     @cached_property
     def damping(self) -> tuple[float, ...]:
-        """The dampers at each joint (n), N m s/rad, or N s/m."""
+        """The damping at each joint (n), N m s/rad, or N s/m."""
         found: list[float | None] = [None] * self.n
         for x in self.of(JointDamper):
             before = found[x.joint]
@@ -115,7 +115,7 @@ class Mechanism:
 
     @cached_property
     def dry(self) -> dict[int, DryFriction]:
-        """Friction that sticks, by joint: see `modes.py`."""
+        """Dry friction by joint: see `modes.py`."""
         return {x.joint: x for x in self.of(DryFriction)}
 
     @cached_property
@@ -124,7 +124,7 @@ class Mechanism:
         return self.of(PinFriction)
 
     def rubbing_place(self, friction: PinFriction) -> str:
-        """Where the scene has such friction."""
+        """Return the place of such friction in the scene."""
         joint = friction.joint
         if joint is None:
             return f"closures[{friction.closure}].friction"
@@ -134,7 +134,7 @@ class Mechanism:
         return f"links[{place}] ({name}).friction"
 
     def check_rubbing(self, what: str) -> None:
-        """Raise InputError if there is friction by the forces in pins, which `what` lack."""
+        """Raise InputError if there is friction by pin forces, which `what` lack."""
         for friction in self.rubbing:
             limit = f"is of the force in a pin or slide, and {what} have no such friction; torque, "
             limit += "accel, reactions, energy and simulate by DOP853, RK45 or Radau do"
@@ -144,23 +144,23 @@ class Mechanism:
 
     @cached_property
     def sticks(self) -> tuple[int, ...]:
-        """The joints that something holds at rest."""
+        """The joints that dry friction can hold at rest."""
         return tuple(x.at for x in self.elements if x.contact == STICKS and x.at is not None)
 
     @cached_property
     def steady_moments(self) -> tuple[tuple[int, float], ...]:
-        """The constant torques that the scene has, each with the link that it acts on, N m."""
+        """The constant torques of the scene, (link, N m)."""
         each = (x.steady_moment for _, x in self.description.elements)
         return tuple(x for x in each if x is not None)
 
     @cached_property
     def contacts(self) -> frozenset[str]:
-        """Which of STICKS, HARD and COMPLIANT it has (`elements/contacts.py`)."""
+        """Which of STICKS, HARD and COMPLIANT occur (`elements/contacts.py`)."""
         return frozenset(x.contact for x in self.elements if x.contact)
 
     @cached_property
     def parted(self) -> tuple[tuple[int, PlanarPoint], ...]:
-        """Places of elements, and the ways between their ends that must not vanish, m."""
+        """Elements whose ends must not coincide: index, and the vector between the ends."""
         each = ((place, x.parted(self.tree)) for place, x in enumerate(self.elements))
         return tuple((place, between) for place, between in each if between is not None)
 
@@ -171,7 +171,7 @@ class Mechanism:
 
     @cached_property
     def bells(self) -> tuple[tuple[int, float, float], ...]:
-        """Joints, widths and reaches of what rises and falls with their rates (`Element.bell`)."""
+        """Joints with friction that peaks at low rates: joint, width and reach (`Element.bell`)."""
         each = ((x.at, x.bell) for x in self.elements)
         return tuple((k, *bell) for k, bell in each if k is not None and bell is not None)
 
@@ -187,7 +187,7 @@ class Mechanism:
 
     @cached_property
     def above(self) -> tuple[int | None, ...]:
-        """Of each joint the coordinate that its own is added to: x_k = q_k + x_above."""
+        """The coordinate to which each joint's own is added: x_k = q_k + x_above; or None."""
         slides = set(self.slides)
         return tuple(
             None if j is None or k in slides else self.frames[j] for k, j in enumerate(self.parent)
@@ -200,12 +200,12 @@ class Mechanism:
 
     @cached_property
     def passive(self) -> tuple[int, ...]:
-        """The joints that carry no torque of their own."""
+        """The joints without a torque of their own."""
         actuated = set(self.actuated)
         return tuple(i for i in range(self.n) if i not in actuated)
 
     def path(self, link: int | None) -> list[int]:
-        """The links from the ground to `link`, that included; none for the ground."""
+        """Return the links from the ground to `link`, included; [] for the ground."""
         path: list[int] = []
         while link is not None:
             path.append(link)
@@ -214,37 +214,37 @@ class Mechanism:
 
     @cached_property
     def lines(self) -> tuple[tuple[int, int], ...]:
-        """The rows whose lines links carry, each with the link whose E the line has."""
+        """The rows whose lines are carried by links, with the link of their E."""
         return tuple((r, row.line) for r, row in enumerate(self.rows) if row.line is not None)
 
     @cached_property
     def held(self) -> tuple[int, ...]:
-        """The rows of joints that are held where they are."""
+        """The rows of held joints."""
         return tuple(r for r, row in enumerate(self.rows) if row.held)
 
     @cached_property
     def first_coupling(self) -> int:
-        """The row of the first coupling: those of closures stand before, of what is held behind."""
+        """The row of the first coupling; rows of closures come before, held ones after."""
         return len(self.rows) - len(self.held) - len(self.description.couplings)
 
     @cached_property
     def laws(self) -> tuple[int, ...]:
-        """The rows of couplings that have a law."""
+        """The rows of couplings with a law."""
         return tuple(r for r, row in enumerate(self.rows) if row.law is not None)
 
     @cached_property
     def driven(self) -> tuple[int, ...]:
-        """The rows of couplings whose laws are of the time too."""
+        """The rows of couplings whose law depends on time."""
         laws = ((r, self.rows[r].law) for r in self.laws)
         return tuple(r for r, law in laws if law is not None and "t" in law.names)
 
     @cached_property
     def has_angles(self) -> bool:
-        """Whether rows have terms that are linear in x."""
+        """Whether rows have terms linear in x."""
         return any(row.angles for row in self.rows)
 
     def turns_by(self, link: int) -> list[int]:
-        """The joints whose angles add up to that of a link's frame."""
+        """Return the joints whose angles add up to that of a link's frame."""
         found, k = [], self.frames[link]
         while k is not None:
             found.append(k)
@@ -253,7 +253,10 @@ class Mechanism:
 
     @cached_property
     def inertias(self) -> dict[int, float]:
-        """Of each coordinate what its own acceleration takes, kg m^2, or kg; zeros left out."""
+        """Diagonal inertia of each coordinate, rotors included (kg m^2, or kg if it slides).
+
+        Zero entries are omitted.
+        """
         found = {j: float(value.real) for j, k, value in self.A if j == k}
         for spin in self.spins:
             for k, c in spin.terms:
@@ -262,17 +265,17 @@ class Mechanism:
 
     @cached_property
     def has_state_forces(self) -> bool:
-        """Whether anything acts but gravity, constant forces and torques, and joint dampers."""
+        """Whether forces other than gravity, constant loads and joint dampers act."""
         return any(x.acts and not x.steady for x in self.elements)
 
     @cached_property
     def changes_energy(self) -> bool:
-        """Whether the scene itself changes the energy: dampers, friction, forces that turn."""
+        """Whether the scene itself changes the energy: dampers, friction, turning loads."""
         return any(x.changes_energy for x in self.elements)
 
     @cached_property
     def switches(self) -> bool:
-        """Whether its equations of motion change on the way: dry friction, ends of joints."""
+        """Whether its equations of motion change during a run: dry friction, stops, limits."""
         return bool(self.contacts or self.ranges)
 
     @cached_property
@@ -282,7 +285,7 @@ class Mechanism:
 
     @cached_property
     def has_tables(self) -> bool:
-        """Whether anything follows a table, whose rows a step of a series must not pass."""
+        """Whether any signal is a table, whose rows a series step must not pass."""
         return any(isinstance(signal, Table) for signal in self.signals)
 
     @property
@@ -292,23 +295,23 @@ class Mechanism:
 
     @cached_property
     def timed(self) -> bool:
-        """Whether what acts, or laws of couplings, depend on the time too."""
+        """Whether forces, or laws of couplings, depend on time."""
         return bool(self.driven) or any("t" in signal.names for signal in self.signals)
 
     @cached_property
     def arrays(self) -> Arrays:
-        """The constants as dense numpy arrays (numpy is imported here)."""
+        """The constants as dense numpy arrays; numpy is imported here."""
         return _arrays(self)
 
     @cached_property
     def massless(self) -> tuple[int, ...]:
-        """The links of which the scene does not say m, r and I."""
+        """The links for which the scene gives no m, r and I."""
         links = self.description.links if isinstance(self.A, Inertias) else ()
         return tuple(k for k, link in enumerate(links) if not link.has_mass)
 
     @cached_property
     def still(self) -> dict[int, Holds]:
-        """The links that stand still whatever moves, each with what holds it."""
+        """The links that never move, each with what holds it."""
         return standing(self.description)
 
     @cached_property
@@ -319,10 +322,9 @@ class Mechanism:
         return unknown_holds(self.description, self.massless, self.still)
 
     def check_masses(self, still: bool = False) -> None:
-        """Raise MassError if a link has no mass: what is asked for needs it.
+        """Raise MassError if a link that needs a mass has none.
 
-        The mass of a link that stands still acts on nothing that moves, and counts as 0 there,
-        unless those `still` are needed too.
+        The mass of a link that never moves is needed only with `still`.
         """
         lacking = {k for k in self.massless if still or k not in self.still}
         if lacking:
@@ -423,5 +425,5 @@ def _arrays(mechanism: Mechanism) -> Arrays:
 
 
 def joint_index(mechanism: Mechanism) -> Mapping[str, int]:
-    """The joint (from 0) of each link name."""
+    """Return the joint (from 0) of each link name."""
     return {name: k for k, name in enumerate(mechanism.link_names)}

@@ -1,4 +1,4 @@
-"""What a run and a torque that depends on the run's steps tell each other."""
+"""The interface between a run and a torque that depends on the run's steps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class JointTracking:
-    """How a joint followed its reference; e = q_ref - q."""
+    """How well a joint followed its reference; e = q_ref - q."""
 
     joint: str  # the link's name
     rms: float  # of e over time, rad
@@ -23,30 +23,30 @@ class JointTracking:
 
 
 class Steps(Protocol):
-    """What a torque is told that depends on the steps of the run."""
+    """Receives the progress of a run, for a torque that depends on it."""
 
     restarts: bool  # whether the torque may jump at its kinks: an integrator starts afresh there
 
     def begin(self, y: Sequence[float], t_end: float) -> None:
-        """A run starts at t = 0 in the state y = (q, qd, ...)."""
+        """Tell that a run starts at t = 0 in the state y = (q, qd, ...)."""
 
     def reach(self, t: float, y: Sequence[float]) -> None:
-        """The run has come to a kink, in the accepted state y; later steps begin there."""
+        """Tell that the run has reached a kink in the accepted state y."""
 
 
 class Control(Steps, Protocol):
-    """What a controller is told of the run besides, and what it tells.
+    """A controller, which also observes the run.
 
-    `hardest` is when it asked the largest torque of all steps, and in which state y.
+    `hardest` is time and state y at which it demanded its largest torque.
     """
 
     hardest: tuple[float, NDArray[np.float64]] | None
 
     def observe(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-        """The run has taken steps, to states y (k, 2n or more) at times t (k,)."""
+        """Tell the states y (k, 2n or more) at times t (k,) that the run has reached."""
 
     def errors(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """q_ref - q of the actuated joints (k, actuated) in such states, rad."""
+        """Return q_ref - q of the actuated joints (k, actuated), rad."""
 
     def tracking(self) -> list[JointTracking]:
-        """How far the run was from its reference."""
+        """Return how well each joint followed its reference."""

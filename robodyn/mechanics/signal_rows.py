@@ -1,12 +1,12 @@
-"""The rows of what varies: laws of springs, and loads by expressions and tables.
+"""Rows of varying quantities: spring laws, and loads by expressions and tables.
 
-A table that is a line on each piece from x_k on is, with F_k its values there and s_k its slopes,
+A table, linear on each piece from x_k on, is with values F_k and slopes s_k
 
     F = F_k + s_k xi      U = U_k + F_k xi + s_k xi^2/2      xi = x - x_k
 
-and its interval shows in a zigzag that runs between 1 and 2 from row to row: of the line on which a
-step of a series begins it never meets another part again, so that a step which passes a row shows.
-The energy of an expression is x times the integral of F(x u) over u from 0 to 1.
+A zigzag between 1 and 2 from row to row shows the interval: its line at the start of a series step
+meets no other part of it, so a step that passes a row shows.  The energy of an expression is x
+times the integral of F(x u) over u from 0 to 1.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ FLATTENED = 3  # u = s^3: what is not smooth where the spring is free is smooth 
 def signal_rows(
     rows: LinkRows, signal: Signal, own: Mapping[str, Slot]
 ) -> tuple[Slot, list[tuple[Slot, float]]]:
-    """The slot of a signal; and what may bend within a step, with what makes a signal of it.
+    """Return the slot of a signal, and slots that may bend within a step, with their arms.
 
     `own` has a spring's x and v.
     """
@@ -44,7 +44,7 @@ def signal_rows(
 
 
 def stored_energy(rows: LinkRows, signal: Signal, x: Slot) -> Slot:
-    """The integral of a spring's pull from where it is free to its extension x."""
+    """Return the integral of a spring's force from its free length to extension x."""
     if isinstance(signal, Table):
         return _Lines(rows, signal, {"x": x}).energy()
     program = rows.program
@@ -64,7 +64,7 @@ def _read(rows: LinkRows, law: Law, own: Mapping[str, Slot]) -> Slot:
 
 
 def degree(tree: Node) -> int | None:
-    """The degree of a polynomial in its variables; None for what is none."""
+    """Return the degree of a polynomial in its variables; None if it is none."""
     return fold(tree, lambda x: int(isinstance(x, str)), _degree)
 
 
@@ -87,7 +87,7 @@ def _degree(node: tuple[Any, ...], parts: list[int | None]) -> int | None:
 
 
 def _rule(degree: int | None) -> list[tuple[float, float]]:
-    """Places u and weights of a rule for integrals over 0 < u < 1, exact up to a degree."""
+    """Return nodes u and weights on 0 < u < 1 of a quadrature exact up to a degree."""
     import numpy as np  # energies are evaluated by those who have it
 
     nodes, weights = np.polynomial.legendre.leggauss(NODES if degree is None else degree // 2 + 1)
@@ -109,7 +109,7 @@ class _Lines:
 
     @property
     def bend(self) -> float:
-        """What F misses by, next to a row, where the zigzag misses by 1."""
+        """The error of F next to a row if the zigzag is off by 1."""
         bends = [abs(b - a) for a, b in pairwise(self.slopes)]
         if self.table.repeats:
             bends.append(abs(self.slopes[0] - self.slopes[-1]))
@@ -119,11 +119,11 @@ class _Lines:
         return 0.5 * wide * max(bends, default=0.0) + jump or 1.0
 
     def value(self) -> Slot:
-        """F."""
+        """Return F."""
         return self._line(self.x, self.F, self.slopes, self.xi)
 
     def zigzag(self) -> Slot:
-        """Between 1 and 2 from row to row."""
+        """Return a zigzag between 1 and 2 from row to row."""
         x = self.x
         if self.table.repeats and len(x) % 2 == 0:  # it must meet its own beginning
             k = max(range(len(x) - 1), key=lambda k: x[k + 1] - x[k])
@@ -132,7 +132,7 @@ class _Lines:
         return self._line(x, values, self._slopes(x, values), self._beyond(x))
 
     def energy(self) -> Slot:
-        """U, zero where x is, or at the first row where that lies beyond the table."""
+        """Return U, zero at x = 0, or at the first row if the table does not contain 0."""
         widths = [b - a for a, b in pairwise(self.x)]
         each = zip(widths, self.F, self.lines.last, strict=True)
         parts = [0.5 * h * (a + b) for h, a, b in each]
@@ -156,18 +156,18 @@ class _Lines:
     def _line(
         self, x: Sequence[float], y: Sequence[float], slopes: Sequence[float], xi: Slot
     ) -> Slot:
-        """y_k + slope_k xi."""
+        """Return y_k + slope_k xi."""
         program = self.program
         rising = program.add(Product(self._step(x, slopes), xi))
         return program.sum((1.0, self._step(x, y[: len(slopes)])), (1.0, rising))
 
     def _beyond(self, x: Sequence[float]) -> Slot:
-        """How far the variable is beyond the row below it."""
+        """Return the distance of the variable from the row below it."""
         rise = self.x[-1] - self.x[0] if self.table.repeats else 0.0
         return self.program.sum((1.0, self.at), (-1.0, self._step(x, x[:-1], rise)))
 
     def _step(self, x: Sequence[float], values: Sequence[float], rise: float = 0.0) -> Slot:
-        """One value an interval; beyond the rows of a table that does not repeat there is none."""
+        """Return one value per interval; nan beyond a table that does not repeat."""
         inner = tuple(x[1:-1])
         if self.table.repeats:
             first, period = x[0], x[-1] - x[0]

@@ -1,4 +1,4 @@
-"""Parts of expressions sampled over time: zeros, extremes, switching times, and leaves."""
+"""Samples of expressions over time: zeros, extremes, switching times, and leaves."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ENTRIES = 4_000_000  # samples times parts, whatever is fast
 
 
 def _defined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function; nan, as Python has an error, where it goes to infinity: 1/0, log(0)."""
+    """Return the function with nan where it goes to infinity, as Python raises: 1/0, log(0)."""
 
     def result(*x: Any) -> Any:
         y = function(*x)
@@ -45,7 +45,7 @@ def _defined(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _compared(compare: Callable[..., Any]) -> Callable[..., Any]:
-    """The comparison; nan where one side is."""
+    """Return the comparison with nan if one side is nan."""
     return lambda a, b: np.where(np.isnan(a) | np.isnan(b), np.nan, compare(a, b))
 
 
@@ -88,13 +88,13 @@ _ARRAYS: dict[str, Callable[..., Any]] = {
 
 
 def _first(which: Callable[..., Any], x: Sequence[Array]) -> Array:
-    """The index of the least or largest of some arrays; nan where one of them has none."""
+    """Return the index of the least or largest of some arrays; nan if one of them is nan."""
     values = np.stack(x)
     return np.where(np.isnan(values).any(axis=0), np.nan, which(values, axis=0))
 
 
 def values_of(node: Node, names: Names, memo: dict[int, Any] | None = None) -> Array:
-    """An expression's values (as the shape of t); nan where it has none."""
+    """Return an expression's values (shape of t); nan where it is undefined."""
     t = names["t"]
 
     def leaf(x: float | str) -> Array:
@@ -110,9 +110,9 @@ def values_of(node: Node, names: Names, memo: dict[int, Any] | None = None) -> A
 
 
 class Parts(Protocol):
-    """Parts of expressions, `size` of them in all.
+    """Parts of expressions, `size` in all.
 
-    They are `timely` ones, which may be faster than samples, `guards`, of which `switches` depend.
+    `timely` parts may be faster than samples; `guards` decide the values of `switches`.
     """
 
     size: int
@@ -122,9 +122,9 @@ class Parts(Protocol):
 
 
 def samples_of(parts: Parts, t_end: float) -> Array | None:
-    """Increasing times of the run; None where a switch is faster than they can be.
+    """Return increasing times of the run; None if a switch is too fast for samples.
 
-    Among them are the zeros and extremes of the parts, and both sides of every switching time.
+    They include zeros and extremes of the parts, and both sides of every switching time.
     """
     size = parts.size
     count = first = int(np.clip(WORK // size, *SAMPLES))
@@ -139,9 +139,9 @@ def samples_of(parts: Parts, t_end: float) -> Array | None:
 
 
 def _sampled(given: Parts, count: int, t_end: float, every: bool) -> Array | None:
-    """Samples that begin with so many; None where guards or switches are too fast for them.
+    """Return samples, `count` at first; None if guards or switches are too fast for them.
 
-    Or, of `every` part, where any is.
+    With `every`, also if any other part is too fast.
     """
     guards, switches = given.guards, given.switches
     parts = [*guards, *given.timely]
@@ -169,9 +169,9 @@ def _sampled(given: Parts, count: int, t_end: float, every: bool) -> Array | Non
 
 
 def _changes(node: Node, t: Array, memo: dict[int, Any]) -> tuple[Array, bool]:
-    """Times (pairs of neighbours) between which the whole numbers of a node change.
+    """Return pairs of neighbouring times between which the whole numbers of a node change.
 
-    And whether there are few enough that no others can hide.
+    The second result tells whether they are few enough that no others can hide between samples.
     """
     code = _code(values_of(node, {"t": t}, memo))
     (k,) = np.nonzero(code[1:] != code[:-1])
@@ -196,7 +196,7 @@ def _code(values: Array) -> Array:
 
 
 def _extremes(node: Node, t: Array, memo: dict[int, Any]) -> tuple[Array, bool]:
-    """Times at which a node is larger, or smaller, than beside them; whether there are few."""
+    """Return times at which a node has an extreme, and whether they are few."""
     x = values_of(node, {"t": t}, memo)
     rise = np.diff(x)
     least = 1e-12 * np.abs(x[np.isfinite(x)]).max(initial=0.0)
@@ -217,7 +217,7 @@ def _extremes(node: Node, t: Array, memo: dict[int, Any]) -> tuple[Array, bool]:
 
 
 def switching_times(switches: Sequence[Node], t: Array) -> list[float]:
-    """Of neighbours between which a switch changes one; of those within rounding the shortest."""
+    """Return times at which a switch changes; of equal ones the shortest decimal."""
     memo: dict[int, Any] = {}
     finest = 2.0 * FINEST * (t[-1] - t[0])
     codes = [_code(values_of(switch, {"t": t}, memo)) for switch in switches]
@@ -234,7 +234,7 @@ def switching_times(switches: Sequence[Node], t: Array) -> list[float]:
 
 
 def holes(functions: Sequence[Node], names: Names) -> list[float]:
-    """The times among names["t"] at which a function has no value, but has one beside them."""
+    """Return the times among names["t"] at which a function is undefined, but not beside them."""
     t, found = names["t"], set()
     for function in functions:
         known = np.isfinite(values_of(function, names))
@@ -246,7 +246,7 @@ def holes(functions: Sequence[Node], names: Names) -> list[float]:
 def leaf_ends(
     functions: list[Node], names: Names, edges: Array, samples: Array, small: float
 ) -> tuple[Array, bool]:
-    """The ends of the leaves: `edges`, and what lies between them; whether there are enough."""
+    """Return the ends of the leaves, `edges` included, and whether they resolve the functions."""
     angles = (np.arange(DEGREE + 1) + 0.5) * (np.pi / (DEGREE + 1))
     orders = np.arange(DEGREE + 1)
     between = np.arange(1, DEGREE + 1) * (np.pi / (DEGREE + 1))

@@ -1,8 +1,8 @@
-"""Torques that have no value, or no series, where a piece of them begins or ends.
+"""Torques that have no value, or no series, at the begin or end of a piece.
 
-`exp(-1/(t - 4)) if t > 4 else 0` is smooth, and yet 1/0 where it begins; so is sin(t)/t.  What is
-held between two switching times is therefore asked at both ends.  Where it has no value there, a
-straight line stands for it on a stretch so short that no digit of its impulse is lost.
+`exp(-1/(t - 4)) if t > 4 else 0` is smooth, and yet 1/0 where it begins; so is sin(t)/t.  So each
+part between two switching times is evaluated at both ends.  If it has no value there, a straight
+line replaces it on a stretch so short that its impulse keeps all digits.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LOST = 1e-15  # part of a usual torque times the run that a line may miss
 
 
 class Line(NamedTuple):
-    """first + slope t from `begin` to `end`, in the place of what is held there."""
+    """first + slope t from `begin` to `end`, in place of a part without value."""
 
     begin: float
     end: float
@@ -37,9 +37,10 @@ class Line(NamedTuple):
 
 
 def lines_at_edges(held: Node, edges: Array, switches: Array, samples: Array) -> list[Line]:
-    """The lines beside those `edges` of pieces at which `held` has no value.
+    """Return lines beside those `edges` of pieces at which `held` has no value.
 
-    `switches` (switches, pieces) tells how they stand; at the `samples` the run is looked at.
+    `switches` (switches, pieces) are their values; `samples` are the times at which the run is
+    sampled.
     """
     span = edges[-1] - edges[0]
     ends = np.stack([edges[:-1], edges[1:]], axis=1)
@@ -66,9 +67,9 @@ def lines_at_edges(held: Node, edges: Array, switches: Array, samples: Array) ->
 def _line(
     torque: Callable[[Array], Array], edge: float, most: float, span: float, samples: Array
 ) -> Line | None:
-    """The longest line from an edge that misses nothing which counts; `most` is how far it may go.
+    """Return the longest line from an edge that changes no digit; `most` bounds its length.
 
-    The samples are where what is narrow shows.
+    The samples show narrow features.
     """
     usual = np.abs(torque(edge + most / MOST * USUAL))
     least = LOST * span * np.quantile(np.where(np.isfinite(usual), usual, 0.0), 0.8)
@@ -89,9 +90,9 @@ def _line(
 
 
 def cut(edges: Array, switches: Array, lines: Sequence[Sequence[Line]]) -> tuple[Array, Array]:
-    """The edges and how the switches stand, with three more for each expression with `lines`.
+    """Return edges and switch values with three more switches per expression with `lines`.
 
-    Those are 1 and the numbers of a line where it stands for the expression, zero elsewhere.
+    They are 1 and the line's two numbers where it replaces the expression, else zero.
     """
     ends = [x for each in lines for line in each for x in (line.begin, line.end)]
     finer = np.unique(np.concatenate([edges, ends]))
@@ -107,7 +108,7 @@ def cut(edges: Array, switches: Array, lines: Sequence[Sequence[Line]]) -> tuple
 
 
 def with_lines(torque: Node, lines: Mapping[int, int]) -> Node:
-    """The tree with lines for those of its operations whose id has one: by which switch."""
+    """Return the tree with lines for operations in `lines`, by id, with the switch's number."""
 
     def leaf(x: Node) -> Node:
         return x

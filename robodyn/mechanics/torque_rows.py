@@ -1,7 +1,7 @@
-"""Joint torques as rows of the program: constants, tables, and smooth expressions of t, q and qd.
+"""Joint torques as rows of the program: constants, tables, and smooth expressions.
 
-What has no series (comparisons, abs, min, ... of the state, and functions of Python) is refused;
-those of time alone stand still between the times at which they switch.
+Functions without a series (comparisons, abs, min, ... of the state, and Python functions) are
+refused.  Those of time alone are constant between the times at which they switch.
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 def torque_slots(
     equations: EquationsOfMotion, actuation: Actuation, held: Sequence[float] | None = None
 ) -> list[Slot | None]:
-    """The slots of the joint torques (n), None where there is none.
+    """Return the slots of the joint torques (n), None for no torque.
 
-    Those of constants and of what is linear between kinks are `Given` as tau0, tau1, ...  `held`
-    tells how the switches of an expression stand; None: every branch is read, to see that it
-    serves.  Raises InputError for a torque that has no series.
+    Constants and torques linear between kinks are `Given` as tau0, tau1, ... `held` has the values
+    of switches; None checks every branch.  Raises InputError for a torque without a series.
     """
     n, add = equations.mechanism.n, equations.program.add
     if actuation.constants is not None:
@@ -53,7 +52,7 @@ def linear_piece(
     y: Sequence[float],
     direction: float,
 ) -> tuple[list[float], list[float]]:
-    """Of what is linear between kinks: the torques at t and their slopes up to the next."""
+    """Return torques at t that are linear between kinks, and their slopes to the next kink."""
     kinks = actuation.kinks
     if direction > 0.0:
         end = kinks[min(bisect_right(kinks, t), len(kinks) - 1)]

@@ -1,15 +1,14 @@
-"""When the torques of expressions switch, and how fine their features are in time.
+"""Switching times of torques given by expressions, and their finest features in time.
 
-What an expression makes of time alone is sampled over the run, part by part: where a part has a
-zero or an extreme, there a sample is added, so that the narrowest pulse shows at its middle.
+Parts of an expression that depend on time alone are sampled over the run.  A sample is added at
+each zero and extreme of a part, so that the narrowest pulse shows at its middle.
 
 - A part that jumps or bends (a comparison, abs, min, max, sign, floor, %) is a *switch*: its times
-  are found to the spacing of floats, steps land on them, and between two of them it stands still.
-- Between those, the torque is cut into *leaves*, on each of which a polynomial of degree 16 meets
-  all samples.  No step may be longer than a leaf that it enters.
+are found to the spacing of floats, steps land on them, and between two of them it is constant. -
+Between switching times the torque is divided into *leaves*, on each of which a polynomial of degree
+16 meets all samples.  No step may be longer than a leaf that it enters.
 
-Loads of a scene by expressions in t are looked at in the same way; rows of a table over t are
-kinks, as those of a table of torques are.
+Loads of a scene by expressions in t are treated in the same way.  Rows of a table over t are kinks.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ NEAR_END = 1e-15  # of the run: a switch nearer to its ends is none
 
 
 class Held(Pieces):
-    """How the switches stand, by time; at a switching time as ahead of it once it is reached."""
+    """Values of the switches over time; at a switching time that is reached, the later values."""
 
     restarts = True  # a torque may jump there
 
@@ -53,21 +52,21 @@ class Held(Pieces):
         self.begin((), 1.0)
 
     def begin(self, y: Sequence[float], t_end: float) -> None:
-        """See `Steps`."""
+        """Start a run; see `Steps`."""
         self.forward = t_end >= 0.0
         self.reach(0.0, y)
 
     def reach(self, t: float, y: Sequence[float]) -> None:
-        """See `Steps`."""
+        """Reach a kink; see `Steps`."""
         self.come_to(t, self.forward)
 
     def at(self, t: float) -> tuple[float, ...]:
-        """The values of all switches at t; beyond a switching time not reached, those before it."""
+        """Return the values of all switches at t, not beyond a switching time not yet reached."""
         return self.values[self.piece(t)]
 
 
 def harmless_torque(mechanism: Mechanism, atol: float, t_end: float) -> float:
-    """A torque, N m, that moves the lightest link by less than `atol` in the time of a run."""
+    """Return a torque (N m) that moves the lightest link by less than `atol` in a run."""
     lightest = min(mechanism.inertias.values(), default=0.0)
     return float(atol * lightest / (abs(t_end) or 1.0))
 
@@ -75,11 +74,11 @@ def harmless_torque(mechanism: Mechanism, atol: float, t_end: float) -> float:
 def over_a_run(
     actuation: Actuation, state: Sequence[float], t_end: float, small: float = 0.0
 ) -> Actuation:
-    """The torques with their switching times and leaves from 0 to `t_end`.
+    """Return the torques with switching times and leaves from 0 to `t_end`.
 
-    `state` (2n) is that at the start: what depends on time and state is sampled as if it stayed.
-    A torque below `small`, N m, may be missed.
-    Torques that are no expressions of time are returned as they are.
+    `state` (2n,) is that at the start; parts that depend on time and state are sampled with it
+    fixed.  A torque below `small` (N m) may be missed.  Torques that are no expressions of time are
+    returned unchanged.
     """
     if actuation.pieces is not None or actuation.leaves or not math.isfinite(t_end) or not t_end:
         return actuation
@@ -112,9 +111,9 @@ def over_a_scene_run(
     t_end: float,
     small: float = 0.0,
 ) -> Actuation:
-    """`over_a_run` of the torques, and of loads that depend on the time.
+    """Apply `over_a_run` to the torques, and to loads that depend on time.
 
-    Raises InputError where the rows of a table do not cover the run.
+    Raises InputError if the rows of a table do not cover the run.
     """
     if actuation.lines:
         actuation = over_a_run(actuation, state, t_end, small)
@@ -161,7 +160,7 @@ def over_a_scene_run(
 
 
 def _place_of(mechanism: Mechanism, signal: Table | Curve) -> str:
-    """Where the scene has a table."""
+    """Return the place of a table in the scene."""
     if isinstance(signal, Table):
         return signal_place(mechanism.description, signal)
     laws = [x.law for x in mechanism.description.couplings]
@@ -169,7 +168,7 @@ def _place_of(mechanism: Mechanism, signal: Table | Curve) -> str:
 
 
 def _repeated(x: Sequence[float], first: float, last: float) -> Iterator[float]:
-    """The rows of a table that repeats, within a run."""
+    """Yield the times of a repeating table's rows within a run."""
     span = x[-1] - x[0]
     for k in range(math.floor((first - x[0]) / span), math.ceil((last - x[0]) / span) + 1):
         yield from (t for row in x[:-1] if first < (t := row + k * span) < last)
@@ -180,7 +179,7 @@ def _pick(k: float, *values: float) -> float:
 
 
 class _Found(NamedTuple):
-    """Torques with switches held, when they switch and how they stand between, and the leaves."""
+    """Torques with switches held, switching times, switch values per piece, and leaves."""
 
     torques: tuple[Node, ...]
     kinks: tuple[float, ...]
@@ -193,9 +192,9 @@ class _Found(NamedTuple):
 def _found(
     torques: tuple[Node, ...], state: tuple[float, ...], t_end: float, small: float
 ) -> _Found | None:
-    """What torques make of time from 0 to `t_end`.
+    """Return switches and leaves of torques from 0 to `t_end`; None if they do not depend on time.
 
-    None for those that do not depend on time.  Raises InputError for those that switch too fast.
+    Raises InputError for torques that switch too fast.
     """
     parts = _TimeParts()
     written = [parts.write(torque) for torque in torques]
@@ -228,7 +227,7 @@ def _found(
 
 
 class _TimeParts:
-    """What expressions make of time alone; writes them with their switches held (`_s[k]`)."""
+    """Collects parts that depend on time alone; writes them with switches held (`_s[k]`)."""
 
     def __init__(self) -> None:
         self.size = 0  # how many parts
@@ -239,7 +238,7 @@ class _TimeParts:
         self.held: list[Node] = []  # the largest parts of time alone, as they are written
 
     def write(self, torque: Node) -> Node:
-        """The torque with its switches held."""
+        """Return the torque with its switches held."""
         written, kind = fold(torque, _kind, self._write)
         if kind:
             self.functions.append(torque)
@@ -248,7 +247,7 @@ class _TimeParts:
         return written
 
     def _write(self, node: tuple[Any, ...], found: list[tuple[Node, int]]) -> tuple[Node, int]:
-        """The operation written, and what it depends on (`_kind`)."""
+        """Return the written operation, and what it depends on (`_kind`)."""
         operation, *parts = node
         written, kinds = [x for x, _ in found], [kind for _, kind in found]
         kind = max(kinds)
@@ -268,7 +267,7 @@ class _TimeParts:
         return (operation, *written), kind
 
     def _held(self, node: tuple[Any, ...], x: list[Node]) -> Node:
-        """A node of time alone from its written parts, as it is between two switching times."""
+        """Return a node of time alone, from its written parts, between switching times."""
         operation, *parts = node
         match operation:
             case "<" | "<=" | ">" | ">=":
@@ -294,7 +293,7 @@ class _TimeParts:
 
 
 def _kind(leaf: float | str) -> tuple[Node, int]:
-    """A leaf, and what it depends on: 0 nothing, 1 time alone, 2 the state."""
+    """Return a leaf, and what it depends on: 0 nothing, 1 time alone, 2 the state."""
     return leaf, 0 if not isinstance(leaf, str) else 1 if leaf == "t" else 2
 
 
@@ -303,7 +302,7 @@ def _compares(node: Node) -> bool:
 
 
 def _linear(operation: str, kinds: list[int]) -> bool:
-    """Whether an operation makes nothing narrower than its parts are."""
+    """Return whether an operation makes no feature narrower than those of its parts."""
     match operation:
         case "neg" | "+" | "-":
             return True

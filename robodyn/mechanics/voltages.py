@@ -24,11 +24,11 @@ def voltages(
     volt: str | Sequence[float] | Callable[[float, list[float], list[float]], Sequence[float]],
     where: str = "volt",
 ) -> Actuation:
-    """What `simulate` takes as tau so that voltages drive the motors, one an actuated joint, V.
+    """Return what `simulate` takes as tau for motor voltages, one per actuated joint, V.
 
-    They are constants, comma-separated expressions in t, q1.., qd1.., or a function of t, q (n),
-    qd (n).  Raises InputError where an actuated joint has no motor with its constants, and what
-    torques so given do.
+    They are constants, comma-separated expressions in t, q1.., qd1.., or a function of t, q (n), qd
+    (n).  Raises InputError if an actuated joint has no motor with the needed constants, and the
+    errors of torques given in this form.
     """
     links, driven, laws = mechanism.description.links, mechanism.actuated, []
     for k in driven:
@@ -52,7 +52,7 @@ def voltages(
         return replace(actuation.callback(mechanism, torques), remade=again)
 
     def driving(nodes: list[Node]) -> list[Node]:
-        """Expressions of torques, of those of voltages."""
+        """Return expressions of torques from those of voltages."""
         each = zip(driven, laws, _as_many(mechanism, nodes, where), strict=True)
         return [("*", a, ("-", node, ("*", b, f"qd{k}"))) for k, (a, b), node in each]
 
@@ -62,7 +62,7 @@ def voltages(
 
 
 def _as_many(mechanism: Mechanism, given: list[Any], where: str) -> list[Any]:
-    """These voltages; InputError unless there is one for each actuated joint."""
+    """Return the voltages; InputError unless there is one for each actuated joint."""
     count = len(mechanism.actuated)
     if len(given) != count:
         joints = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
