@@ -337,10 +337,8 @@ def tell_unknown_contacts(mechanism: Mechanism, columns: Iterable[str]) -> None:
     if any(re.search(r"\br[xym][0-9]+\b", name) for name in columns):
         for c, coupling in enumerate(mechanism.description.couplings):
             if coupling.law is not None and coupling.others and coupling.cam is None:
-                note(
-                    f"Note: couplings[{c}] = {coupling.law.text} has no `cam`, so that the force "
-                    "of its contact on the bearings of its links is not known: reactions lack it"
-                )
+                told = f"couplings[{c}] = {coupling.law.text} has no `cam`, so that the force of"
+                note(f"Note: {told} its contact on bearings is not known: reactions lack it")
 
 
 def chosen_columns(

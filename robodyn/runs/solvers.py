@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import DOP853, RK45, DenseOutput, OdeSolver, Radau
 
+from robodyn.dynamics.closed_form import energies, mass_matrix
 from robodyn.loops.projection import Projection
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import NEAR, Ahead, kink_at, next_stop
@@ -73,6 +74,7 @@ class Projecting(_Solver):  # type: ignore[misc]
         told: Steps | None = None,
         near: NearSingular | None = None,
         slipping: Mechanism | None = None,
+        driven: Mechanism | None = None,
         **options: Any,
     ) -> None:
         self._ahead = Ahead(jumps)
@@ -93,6 +95,11 @@ class Projecting(_Solver):  # type: ignore[misc]
         self.leaves = leaves
         self.told = told
         self._slipping = slipping  # whose bells a step may leap over
+        self._driven = driven  # whose laws of the time do work
+        self._lowest, self._highest, self._fastest = math.inf, -math.inf, 0.0  # energies, J
+        self._inertia = 0.0
+        if driven is not None:
+            self._inertia = float(np.trace(mass_matrix(driven, self.y[: driven.n])))
         self._jumped = False  # whether the torque may have, at self.t
         self._options = options
         self.steps = 0
@@ -132,6 +139,7 @@ class Projecting(_Solver):  # type: ignore[misc]
         stop = next_stop(self.stops, self.leaves, self.t, end, NEAR)
         self.t_bound = stop
         self._hold()
+        self._weigh()
         if self._longest < abs(self.t_bound - self.t):
             self.t_bound = self.t + self.direction * self._longest
         try:
@@ -187,6 +195,23 @@ class Projecting(_Solver):  # type: ignore[misc]
         self.atol = np.where(atol < UNBOUNDED, np.minimum(atol, fine), atol)
         n = self.misses.mechanism.n
         self.atol[n : 2 * n] = np.maximum(self.atol[n : 2 * n], rounding)
+
+    def _weigh(self) -> None:
+        """Let the work of laws err by what tolerances are of the energy in motion until now.
+
+        A motion that laws lead may be exact in steps of any length, along which their work is not.
+        An error of the rates by `atol` is one of the energy by that times the momentum.
+        """
+        if self._driven is None:
+            return
+        n = self._driven.n
+        KE, PE = map(float, energies(self._driven, self.y[:n], self.y[n : 2 * n]))
+        self._fastest = max(self._fastest, KE)
+        self._lowest, self._highest = min(self._lowest, PE), max(self._highest, PE)
+        moving = max(self._fastest, self._highest - self._lowest)
+        if moving > 0.0:
+            momentum = math.sqrt(2.0 * self._fastest * self._inertia)
+            self.atol[-1] = self.rtol * moving + float(self.atol[n]) * momentum
 
     def _reach(self) -> None:
         """Tell a torque with a memory if the step ended on a kink.
@@ -289,7 +314,8 @@ class SolverSteps:
     ) -> None:
         (t, y, bound), (rtol, atol) = way, tolerances
         each = np.full(len(y), atol, float)
-        each[2 * mechanism.n + actuation.states :] = 1e100  # the work chooses no step
+        # the work chooses no step, but that of laws, which `_weigh` bounds
+        each[2 * mechanism.n + actuation.states :] = 1e100
         kind: Any = projected(method)
         self.outcome: Outcome | None = None
         self.error: Exception | None = None  # raised once the steps before it are taken
@@ -306,6 +332,7 @@ class SolverSteps:
                 projection=side.projection if projects else None,
                 near=side.near,
                 slipping=mechanism if mechanism.bells else None,
+                driven=mechanism if mechanism.driven else None,
                 kinks=actuation.kinks,
                 jumps=actuation.jumps,
                 leaves=actuation.leaves,
