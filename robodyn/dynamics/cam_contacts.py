@@ -1,8 +1,8 @@
-"""The cams of a mechanism: where each touches its follower, by which force, and its whole profile.
+"""The cams of a mechanism: contacts with their followers, contact forces, and whole profiles.
 
-The geometry is `cams.py`; laws and their derivatives are those of the couplings.  The contact force
-does the work of the law: N (nu . V) = tc, with nu the normal away from the cam, and V the velocity
-of the follower's point by its joint.
+`cams.py` has the geometry; laws and their derivatives are those of the couplings.  The contact
+force does the work of the law: N (nu . V) = tc, with nu the normal away from the cam, and V the
+velocity of the follower's point per rate of its joint.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CLOSED = 1e-9  # part of a profile's size by which its ends may miss one another
 
 
 class Cam(NamedTuple):
-    """A cam: its coupling, its own link `driver` and its follower's, and how they touch."""
+    """A cam: its coupling, its link `driver`, its follower's link, and the follower's geometry."""
 
     coupling: int
     driver: int
@@ -46,7 +46,7 @@ class Cam(NamedTuple):
 
 @lru_cache(maxsize=64)
 def cams_of(mechanism: Mechanism) -> tuple[Cam, ...]:
-    """The cams of a mechanism, in the order of its couplings."""
+    """Return the cams of a mechanism, in the order of its couplings."""
     found = []
     links = mechanism.description.links
     for c, coupling in enumerate(mechanism.description.couplings):
@@ -69,7 +69,7 @@ def cams_of(mechanism: Mechanism) -> tuple[Cam, ...]:
 
 
 def cam_named(mechanism: Mechanism, name: str, where: str) -> Cam:
-    """The cam whose follower is the link of this name.
+    """Return the cam whose follower is the link `name`.
 
     Raises InputError, with the names of followers, if no cam drives it.
     """
@@ -83,16 +83,16 @@ def cam_named(mechanism: Mechanism, name: str, where: str) -> Cam:
 
 
 def contact_at(mechanism: Mechanism, cam: Cam, q: Array) -> Contact:
-    """Where the cam touches its follower at q (..., n).
+    """Return the contact of a cam with its follower at q (..., n).
 
-    The follower stands where its joint is; the law has the derivatives.
+    The follower stands at its joint's position; derivatives come from the law.
     """
     _, f1, f2 = law_derivatives(mechanism, cam.coupling, cam.driver, q, STEADY)
     return contact(cam.follower, q[..., cam.driver], q[..., cam.link], f1, f2)
 
 
 def contact_along(mechanism: Mechanism, cam: Cam, theta: ArrayLike) -> Contact:
-    """Where the cam touches its follower at angles theta (k,) of its joint, rad."""
+    """Return the contacts at angles theta (k,) of the cam's joint, rad."""
     theta = np.asarray(theta, float)
     q = np.zeros((len(theta), mechanism.n))
     q[:, cam.driver] = theta
@@ -101,9 +101,9 @@ def contact_along(mechanism: Mechanism, cam: Cam, theta: ArrayLike) -> Contact:
 
 
 class ContactForce(NamedTuple):
-    """The force on a follower, N, and a place on its line of action, m, ground axes, (...) each.
+    """The force on a follower, N, and a point on its line of action, m, ground axes, (...).
 
-    `pressed` is its part along the contact's normal, away from the cam: the contact force.
+    `pressed` is its component along the contact's normal, away from the cam: the contact force.
     """
 
     cam: Cam
@@ -115,11 +115,11 @@ class ContactForce(NamedTuple):
 def forces_on_links(
     mechanism: Mechanism, at: Placed, slopes: Sequence[Any], torques: Sequence[Any]
 ) -> list[ContactForce]:
-    """The forces of all cams where the mechanism is `at`, of numbers (...) or of formulas.
+    """Return the forces of all cams for a placed mechanism, in numbers (...) or formulas.
 
     `slopes` are f' of the laws by the cams' angles, `torques` those of their couplings, in the
     order of the cams.  With n any vector along the normal, and V the velocity of the follower's
-    point by its joint, the force is n tc / (n . V): length and side of n do not matter.
+    point per rate of its joint, the force is n tc / (n . V); length and sign of n do not matter.
     """
     tree, found = Tree(mechanism.description.links), []
 
@@ -151,7 +151,7 @@ def forces_on_links(
 def contacts_on_links(
     mechanism: Mechanism, q: Array, at: Placed, multipliers: ArrayLike
 ) -> list[ContactForce]:
-    """The forces of all cams at q (..., n), where the mechanism is `at`."""
+    """Return the forces of all cams at q (..., n)."""
     if not (cams := cams_of(mechanism)):
         return []
     torques = coupling_torques(mechanism, multipliers)
@@ -164,13 +164,13 @@ def contacts_on_links(
 class Profile(NamedTuple):
     """A cam over the turn, or the range, of its joint; m and rad.
 
-    `base_circle` is a radius.  `offset` is how far the way of a sliding follower's roller, or
-    joint, passes the cam's joint on the right; None for a follower that turns.  `pressure` is the
-    largest pressure angle.  `least_radius` is the least radius of curvature of a convex part, below
-    zero if the profile is undercut, infinite if nothing is convex.  `undercut` is the cam's angle
-    there if the profile is undercut, else None.  `face` has the ends of the contact on a flat face,
-    measured from its point.  `closed` tells whether the profile ends where it begins, `one_side`
-    whether no tangent passes through the cam's joint.
+    `base_circle` is a radius.  `offset` is the distance by which the path of a sliding follower
+    passes the cam's joint on the right; None for a turning follower.  `pressure` is the largest
+    pressure angle.  `least_radius` is the least radius of curvature of a convex part, negative if
+    the profile is undercut, infinite if nothing is convex.  `undercut` is the cam's angle there if
+    it is undercut, else None.  `face` has the ends of the contact on a flat face, from its point.
+    `closed` tells whether the profile ends where it begins, `one_side` whether no tangent passes
+    through the cam's joint.
     """
 
     base_circle: float
@@ -184,9 +184,9 @@ class Profile(NamedTuple):
 
 
 def span(mechanism: Mechanism, cam: Cam) -> tuple[float, float]:
-    """The angles of the cam between which its profile lies.
+    """Return the angles of the cam between which its profile lies.
 
-    Those are its joint's limits or the rows of a table that does not repeat, else a turn.
+    They are its joint's limits, or the rows of a table that does not repeat; else a full turn.
     """
     low, high = 0.0, TURN
     law = mechanism.description.couplings[cam.coupling].law
@@ -201,7 +201,7 @@ def span(mechanism: Mechanism, cam: Cam) -> tuple[float, float]:
 
 
 def profile_of(mechanism: Mechanism, cam: Cam) -> Profile:
-    """Base circle, pressure angle, curvature and the like of a cam."""
+    """Return base circle, pressure angle, curvature and other properties of a cam."""
     low, high = span(mechanism, cam)
     follower = cam.follower
 
@@ -236,7 +236,7 @@ def profile_of(mechanism: Mechanism, cam: Cam) -> Profile:
 
 
 def _least(f: Callable[[Array], Array], low: float, high: float) -> tuple[float, float]:
-    """The least value of a function of angles between two, and where; infinite if it has none."""
+    """Return the least value of a function of angles, and its place; infinite if there is none."""
     first, last = low, high
     count, value, where = SAMPLES, math.inf, low
     for _ in range(ZOOMS):
@@ -252,6 +252,6 @@ def _least(f: Callable[[Array], Array], low: float, high: float) -> tuple[float,
 
 
 def outline(mechanism: Mechanism, cam: Cam, count: int) -> tuple[Array, Contact]:
-    """The cam's angles (count + 1,) from the first to the last of its profile, and the contacts."""
+    """Return the cam's angles (count + 1,) over its profile, and the contacts."""
     theta = np.linspace(*span(mechanism, cam), count + 1)
     return theta, contact_along(mechanism, cam, theta)

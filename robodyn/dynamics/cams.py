@@ -1,4 +1,4 @@
-"""Disc cams: pitch curve, profile, pressure angle and curvature from a follower's law of motion.
+"""Disc cams: pitch curve, profile, pressure angle and curvature from a follower's law.
 
 Points of the plane are complex numbers, m.  The cam turns by theta about its joint; the follower
 turns or slides by f(theta).  Both joints are on one carrier, in whose frame they are placed.  With
@@ -6,9 +6,9 @@ P the roller's centre in that frame, A the cam's joint and V = dP/df, the pitch 
 
     w = e^(-i theta) (P - A)        w' = e^(-i theta) (f' V - i (P - A))
 
-in the frame of the cam, and the profile its parallel curve at the roller's radius, on the side of
-the cam's joint.  A flat face is a line w + s D along D = e^(i (f - theta)) d (of a follower that
-turns).  The profile is its envelope: the line moves along itself at the contact, so that
+in the frame of the cam.  The profile is its parallel curve at the roller's radius, on the side of
+the cam's joint.  A flat face is a line w + s D along D = e^(i (f - theta)) d (for a turning
+follower).  The profile is its envelope: the line moves along itself at the contact, so that
 
     s = (w' . i D) / b      b = 1 - f' (turning), 1 (sliding)      D' = -i b D
 
@@ -26,13 +26,13 @@ from robodyn.tables.arrays import Array, Complex
 
 
 class Follower(NamedTuple):
-    """How a follower hangs, and the roller or the face by which it touches the cam.
+    """How a follower is mounted, and the roller or face with which it touches the cam.
 
     `pivot` is the cam's joint and `joint` the follower's, in the frame of the carrier, m.  `axis`
-    is the unit vector along which the follower slides; without it the follower turns.  `at` is the
-    roller's centre, or a point of the face, in the follower's frame, m; `face` the face's unit
-    vector there, None for a roller of `radius`, m.  `turn` and `cam_turn` are the unit vectors of
-    the x axes of follower and cam at zero of their joints, in the frame of the carrier.
+    is the unit vector along which the follower slides; None if it turns.  `at` is the roller's
+    centre, or a point of the face, in the follower's frame, m.  `face` is the face's unit vector
+    there; None for a roller of `radius`, m.  `turn` and `cam_turn` are the unit vectors of the x
+    axes of follower and cam at zero of their joints, in the carrier's frame.
     """
 
     pivot: complex
@@ -46,15 +46,15 @@ class Follower(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Where a cam and its follower touch, each (...).
+    """The contact of a cam with its follower; each value is (...).
 
-    In the frame of the cam, m: the `pitch` curve (the roller's centre, or the foot of the face's
-    point), the `profile`, and the unit vector `normal` from the cam to the follower.  `pressure`
-    is the angle from the velocity of the follower's point to the normal, rad, NaN where that point
-    stands for any rate.  `curvature` is that of the profile, 1/m, positive where it is convex,
-    `pitch_curvature` that of the pitch curve (of a flat face that of the profile).  `along` is the
-    place of the contact on the face, m from its point (0 of a roller).  `side` is 1 if the normal
-    lies to the left of the face, or of the pitch curve, else -1.
+    In the frame of the cam, m: the `pitch` curve (roller's centre, or foot of the face's point),
+    the `profile`, and the unit vector `normal` from cam to follower.  `pressure` is the angle
+    between the velocity of the follower's point and the normal, rad; NaN if that point does not
+    move.  `curvature` is that of the profile, 1/m, positive if convex; `pitch_curvature` that of
+    the pitch curve (for a flat face, of the profile).  `along` is the place of the contact on the
+    face, m from its point (0 for a roller).  `side` is 1 if the normal is on the left of the face,
+    or of the pitch curve, else -1.
     """
 
     pitch: Complex
@@ -70,10 +70,10 @@ class Contact(NamedTuple):
 def contact(
     follower: Follower, theta: ArrayLike, f: ArrayLike, f1: ArrayLike, f2: ArrayLike
 ) -> Contact:
-    """The contact at the cam's angle theta, rad, with the law f and its derivatives f', f''.
+    """Return the contact at the cam's angle theta, rad, with the law f and f', f''.
 
-    All are (...) and broadcast.  A value that does not exist is NaN or infinite: the curvature of
-    a point, or of a curve with a tip.
+    All are (...) and broadcast.  Undefined values are NaN or infinite: the curvature at a point or
+    tip.
     """
     theta, f, f1, f2 = np.broadcast_arrays(*(np.asarray(x, float) for x in (theta, f, f1, f2)))
     with np.errstate(all="ignore"):
@@ -120,10 +120,10 @@ def _contact(follower: Follower, theta: Array, f: Array, f1: Array, f2: Array) -
 
 
 def convex_radius(follower: Follower, touch: Contact) -> Array:
-    """The radius of curvature of convex parts, (...) m: below zero where the profile is undercut.
+    """Return the radius of curvature of convex parts, (...), m; negative if undercut.
 
-    A roller is then larger than the radius of the pitch curve, or a flat face meets a hollow.
-    Infinite where the pitch curve of a roller is hollow or straight.
+    Then a roller is larger than the radius of the pitch curve, or a flat face meets a hollow.
+    Infinite where a roller's pitch curve is hollow or straight.
     """
     with np.errstate(divide="ignore"):
         if follower.face is not None:
@@ -133,5 +133,5 @@ def convex_radius(follower: Follower, touch: Contact) -> Array:
 
 
 def _dot(a: Complex, b: Complex) -> Array:
-    """The products a . b of plane vectors."""
+    """Return the products a . b of plane vectors."""
     return np.asarray((np.conj(a) * b).real)

@@ -1,7 +1,7 @@
-"""M, C, G, Psi, energies and points of a mechanism, vectorised over any leading axes.
+"""M, C, G, Psi, energies and points of a mechanism, vectorised over leading axes.
 
-With x = J q the angles alpha that directions E = exp(i alpha) turn by, and displacements s, X = E
-of what turns and s E_d of what slides on link d (E_d = 1 on the ground), T = dX/dx (`columns`),
+With x = J q the angles alpha of directions E = exp(i alpha), and displacements s, X = E for what
+turns and s E_d for what slides on link d (E_d = 1 on the ground), T = dX/dx (`columns`),
 
     M = J^T Re(T^H A T) J      C = J^T Re(T^H A T') J      G = -J^T (Re(w T) + moments)
     KE = 1/2 X'^H A X'      PE = -Re(w X) - moments . x + const
@@ -9,15 +9,15 @@ of what turns and s E_d of what slides on link d (E_d = 1 on the ground), T = dX
     gap = Re(conj(E_line) P X) + angles x + offset      Psi = d gap/dq
     Psidot qd = gap'' without accelerations
 
-where A, J, P, the weights w (conj(gamma) B, but for constant forces), the moments, and the rotors
-of motors, which spin with S qd, are the constants of `mechanism.py`.  Where nothing slides
-T = diag(i E), and these are the textbook's sums over conj(E_j) A_jk E_k.  This C is the Christoffel
-one: Mdot - 2C is skew-symmetric.  The equation of motion is
+where A, J, P, the weights w (conj(gamma) B, plus constant forces), the moments, and the rotors of
+motors, which spin with S qd, are the constants of `mechanism.py`.  If nothing slides T = diag(i E),
+and these are the textbook's sums over conj(E_j) A_jk E_k.  This C is the Christoffel one: Mdot - 2C
+is skew-symmetric.  The equation of motion is
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0
 
-with D the diagonal matrix of joint damping.  Springs of a scene are in G and PE, what else acts
-is Q, from the rows of the program (`row_values.py`, which only scenes that have some import).
+with D the diagonal matrix of joint damping.  Springs of a scene are in G and PE; other forces are
+in Q, from the rows of the program (`row_values.py`, imported only for scenes that have some).
 States are arrays (..., n); radians, SI units.
 """
 
@@ -52,7 +52,10 @@ LONG = 100  # links, from which on products of whole matrices cost more than sum
 
 
 def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = None) -> Array:
-    """Re(T^H A T), M in x less rotors, (..., n, n); with `rates` Re(T^H A T'), C in x."""
+    """Return Re(T^H A T), M in x without rotors, (..., n, n).
+
+    With `rates`, return Re(T^H A T'), C in x.
+    """
     mechanism.check_masses()
     moved = rates or at
     if mechanism.n >= LONG and not mechanism.slides:
@@ -64,7 +67,7 @@ def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = No
 
 
 def _by_blocks(A: Complex, left: Complex, right: Complex) -> Array:
-    """Re(conj(left_i) A_ij right_j), (..., n, n), by blocks of rows that stay in the cache."""
+    """Return Re(conj(left_i) A_ij right_j), (..., n, n), in cache-sized blocks of rows."""
     W = np.empty((*right.shape, right.shape[-1]))
     for begin in range(0, len(A), BLOCK):
         rows = slice(begin, begin + BLOCK)
@@ -73,27 +76,27 @@ def _by_blocks(A: Complex, left: Complex, right: Complex) -> Array:
 
 
 def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """M (..., n, n), kg m^2: symmetric, positive definite if all links have mass.
+    """Return M (..., n, n), kg m^2: symmetric, positive definite if all links have mass.
 
-    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.
-    Raises InputError where q is not finite or not n wide.
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the joint damping.  Raises InputError
+    if q is not finite or not n wide.
     """
     M = _of_joints(mechanism, absolute_inertia(mechanism, placed(mechanism, q)))
     return M + rotor_inertia(mechanism) if mechanism.spins else M
 
 
 def rotor_inertia(mechanism: Mechanism) -> Array:
-    """What rotors add to M, (n, n)."""
+    """Return what rotors add to M, (n, n)."""
     arrays = mechanism.arrays
     added: Array = (arrays.spins.T * arrays.rotors) @ arrays.spins
     return added
 
 
 def coriolis_matrix(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
-    """The Christoffel C (..., n, n), kg m^2/s: Mdot - 2C is skew-symmetric.
+    """Return the Christoffel C (..., n, n), kg m^2/s: Mdot - 2C is skew-symmetric.
 
-    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.
-    Raises InputError where q or qd is not finite or not n wide.
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the joint damping.  Raises InputError
+    if q or qd is not finite or not n wide.
     """
     at = placed(mechanism, q)
     moved = at.rates(mechanism, absolute_rates(mechanism, qd))
@@ -101,7 +104,7 @@ def coriolis_matrix(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
 
 
 def _of_joints(mechanism: Mechanism, W: Array) -> Array:
-    """J^T W J of matrices W (..., n, n) in x; of long chains by sums along the tree."""
+    """Return J^T W J for matrices W (..., n, n) in x; for long chains by sums along the tree."""
     J = mechanism.arrays.J
     if mechanism.n < LONG:
         return np.asarray(J.T @ W @ J)
@@ -115,11 +118,11 @@ def _of_joints(mechanism: Mechanism, W: Array) -> Array:
 
 
 def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """G = dPE/dq (..., n), N m: of gravity, springs, constant forces and torques.
+    """Return G = dPE/dq (..., n), N m: gravity, springs, constant forces and torques.
 
-    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.
-    Raises InputError where q is not finite or not n wide, SingularError where the ends of a spring
-    with a free length coincide.
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the joint damping.  Raises InputError
+    if q is not finite or not n wide, and SingularError if the ends of a spring with a free length
+    coincide.
     """
     mechanism.check_masses()
     arrays, at = mechanism.arrays, placed(mechanism, q)
@@ -133,13 +136,13 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
 
 
 def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike = 0.0) -> Array:
-    """Q (..., n), N m: of what has no potential, but for dampers of joints.
+    """Return Q (..., n), N m: forces without a potential, except joint damping.
 
-    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.  In Q are
-    dampers of springs, forces that turn with a link, loads that vary (at times t (...), s),
-    friction in motion, and pushes of compliant stops.  A joint with dry friction that is at rest
-    (qd = 0) adds nothing: it holds any torque up to its static friction.  Raises InputError if q
-    or qd is not finite or not n wide, SingularError if the ends of a damped spring coincide.
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the joint damping.  Q has dampers of
+    springs, forces that turn with a link, loads that vary (at times t (...), s), friction in
+    motion, and forces of compliant stops.  A joint with dry friction at rest (qd = 0) adds nothing:
+    it holds any torque up to its static friction.  Raises InputError if q or qd is not finite or
+    not n wide, and SingularError if the ends of a damped spring coincide.
     """
     states = as_states(mechanism, "q", q), as_states(mechanism, "qd", qd)
     if mechanism.switches:
@@ -180,7 +183,7 @@ def _by_mode(
 
 
 def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
-    """KE = 1/2 qd^T M qd, (...), J."""
+    """Return KE = 1/2 qd^T M qd, (...), J."""
     return _kinetic(mechanism, placed(mechanism, q), qd)
 
 
@@ -196,16 +199,16 @@ def _kinetic(mechanism: Mechanism, at: Placed, qd: ArrayLike) -> Array:
 
 
 def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """PE of gravity, springs, constant forces and torques, (...), J.
+    """Return PE of gravity, springs, constant forces and torques, (...), J.
 
-    That of gravity is zero at the origin's height, that of a force where its point is at the
-    origin, that of a torque where its link points along +X.
+    It is zero for gravity at the origin's height, for a force with its point at the origin, and for
+    a torque whose link points along +X.
     """
     return energies(mechanism, q, np.zeros(mechanism.n))[1]
 
 
 def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
-    """KE and PE, (...), J, of the same states: the links' directions are found once."""
+    """Return KE and PE, (...), J, of the same states; link directions are computed once."""
     if COMPLIANT in mechanism.contacts:
         return _energies_by_stops(mechanism, q, qd)
     arrays, at = mechanism.arrays, placed(mechanism, q)
@@ -219,7 +222,7 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
 
 
 def _energies_by_stops(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
-    """The same of states in each of which other compliant stops may push."""
+    """Return energies of states with different active compliant stops."""
     states = np.broadcast_arrays(as_states(mechanism, "q", q), as_states(mechanism, "qd", qd))
     flat = [x.reshape(-1, mechanism.n) for x in states]
     found = np.empty((2, len(flat[0])))
@@ -234,38 +237,41 @@ def _energies_by_stops(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tup
 
 
 def closure_gap(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
-    """How far the closures are from closing, first side minus second, (..., r), m.
+    """Return the closure gap, first side minus second, (..., r), m.
 
-    Two components (x, y) for a pin, one (normal to the line) for a slider, and one for a coupling:
-    what its joint is ahead, rad, times a length of the mechanism.
+    A pin has two components (x, y), a slider one (normal to its line), and a coupling one: the lead
+    of its joint (rad) times a length of the mechanism.
     """
     return gap_at(mechanism, mechanism.arrays, placed(mechanism, q), t)
 
 
 def closure_jacobian(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
-    """Psi = d gap/dq, (..., r, n), m/rad, or 1 for joints that slide."""
+    """Return Psi = d gap/dq, (..., r, n), in m/rad, or 1 for joints that slide."""
     Psi: Array = absolute_jacobian(mechanism, placed(mechanism, q), t) @ mechanism.arrays.J
     return Psi
 
 
 def scaled_jacobian(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
-    """Psi with displacements told in units of a length, (..., r, n), m: its columns compare."""
+    """Return Psi with displacements in units of a length, (..., r, n), m.
+
+    So its columns are comparable.
+    """
     Psi = closure_jacobian(mechanism, q, t)
     return Psi * mechanism.arrays.units if mechanism.slides else Psi
 
 
 def absolute_jacobian(mechanism: Mechanism, at: Placed, t: ArrayLike) -> Array:
-    """Psi in x, (..., r, n)."""
+    """Return Psi in x, (..., r, n)."""
     return jacobian_at(mechanism, mechanism.arrays, at, t)
 
 
 def closure_drift(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
-    """d gap/dt where no joint moves, (..., r), m/s: the gap's rate is Psi qd more than that."""
+    """Return d gap/dt with joints held, (..., r), m/s; the gap's rate is Psi qd plus this."""
     return drift_at(mechanism, placed(mechanism, q), t)
 
 
 def drift_at(mechanism: Mechanism, at: Placed, t: ArrayLike) -> Array:
-    """The same, of laws of couplings alone."""
+    """Return d gap/dt of coupling laws with joints held, for a placed mechanism, (..., r)."""
     found = np.zeros((*at.x.shape[:-1], len(mechanism.rows)), at.x.dtype)
     if mechanism.driven and (laws := laws_of(mechanism)) is not None:
         laws.add_drift(at.x, t, found)
@@ -273,9 +279,9 @@ def drift_at(mechanism: Mechanism, at: Placed, t: ArrayLike) -> Array:
 
 
 def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike) -> Array:
-    """The part of the gap's acceleration that qdd does not make, Psidot qd, (..., r), m/s^2.
+    """Return the gap's acceleration for qdd = 0, Psidot qd, (..., r), m/s^2.
 
-    Of laws of the time it has their own acceleration too.
+    For laws of time it includes their own acceleration.
     """
     at, rates = placed(mechanism, q), absolute_rates(mechanism, qd)
     bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
@@ -283,7 +289,7 @@ def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike
 
 
 def bias_at(mechanism: Mechanism, at: Placed, rates: Array, bent: Placed, t: ArrayLike) -> Array:
-    """The same, where X'' is `bent` without accelerations."""
+    """Return Psidot qd, where X'' is `bent` for zero accelerations."""
     P, ground = mechanism.arrays.P, mechanism.arrays.ground
     bias: Complex = matvec(P, bent.X)
     if mechanism.lines:
@@ -301,7 +307,7 @@ def bias_at(mechanism: Mechanism, at: Placed, rates: Array, bent: Placed, t: Arr
 
 
 def lines(mechanism: Mechanism, E: Complex, otherwise: float = 1.0) -> Complex:
-    """E of what carries the line of each row, (..., r), or what holds for the ground."""
+    """Return E of the link that carries the line of each row, (..., r), or `otherwise`."""
     found = np.full((*E.shape[:-1], len(mechanism.rows)), otherwise, E.dtype)
     for r, line in mechanism.lines:
         found[..., r] = E[..., line]
@@ -309,7 +315,7 @@ def lines(mechanism: Mechanism, E: Complex, otherwise: float = 1.0) -> Complex:
 
 
 def gap_at(mechanism: Mechanism, arrays: Arrays, at: Placed, t: ArrayLike) -> Array:
-    """The gap (..., r), m."""
+    """Return the gap (..., r), m, of a placed mechanism."""
     across: Complex = matvec(arrays.P, at.X)
     if mechanism.lines:
         across = lines(mechanism, at.E).conj() * (across + arrays.ground)
@@ -324,7 +330,7 @@ def gap_at(mechanism: Mechanism, arrays: Arrays, at: Placed, t: ArrayLike) -> Ar
 
 
 def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed, t: ArrayLike) -> Array:
-    """d gap/dx, (..., r, n)."""
+    """Return d gap/dx, (..., r, n), of a placed mechanism."""
     P = arrays.P
     if mechanism.lines:
         P = lines(mechanism, at.E).conj()[..., None] * P
@@ -338,23 +344,23 @@ def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed, t: ArrayLike) 
 
 
 class Points(NamedTuple):
-    """Points const + c X of a mechanism, p of them; they move as X does."""
+    """p points const + c X of a mechanism."""
 
     constant: Complex  # (p,) m
     c: Complex  # (p, n) m
 
     def place(self, at: Placed) -> Complex:
-        """(..., p), m."""
+        """Return their positions (..., p), m."""
         return self.moved(at) + self.constant
 
     def moved(self, rates: Placed) -> Complex:
-        """Velocities m/s, or accelerations m/s^2, by those of X, (..., p)."""
+        """Return velocities (m/s) or accelerations (m/s^2), (..., p), from those of X."""
         moved: Complex = (rates.X[..., None, :] @ self.c.T)[..., 0, :]  # each state by itself
         return moved
 
 
 def points_of(mechanism: Mechanism, points: Sequence[PlanarPoint]) -> Points:
-    """Points of the mechanism as arrays."""
+    """Return points of the mechanism as arrays."""
     constant = dense([point.constant for point in points], complex)
     each = dense([value for point in points for _, value in point.terms], complex)
     c = np.zeros((len(points), mechanism.n), each.dtype)
@@ -366,7 +372,7 @@ def points_of(mechanism: Mechanism, points: Sequence[PlanarPoint]) -> Points:
 
 
 def dense(values: Sequence[Any], kind: type) -> NDArray[Any]:
-    """An array of this kind, or of objects where one is a formula."""
+    """Return an array of `kind`, or of objects if a value is a formula."""
     plain = all(isinstance(x, complex | float | int) for x in values)
     return np.array(values, kind if plain else object)
 
@@ -378,7 +384,7 @@ def point_motion(
     qd: ArrayLike | None = None,
     qdd: ArrayLike | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Position m, velocity m/s and acceleration m/s^2 of points, each (..., points, 2).
+    """Return position m, velocity m/s and acceleration m/s^2 of points, (..., points, 2) each.
 
     Rates and accelerations not given are zero.
     """

@@ -1,12 +1,12 @@
-"""Inverse and forward dynamics by dense algebra along the freedoms that the closures leave.
+"""Inverse and forward dynamics by dense algebra in the freedoms left by the closures.
 
 With N a basis of the null space of Psi (N^T Psi^T = 0) and x any solution of Psi x = -Psidot qd,
 
     forward:   N^T M N z = N^T (tau + Q - C qd - D qd - G - M x),      qdd = x + N z
     inverse:   N^T S^T tau_act = N^T (M qdd + C qd + D qd + G - Q)
 
-and lambda follows from the equations that are left, with least norm where closures depend on one
-another.  No inverse of M alone is needed, so massless links in a loop are no trouble.
+and lambda follows from the remaining equations, with least norm if closures are dependent.  M alone
+is never inverted, so massless links in a loop cause no problem.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ BALANCE = 1e-7  # part of the load that torques may miss by before the motion is
 class Torques(NamedTuple):
     """tau (..., n) N m, zero at passive joints, and the multipliers lambda (..., r) N.
 
-    `remark` says where they are right but not the only ones.
+    `remark` tells if they are right but not unique.
     """
 
     tau: Array
@@ -81,7 +81,10 @@ class Accelerations(NamedTuple):
 def required_load(
     mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike = 0.0
 ) -> Array:
-    """M qdd + C qd + D qd + G - Q, (..., n): what torques and pin forces must balance, N m."""
+    """Return M qdd + C qd + D qd + G - Q, (..., n), N m.
+
+    Torques and pin forces must balance it.
+    """
     rates, accelerations = (absolute_rates(mechanism, qd), absolute_rates(mechanism, qdd, "qdd"))
     at = placed(mechanism, q)
     if rates.shape != accelerations.shape:
@@ -94,7 +97,7 @@ def required_load(
 
 
 def _loads(mechanism: Mechanism, at: Placed, bent: Placed) -> Array:
-    """What acts on x in `required_load`, Re(T^H A X'') and what weights do, where X'' is `bent`."""
+    """Return the inertial and weight terms of `required_load` in x, with X'' = `bent`."""
     mechanism.check_masses()
     arrays = mechanism.arrays
     felt = matvec(arrays.A, bent.X).conj() - arrays.weights
@@ -103,7 +106,7 @@ def _loads(mechanism: Mechanism, at: Placed, bent: Placed) -> Array:
 
 
 def joint_loads(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) -> Array:
-    """What acts at joints there."""
+    """Return the loads that act at joints: damping, springs, loads and friction."""
     loads: Array = mechanism.arrays.damping * qd
     if mechanism.has_state_forces:
         loads = loads + rows_of(parts.acting, mechanism)("torques", q, qd, t)
@@ -111,7 +114,7 @@ def joint_loads(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) -> Arra
 
 
 def _whole_inertia(mechanism: Mechanism, at: Placed) -> Array:
-    """M in x, rotors included."""
+    """Return M in x, rotors included."""
     M = absolute_inertia(mechanism, at)
     if mechanism.spins:
         turned = relative_matrix(mechanism)
@@ -120,14 +123,14 @@ def _whole_inertia(mechanism: Mechanism, at: Placed) -> Array:
 
 
 def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike = 0.0) -> Torques:
-    """Torques and multipliers for states (..., n); see `dynamics.inverse_dynamics`."""
+    """Return torques and multipliers for states (..., n); see `dynamics.inverse_dynamics`."""
     return balanced(mechanism, q, required_load(mechanism, q, qd, qdd, t), t)
 
 
 def balanced(mechanism: Mechanism, q: Array, load: Array, t: ArrayLike) -> Torques:
-    """Torques and multipliers that balance loads (..., n) at q (..., n), which broadcasts to them.
+    """Return torques and multipliers that balance loads (..., n) at q (..., n).
 
-    Raises SingularError where there are none.
+    q broadcasts to the loads.  Raises SingularError if no torques balance them.
     """
     if not mechanism.rows and not mechanism.passive:
         return Torques(load, np.zeros((*load.shape[:-1], 0)))
@@ -174,9 +177,9 @@ def forward(
     baumgarte: float = 0.0,
     t: ArrayLike = 0.0,
 ) -> Accelerations:
-    """Accelerations and multipliers for states (..., n); see `dynamics.forward_dynamics`.
+    """Return accelerations and multipliers for states (..., n); see `dynamics.forward_dynamics`.
 
-    A `baumgarte` rate b (1/s) makes the closures obey gapdd + 2 b gapd + b^2 gap = 0.
+    With the rate b = `baumgarte` (1/s), the closures obey gap'' + 2 b gap' + b^2 gap = 0.
     """
     return _solved(mechanism, q, qd, tau, baumgarte, t)[0]
 
@@ -190,7 +193,7 @@ def forward_and_caused(
     baumgarte: float,
     t: ArrayLike,
 ) -> tuple[Accelerations, Accelerations]:
-    """`forward` of states (T, n), and what loads (T, c, n) at the joints add to it, as `caused`."""
+    """Return `forward` of states (T, n), and what joint loads (T, c, n) add to it."""
     found, M, s = _solved(mechanism, q, qd, tau, baumgarte, t)
     return found, _caused(mechanism, M, s, loads)
 
@@ -198,7 +201,7 @@ def forward_and_caused(
 def _solved(
     mechanism: Mechanism, q: Array, qd: Array, tau: Array, baumgarte: float, t: ArrayLike
 ) -> tuple[Accelerations, Array, Decomposition]:
-    """`forward`, with M in x and Psi decomposed."""
+    """Do the work of `forward`; return also M in x and the decomposition of Psi."""
     at, rates = placed(mechanism, q), absolute_rates(mechanism, qd)
     loads = joint_loads(mechanism, q, qd, t)
     acceleration, M, force, s = _moved(mechanism, at, rates, tau - loads, baumgarte, t)
@@ -212,7 +215,7 @@ def _solved(
 def accelerations(
     mechanism: Mechanism, q: Array, qd: Array, tau: Array, baumgarte: float, t: float
 ) -> Array:
-    """qdd (n,) of one finite state, as `forward` has it, without the multipliers."""
+    """Return qdd (n,) of one finite state, as `forward`, without multipliers."""
     J = mechanism.arrays.J
     at, rates = placed_at(mechanism, matvec(J, q)), matvec(J, qd)
     loads = joint_loads(mechanism, q, qd, t)
@@ -227,9 +230,9 @@ def _moved(
     baumgarte: float,
     t: ArrayLike,
 ) -> tuple[Array, Array, Array, Decomposition]:
-    """xdd (..., n) under torques at joints, M, the force on x, and Psi decomposed.
+    """Return xdd (..., n) under joint torques, M, the force on x, and Psi decomposed.
 
-    All of this in x, displacements told in units of a length.
+    All in x, with displacements in units of a length.
     """
     units = mechanism.arrays.units
     M = _whole_inertia(mechanism, at)
@@ -261,7 +264,7 @@ def _moved(
 
 
 def _of_joints(mechanism: Mechanism, acceleration: Array) -> Array:
-    """qdd (..., n) of xdd (..., n), whose displacements are told in units of a length."""
+    """Return qdd (..., n) from xdd (..., n) with displacements in units of a length."""
     acceleration = acceleration * mechanism.arrays.units
     qdd = acceleration.copy()
     for k, above in enumerate(mechanism.above):
@@ -271,9 +274,9 @@ def _of_joints(mechanism: Mechanism, acceleration: Array) -> Array:
 
 
 def caused(mechanism: Mechanism, q: Array, loads: Array, t: ArrayLike) -> Accelerations:
-    """The accelerations and multipliers that loads (T, c, n) at the joints alone cause at q (T, n).
+    """Return accelerations and multipliers caused by joint loads (T, c, n) alone at q (T, n).
 
-    What `forward` adds to its answer for such loads more.
+    `forward` is linear in loads: this is what further loads add to it.
     """
     at, units = placed(mechanism, q), mechanism.arrays.units
     M, Psi = _whole_inertia(mechanism, at), absolute_jacobian(mechanism, at, t)
@@ -282,7 +285,7 @@ def caused(mechanism: Mechanism, q: Array, loads: Array, t: ArrayLike) -> Accele
 
 
 def _caused(mechanism: Mechanism, M: Array, s: Decomposition, loads: Array) -> Accelerations:
-    """The same by M (T, n, n) in x and Psi decomposed."""
+    """Do the work of `caused`, with M (T, n, n) in x and the decomposition of Psi."""
     count, c, n = loads.shape
     right = matvec(relative_matrix(mechanism).T, loads) * mechanism.arrays.units
     free = np.zeros_like(loads)
@@ -298,7 +301,7 @@ def _caused(mechanism: Mechanism, M: Array, s: Decomposition, loads: Array) -> A
 
 
 def responses(mechanism: Mechanism, q: Array, joints: Sequence[int], t: float) -> Array:
-    """qdd (k, n) that a unit of torque at each of these joints makes at q (n), through all else."""
+    """Return qdd (k, n) for a unit of torque at each of these joints at q (n,)."""
     units = mechanism.arrays.units
     M = mass_matrix(mechanism, q) * units[:, None] * units
     s = decompose(mechanism, scaled_jacobian(mechanism, q, t))
@@ -308,10 +311,10 @@ def responses(mechanism: Mechanism, q: Array, joints: Sequence[int], t: float) -
 
 @lru_cache(maxsize=64)
 def elimination_is_safe(mechanism: Mechanism) -> bool:
-    """Whether M can be eliminated before Psi, as generated code does.
+    """Return whether M can be eliminated before Psi, as generated code does.
 
-    M alone must be positive definite (over a sample of configurations), and, with closures, the
-    links' inertias must not spread so far that the multipliers lose their digits.
+    M alone must be positive definite (over sampled configurations).  With closures, the links'
+    inertias must not differ so much that the multipliers lose their digits.
     """
     if len(mechanism.inertias) < mechanism.n:
         return False
@@ -328,7 +331,7 @@ def elimination_is_safe(mechanism: Mechanism) -> bool:
 
 
 def check_actuators(mechanism: Mechanism, q: Array) -> None:
-    """Raise RobodynError where there are fewer actuators than freedoms."""
+    """Raise RobodynError if there are fewer actuators than freedoms."""
     freedoms = mechanism.n - len(mechanism.rows)
     if len(mechanism.actuated) < freedoms and q.size:
         joint = _free_joint(mechanism, q.reshape(-1, mechanism.n)[0], 0.0)
@@ -341,7 +344,7 @@ def check_actuators(mechanism: Mechanism, q: Array) -> None:
 
 
 class Decomposition(NamedTuple):
-    """Psi = U diag(s) V^T: U and V, square, how many s count (...), and Psi's pseudo-inverse."""
+    """Psi = U diag(s) V^T: square U and V, the rank (...), and Psi's pseudoinverse."""
 
     U: Array
     V: Array
@@ -350,7 +353,7 @@ class Decomposition(NamedTuple):
 
 
 def decompose(mechanism: Mechanism, Psi: Array) -> Decomposition:
-    """Of Psi (..., r, n), displacements told in units of a length."""
+    """Return the decomposition of Psi (..., r, n), displacements in units of a length."""
     U, s, Vt = svd(Psi, full=True)
     k, cut = s.shape[-1], RANK_CUT * loop_size(mechanism)
     inverse = _pseudo_inverse(U[..., :, :k], s, Vt[..., :k, :], cut)
@@ -358,7 +361,7 @@ def decompose(mechanism: Mechanism, Psi: Array) -> Decomposition:
 
 
 def _pseudo_inverse(U: Array, s: Array, Vt: Array, cut: float) -> Array:
-    """V diag(1/s) U^T, without the singular values up to `cut`."""
+    """Return V diag(1/s) U^T, without the singular values up to `cut`."""
     counts = s > cut
     inverse = 1.0 / s if counts.all() else np.divide(1.0, s, out=np.zeros_like(s), where=counts)
     found: Array = (Vt.swapaxes(-1, -2) * inverse[..., None, :]) @ U.swapaxes(-1, -2)
@@ -368,9 +371,10 @@ def _pseudo_inverse(U: Array, s: Array, Vt: Array, cut: float) -> Array:
 def _along_freedoms(
     mechanism: Mechanism, N: Array, M: Array, right: Array, apart: bool = False
 ) -> Array:
-    """N z with N^T M N z = N^T right, for states (T, n); SingularError where N^T M N is.
+    """Return N z with N^T M N z = N^T right, for states (T, n).
 
-    `apart` says that the columns of N are parted already.
+    Raises SingularError if N^T M N is singular.  `apart` tells that N is already as `_parted`
+    returns it.
     """
     if not N.shape[-1]:
         return np.zeros_like(right)
@@ -420,7 +424,7 @@ def _along_freedoms(
 
 
 def _parted(N: Array) -> Array:
-    """Return a basis of the columns of N (n, f); each has a row 1 where all others are 0."""
+    """Return a basis of the columns of N (n, f), each with a row 1 where all others are 0."""
     N, rows = N.copy(), list[int]()
     for c in range(N.shape[1]):
         left = np.abs(N[:, c:])
@@ -441,7 +445,7 @@ def _dependence(mechanism: Mechanism, rank: NDArray[np.int64]) -> list[str]:
 
 
 def _free_joint(mechanism: Mechanism, q: Array, t: float) -> str:
-    """The joint that moves most when every actuated joint is held."""
+    """Return the name of the joint that moves most with every actuated joint held."""
     held = np.eye(mechanism.n)[list(mechanism.actuated)]
     s = decompose(mechanism, np.vstack([scaled_jacobian(mechanism, q, t), held]))
     joint = int(np.argmax((s.V[:, int(s.rank) :] ** 2).sum(axis=-1)))

@@ -1,8 +1,8 @@
-"""Derivatives of inverse and forward dynamics, exact: by tangents of the program, no differences.
+"""Exact derivatives of inverse and forward dynamics, by tangents of the program.
 
-Of a closed mechanism q and qd are varied one by one, as if each joint were free, with the solution
-of the equation of motion for what follows: along directions that keep the closures that is what
-the mechanism does; across them it is a matter of how that equation is written.
+In a closed mechanism q and qd are varied one by one, as if each joint were free, and the solution
+of the equation of motion is differentiated.  Along directions that keep the closures this is what
+the mechanism does; across them it depends on how the equation is written.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Numbers = Sequence[straightline.FloatFunction]  # the residuals' slopes by each
 class ForwardDerivatives(NamedTuple):
     """qdd (..., n), and d qdd_i / d q_j, d qd_j, d tau_j, each (..., n, n).
 
-    `by_numbers` (..., n, k) are those by k numbers of the scene.
+    `by_numbers` (..., n, k) are derivatives by k numbers of the scene.
     """
 
     qdd: Array
@@ -52,7 +52,7 @@ class ForwardDerivatives(NamedTuple):
 class InverseDerivatives(NamedTuple):
     """tau (..., n), and d tau_i / d q_j, d qd_j, d qdd_j, each (..., n, n).
 
-    `by_numbers` (..., n, k) are those by k numbers of the scene.
+    `by_numbers` (..., n, k) are derivatives by k numbers of the scene.
     """
 
     tau: Array
@@ -70,12 +70,12 @@ def forward_dynamics_derivatives(
     t: ArrayLike = 0.0,
     numbers: Sequence[str] = (),
 ) -> ForwardDerivatives:
-    """The accelerations of `forward_dynamics`, and their derivatives.
+    """Return the accelerations of `forward_dynamics`, and their derivatives.
 
-    q, qd, tau are (..., n) and broadcast, tau of all joints or of the actuated ones.  Where joints
-    stick or rest at their ends they are those of the others.  `numbers` are names such as
+    q, qd, tau are (..., n) and broadcast; tau may be of the actuated joints alone.  Where joints
+    stick or rest on stops, derivatives are those of the others.  `numbers` are names such as
     `links.forearm.m`, as sweeps vary them, of the file that the mechanism was loaded from; q and qd
-    are held.  Raises as `forward_dynamics` does, and InputError for a name that is none.
+    are held.  Raises the errors of `forward_dynamics`, and InputError for an unknown name.
     """
     return ForwardDerivatives(*_each(mechanism, "forward", t, numbers, q=q, qd=qd, tau=tau))
 
@@ -88,10 +88,10 @@ def inverse_dynamics_derivatives(
     t: ArrayLike = 0.0,
     numbers: Sequence[str] = (),
 ) -> InverseDerivatives:
-    """The torques of `inverse_dynamics`, and their derivatives, zero at passive joints.
+    """Return the torques of `inverse_dynamics`, and their derivatives.
 
-    q, qd, qdd are (..., n) and broadcast; for `numbers` see `forward_dynamics_derivatives`.  Raises
-    as `inverse_dynamics` does.
+    They are zero at passive joints. q, qd, qdd are (..., n) and broadcast; for `numbers` see
+    `forward_dynamics_derivatives`.  Raises the errors of `inverse_dynamics`.
     """
     solved = mechanism
     if len(mechanism.actuated) < mechanism.n - len(mechanism.rows):
@@ -109,7 +109,7 @@ def inverse_dynamics_derivatives(
 def _each(
     mechanism: Mechanism, kind: str, t: ArrayLike, numbers: Sequence[str], **given: ArrayLike
 ) -> list[Array]:
-    """The result and its derivatives."""
+    """Return the result and its derivatives."""
     mechanism.check_rubbing("derivatives")
     states = together(mechanism, given)
     check_directions(mechanism, states["q"])
@@ -135,7 +135,7 @@ def _each(
 def _forward(
     mechanism: Mechanism, states: list[Array], t: Array, numbers: Numbers = ()
 ) -> list[Array]:
-    """qdd (T, n) at q, qd, tau, and its derivatives, each (T, n m) by m things."""
+    """Return qdd (T, n) at q, qd, tau, and its derivatives, each (T, n m) by m variables."""
     rows, n = _generated(mechanism), mechanism.n
     found, left = [np.empty((len(t), n * m)) for m in (1, n, n, n)], np.arange(len(t))
     if rows is not None:
@@ -161,7 +161,7 @@ def _forward(
 def _inverse(
     mechanism: Mechanism, states: list[Array], t: Array, numbers: Numbers = ()
 ) -> list[Array]:
-    """tau (T, n) at q, qd, qdd, and its derivatives, each (T, n m) by m things."""
+    """Return tau (T, n) at q, qd, qdd, and its derivatives, each (T, n m) by m variables."""
     n, driven = mechanism.n, list(mechanism.actuated)
     q, qd, qdd = states
     tau, multipliers, _ = dynamics.inverse_dynamics_and_forces(mechanism, q, qd, qdd, t)
@@ -182,7 +182,7 @@ def _inverse(
 
 @lru_cache(maxsize=64)
 def _generated(mechanism: Mechanism) -> FormulaBatches | None:
-    """The formula over batches; None where there is none."""
+    """Return the formula for batches; None if there is none."""
     n = mechanism.n
     if n > formulas.MAX_GENERATED or not elimination_is_safe(mechanism):
         return None
@@ -216,7 +216,7 @@ def _residuals(
     t: Array,
     numbers: Numbers,
 ) -> tuple[Array, Array]:
-    """K (T, N, N), and dR by q, qd, tau and numbers (T, N, 3n + k), of states (T, n)."""
+    """Return K (T, N, N), and dR by q, qd, tau and numbers (T, N, 3n + k), of states (T, n)."""
     n, size = mechanism.n, mechanism.n + len(mechanism.rows)
     u = np.concatenate([absolute_rates(mechanism, qdd, "qdd"), -multipliers], axis=-1)
     inputs = [q, qd, tau, u] + ([t[:, None]] if mechanism.timed else [])

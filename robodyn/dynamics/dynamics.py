@@ -1,13 +1,12 @@
 """Inverse and forward dynamics of open and closed mechanisms, and the forces in the loops.
 
-The equation of motion of `closed_form.py` is solved, with its closures differentiated twice:
+The equation of motion of `closed_form.py` is solved with its closures differentiated twice:
 
     M qdd + C qd + D qd + G = S^T tau_act + Q + Psi^T lambda,     Psi qdd + Psidot qd = 0
 
-(S selects the actuated joints).
-Large batches run through the generated code of `straightline.py`; small ones, and the few states
-that are near singular, through `dense_dynamics.py`, which also works where M alone is singular but
-the constrained system is not, and where closures depend on one another.
+(S selects the actuated joints).  Large batches use the generated code of `straightline.py`.  Small
+ones, and states that are nearly singular, use `dense_dynamics.py`, which also works if M alone is
+singular but the constrained system is not, and if closures are dependent.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ Solution = TypeVar("Solution", Torques, Accelerations)
 
 
 class RobodynWarning(UserWarning):
-    """A result that is right but not the only one, or near a limit."""
+    """A result is right but not unique, or near a limit."""
 
 
 def inverse_dynamics(
@@ -66,15 +65,15 @@ def inverse_dynamics(
     *,
     residual: bool = False,
 ) -> Array:
-    """The joint torques tau that the motion needs, (..., n), N m.
+    """Return the joint torques tau that the motion needs, (..., n), N m.
 
-    tau = M qdd + C qd + D qd + G - Q - Psi^T lambda, zero at passive joints.
-    q, qd, qdd are (..., n) and broadcast; a closed mechanism's must keep its closures (see
-    `assembly`).  Loads that vary are those at the times t (...), s.  Passive joints get zero.  With
-    more actuators than freedoms tau is the one of least norm, with a RobodynWarning.  With fewer
-    the motion must be one of the mechanism: a torque that is left at a free joint is its residual,
-    and raises ResidualError, or with `residual` stands in tau at that joint.  Raises InputError for
-    arrays that do not fit, SingularError where no torque at these joints can make the motion.
+    tau = M qdd + C qd + D qd + G - Q - Psi^T lambda, zero at passive joints. q, qd, qdd are (...,
+    n) and broadcast; those of a closed mechanism must keep its closures (see `assembly`).  Loads
+    that vary are taken at times t (...), s.  With more actuators than freedoms, tau is the one of
+    least norm, with a RobodynWarning.  With fewer, the motion must be possible: a torque that
+    remains at a free joint is its residual, and raises ResidualError; with `residual` it is
+    returned in tau at that joint.  Raises InputError for arrays that do not fit, and SingularError
+    if no torque at these joints can make the motion.
     """
     return _batch(mechanism, "inverse", 1, t, residual, q=q, qd=qd, qdd=qdd)[0]
 
@@ -88,20 +87,19 @@ def inverse_dynamics_and_forces(
     *,
     residual: bool = False,
 ) -> Torques:
-    """`inverse_dynamics` and the multipliers of the closures; see there."""
+    """Return `inverse_dynamics` and the multipliers of the closures."""
     return Torques(*_batch(mechanism, "inverse", 2, t, residual, q=q, qd=qd, qdd=qdd))
 
 
 def forward_dynamics(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, t: ArrayLike = 0.0
 ) -> Array:
-    """The accelerations qdd that the joint torques tau cause, (..., n), rad/s^2.
+    """Return the accelerations qdd that the joint torques tau cause, (..., n), rad/s^2.
 
-    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with the closures Psi qdd + Psidot qd = 0.
-    q, qd, tau are (..., n) and broadcast, tau of all joints or of the actuated ones; a closed
-    mechanism's q and qd must keep its closures.
-    Loads that vary are those at the times t (...), s.  Raises InputError for arrays that do
-    not fit, SingularError where a freedom has no inertia.
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with the closures Psi qdd + Psidot qd = 0. q,
+    qd, tau are (..., n) and broadcast; tau may be of the actuated joints alone; q and qd of a
+    closed mechanism must keep its closures.  Loads that vary are taken at times t (...), s.  Raises
+    InputError for arrays that do not fit, and SingularError if a freedom has no inertia.
     """
     return _batch(mechanism, "forward", 1, t, q=q, qd=qd, tau=tau)[0]
 
@@ -109,14 +107,14 @@ def forward_dynamics(
 def forward_dynamics_and_forces(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, t: ArrayLike = 0.0
 ) -> Accelerations:
-    """`forward_dynamics` and the multipliers of the closures; see there."""
+    """Return `forward_dynamics` and the multipliers of the closures."""
     return Accelerations(*_batch(mechanism, "forward", 2, t, q=q, qd=qd, tau=tau))
 
 
 def motion_dynamics(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, t: ArrayLike = 0.0
 ) -> Accelerations:
-    """As `forward_dynamics_and_forces`, also where a spring's ends meet but for rounding."""
+    """As `forward_dynamics_and_forces`, also where the ends of a spring coincide."""
     return Accelerations(*_batch(mechanism, "motion", 2, t, q=q, qd=qd, tau=tau))
 
 
@@ -128,7 +126,7 @@ def _batch(
     residual: bool = True,
     **given: ArrayLike,
 ) -> tuple[Array, Array, str]:
-    """Joint values (..., n), multipliers (..., r) where two arrays are `wanted`, and a remark."""
+    """Return joint values (..., n), multipliers (..., r) if `wanted` is 2, and a remark."""
     states = together(mechanism, given)
     if kind == "motion":  # which steps across places where a spring's ends meet
         kind = "forward"
@@ -156,7 +154,7 @@ def _batch(
 def _smooth(
     mechanism: Mechanism, kind: str, wanted: int, states: dict[str, Array], times: Array
 ) -> tuple[Array, Array, str]:
-    """`_batch` of a mechanism whose equations are the same at all states."""
+    """Do the work of `_batch` for a mechanism with the same equations at all states."""
     if mechanism.rubbing:
         from robodyn.dynamics.friction_rounds import by_rounds  # which asks for these itself
 
@@ -196,10 +194,10 @@ def _smooth(
 def _dense(
     solve: Callable[..., Torques | Accelerations], mechanism: Mechanism, *motion: Array
 ) -> tuple[Array, Array, str]:
-    """Solve for states (..., n) at their times by dense algebra: joint values, multipliers, remark.
+    """Solve for states (..., n) by dense algebra: joint values, multipliers, remark.
 
-    BLAS adds up a single state in another order.  Of a stream, which may bring any number of states
-    at a time, a single one is solved twice at once.
+    BLAS adds up a single state in a different order.  In a stream, which may bring any number of
+    states at a time, a single one is therefore solved twice at once.
     """
     *states, t = motion
     if not (formulas.streams.get() and len(states[0]) == 1):
@@ -211,10 +209,11 @@ def _dense(
 
 @lru_cache(maxsize=64)
 def _generated(kind: str, mechanism: Mechanism) -> FormulaBatches | None:
-    """The formula over batches; None where there is none.
+    """Return the formula for batches; None if there is none.
 
-    M must be eliminated at every configuration, so that no state need be asked.  As x^T M x =
-    Re((E x)^H A (E x)) in absolute angles, M has no eigenvalue below A's least; rotors add to it.
+    M must be safe to eliminate in every configuration, so that no state needs a check.  As x^T M x
+    = Re((E x)^H A (E x)) in absolute angles, M has no eigenvalue below the least of A; rotors add
+    to it.
     """
     if kind == "forward":
         if not elimination_is_safe(mechanism):
@@ -236,7 +235,7 @@ def _generated(kind: str, mechanism: Mechanism) -> FormulaBatches | None:
 
 
 def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array, t: ArrayLike) -> Accelerations:
-    """`dense_dynamics.forward`; next to a change point that of the motion which leads across."""
+    """Apply `dense_dynamics.forward`; next to a change point, follow the motion across it."""
     if not mechanism.rows or not q.size:
         return dense_dynamics.forward(mechanism, q, qd, tau, t=t)
     from robodyn.loops import change_points, projection
@@ -264,7 +263,7 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array, t: ArrayLike
 
 
 def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike) -> Torques:
-    """`dense_dynamics.inverse`; at a change point the limit along the motion that leads across."""
+    """Apply `dense_dynamics.inverse`; at a change point, take the limit along the motion across."""
     if not mechanism.rows or not q.size:
         return dense_dynamics.inverse(mechanism, q, qd, qdd, t)
     from robodyn.loops import change_points, projection
@@ -283,7 +282,7 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike
             return Torques(tau, multipliers, max((x.remark for x in each), key=len))
 
         def beside(q: Array, qd: Array) -> Array:
-            """The torques of closed states (k, n) for what is nearest to qdd and closes."""
+            """Return the torques of closed states (k, n) for the nearest qdd that closes."""
             Psi = closed_form.scaled_jacobian(mechanism, q, t)
             units = mechanism.arrays.units
             opening = Psi @ (qdd / units) + closed_form.closure_bias(mechanism, q, qd, t)
@@ -300,7 +299,7 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike
 
 
 def _missed(mechanism: Mechanism, found: Solution, states: Array) -> Solution:
-    """With a remark where one of the states is near a change point that the loops just miss."""
+    """Add a remark if one of the states is near a missed change point."""
     from robodyn.loops import change_points
 
     remarks = (found.remark, change_points.miss_remark(mechanism, states))
@@ -308,12 +307,12 @@ def _missed(mechanism: Mechanism, found: Solution, states: Array) -> Solution:
 
 
 def _at(t: ArrayLike, q: Array) -> Array:
-    """Times t as those of states q (..., n), (...)."""
+    """Return times t broadcast to states q (..., n), (...)."""
     return np.broadcast_to(np.asarray(t, float), q.shape[:-1])
 
 
 def _multipliers(mechanism: Mechanism, q: Array, load: Array, t: ArrayLike) -> Array:
-    """Those of least norm that balance a load at q (n,)."""
+    """Return the multipliers of least norm that balance a load at q (n,)."""
     Psi = closed_form.scaled_jacobian(mechanism, q, t)
     found: Array = decompose(mechanism, Psi).inverse.T @ (load * mechanism.arrays.units)
     return found
@@ -323,7 +322,7 @@ def _multipliers(mechanism: Mechanism, q: Array, load: Array, t: ArrayLike) -> A
 
 
 def as_multipliers(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
-    """`multipliers` as floats (..., r); InputError unless they are r wide, one a closure row."""
+    """Return `multipliers` as floats (..., r); InputError for another width."""
     lam = numbers("multipliers", multipliers)
     if lam.shape[-1:] != (len(mechanism.rows),):
         limit = f"must have {len(mechanism.rows)} values along the last axis, one a closure row"
@@ -332,10 +331,10 @@ def as_multipliers(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
 
 
 def pin_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike | None = None) -> Array:
-    """The force on the side of each closure that is named first, (..., closures, 2), N.
+    """Return the force on the first side of each closure, (..., closures, 2), N.
 
-    `multipliers` (..., r) are those of `inverse_dynamics_and_forces` and the like.  Raises
-    InputError without q (..., n) where a link that moves has a slot: its force turns with it.
+    `multipliers` (..., r) come from `inverse_dynamics_and_forces` and similar functions.  Raises
+    InputError without q (..., n) if a moving link has a slot: its force turns with it.
     """
     E = None if q is None else placed(mechanism, q).E
     forces = pins_at(mechanism, as_multipliers(mechanism, multipliers), E)
@@ -343,7 +342,7 @@ def pin_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike | None
 
 
 def pins_at(mechanism: Mechanism, lam: NDArray[Any], E: NDArray[Any] | None) -> NDArray[Any]:
-    """The same as complex numbers (..., closures), of numbers or of `Planar` formulas lam, E."""
+    """Return pin forces as complex numbers (..., closures), of numbers or `Planar` formulas."""
     count = len(mechanism.description.closures)
     forces = np.zeros((*lam.shape[:-1], count), complex).astype(np.result_type(lam, complex))
     for row, entry in enumerate(mechanism.rows):
@@ -360,9 +359,9 @@ def pins_at(mechanism: Mechanism, lam: NDArray[Any], E: NDArray[Any] | None) -> 
 
 
 def kept_moments(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
-    """The moment on the first side's link of each closure that keeps an angle, (..., k), N m.
+    """Return the moment on the first link of each closure with a fixed angle, (..., k), N m.
 
-    `multipliers` (..., r) are those of `inverse_dynamics_and_forces` and the like.
+    `multipliers` (..., r) come from `inverse_dynamics_and_forces` and similar functions.
     """
     kept = [r for r, row in enumerate(mechanism.rows) if row.closure is not None and row.arm]
     arms = np.array([mechanism.rows[r].arm for r in kept])
@@ -371,10 +370,10 @@ def kept_moments(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
 
 
 def coupling_torques(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
-    """What each coupling puts on the joint that its equation gives, (..., couplings), N m.
+    """Return the torque of each coupling on its joint, (..., couplings), N m.
 
-    `multipliers` (..., r) are those of `inverse_dynamics_and_forces` and the like.  The joints on
-    the other side feel the opposite, times their ratios.
+    `multipliers` (..., r) come from `inverse_dynamics_and_forces` and similar functions.  The other
+    joints feel the opposite, times their ratios.
     """
     lam = as_multipliers(mechanism, multipliers)
     first = len(mechanism.rows) - len(mechanism.description.couplings)
@@ -383,7 +382,7 @@ def coupling_torques(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
 
 
 def loop_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike) -> Array:
-    """Pin forces, moments of angles that are kept, and torques of couplings, side by side.
+    """Return pin forces, moments of fixed angles, and torques of couplings, side by side.
 
     (..., 2 closures + kept + couplings), at q (..., n).
     """

@@ -1,7 +1,7 @@
-"""Nanoseconds a state against rounding error, of the evaluators of inverse and forward dynamics.
+"""Time per state against rounding error of the evaluators of inverse and forward dynamics.
 
-Rounding errors are measured with mpmath at 30 digits on the numeric model's own constants, and are
-relative to the largest torque or acceleration of the state.
+Rounding errors are measured with mpmath at 30 digits on the model's own constants, relative to the
+largest torque or acceleration of the state.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ DIGITS = 30
 
 
 def measure_evaluators(mechanism: Mechanism) -> Iterator[list[float | str]]:
-    """Rows of COLUMNS for straight-line floats and for batches.
+    """Yield rows of COLUMNS for straight-line floats and for batches.
 
-    Raises RobodynError without mpmath, or where the mechanism has no closed states to sample.
+    Raises RobodynError without mpmath, or if the mechanism has no closed states to sample.
     """
     if find_spec("mpmath") is None:
         limit = "needs mpmath, of the extra `dev`: pip install mpmath"
@@ -88,7 +88,7 @@ def _figures(found: Array, known: Array, seconds: float) -> list[float | str]:
 
 
 def _accelerations(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> list[Any]:
-    """qdd of the equation of motion, by the rows of the program in numbers of DIGITS digits."""
+    """Return qdd of the equation of motion, with numbers of DIGITS digits."""
     from mpmath import mp
 
     numbers = Arithmetic(

@@ -1,7 +1,7 @@
 """The flywheel that keeps a machine's speed nearly constant over a period.
 
-A crank needs the torque T(theta) over a turn, and its motor gives the mean T_m of it all the time.
-What the motor gives beyond what is needed goes into the flywheel: by a turn's part to theta
+A crank needs the torque T(theta) over a turn, and its motor gives the mean T_m.  The flywheel
+stores the excess: up to the angle theta
 
     E(theta) = integral of (T_m - T) dtheta,        dE = max E - min E.
 
@@ -9,15 +9,15 @@ Between the greatest and the least speed, whose mean is w_m, its kinetic energy 
 
     dE = I (w_max^2 - w_min^2) / 2 = I delta w_m^2,     delta = (w_max - w_min) / w_m,
 
-so that the inertia I = dE / (delta w_m^2) holds the fluctuation delta, that of the machine itself
-being in T already.
+so the inertia I = dE / (delta w_m^2) holds the fluctuation delta.  T already contains the inertia
+of the machine itself.
 
-And what repeats with every turn, by order: its Fourier series in the crank's angle.  With T values
-F_j at angles theta_j that divide a turn evenly, the coefficients
+The harmonics of a quantity are its Fourier series in the crank's angle.  With T values F_j at
+angles theta_j that divide a turn evenly, the coefficients
 
     c_k = sum over j of F_j exp(-i k theta_j) / T,      k = 0, 1, .. below T/2,
 
-are exact for what has no orders from T/2 on.  Then F = sum of A_k cos(k theta + phi_k), with the
+are exact if there are no orders from T/2 on.  Then F = sum of A_k cos(k theta + phi_k), with the
 amplitude A_k = 2 |c_k| (A_0 = |c_0|) and the phase phi_k = arg c_k.
 """
 
@@ -37,7 +37,7 @@ TORQUE_OFF = 1e-3  # part of the torque's size by which its ends may differ
 
 
 class Flywheel(NamedTuple):
-    """What a period asks of a flywheel: N m, J, rad/s and kg m^2."""
+    """What a period demands of a flywheel: N m, J, rad/s and kg m^2."""
 
     mean_torque: float
     energy_fluctuation: float
@@ -46,11 +46,11 @@ class Flywheel(NamedTuple):
 
 
 def flywheel(angle: Array, torque: Array, seconds: float, delta: float) -> Flywheel:
-    """The flywheel for torques (T,), N m, at angles (T,), rad, over whole turns in these seconds.
+    """Return the flywheel for torques (T,), N m, at angles (T,), rad, over whole turns.
 
-    Between the rows the torque is a periodic cubic spline.  Raises InputError where the rows are no
-    period: the angles rise or fall, over whole turns, and the torque ends as it began; and where
-    they are more than 45 degrees apart.
+    `seconds` is the duration of all rows.  Between rows the torque is a periodic cubic spline.
+    Raises InputError if the rows are no period (angles must rise or fall over whole turns, and the
+    torque must end as it began), and if they are more than 45 degrees apart.
     """
     from scipy.interpolate import CubicSpline
 
@@ -84,10 +84,10 @@ NOISE = 1e-13  # part of that size below which a part of c_k is rounding
 
 
 def harmonics(angle: Array, values: Array, most: int) -> tuple[Array, Array]:
-    """Amplitudes and phases (rad) of the orders 0 to `most`, (most + 1, k) each.
+    """Return amplitudes and phases (rad) of the orders 0 to `most`, (most + 1, k) each.
 
-    angle (T,), rad, and values (T, k): one turn on an even grid, the last row a step before its
-    end or at it.  Raises InputError for other rows, and for more orders than they tell.
+    angle (T,), rad, and values (T, k): one turn on an even grid, whose last row is its end or one
+    step before it.  Raises InputError for other rows, and for more orders than they resolve.
     """
     step = (angle[-1] - angle[0]) / max(len(angle) - 1, 1)
     even = angle[0] + step * np.arange(len(angle))

@@ -1,12 +1,12 @@
 """The residual of a given motion at joints that no actuator drives.
 
 A mechanism with fewer actuators than freedoms can only make some motions.  With z the actuated
-joints and as many free ones as make up the freedoms, and N (n, f) with Psi N = 0 and N_z = I, the
+joints and enough free ones to make up the freedoms, and N (n, f) with Psi N = 0 and N_z = I, the
 torques at z are
 
     tau_z = N^T (M qdd + C qd + D qd + G - Q)
 
-The torque at a free joint is its residual: zero in a motion that the mechanism makes.
+The torque at a free joint is its residual: zero for a possible motion.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ ROUNDING = 1e-12  # or one that changes of the state by this part of it balance
 
 @lru_cache(maxsize=64)
 def balanced_joints(mechanism: Mechanism) -> tuple[int, ...]:
-    """The joints whose torques are known: the actuated ones, and free ones (0).
+    """Return the joints whose torques are known: actuated ones, and free ones (0).
 
-    With N (n, f) whose columns keep the loops closed, N^T Y pi = N^T tau; so of a closed mechanism
-    as many joints count as free as rates are that actuated joints and loops leave open: those that
-    tell the others' rates best, in the mean of some poses.
+    With N (n, f) whose columns keep the loops closed, N^T Y pi = N^T tau.  In a closed mechanism,
+    as many joints are free as rates are left open by actuated joints and loops: those that
+    determine the other rates best, on average over some poses.
     """
     n, driven = mechanism.n, mechanism.actuated
     if not mechanism.rows:
@@ -58,7 +58,7 @@ def balanced_joints(mechanism: Mechanism) -> tuple[int, ...]:
     every = combinations([k for k in range(n) if k not in driven], free)
 
     def told(chosen: tuple[int, ...]) -> float:
-        """How far from singular Psi is for the others' rates."""
+        """Return how far Psi is from singular for the rates of the other joints."""
         others = [k for k in range(n) if k not in (*driven, *chosen)]
         least = np.linalg.svd(Psi[..., others], compute_uv=False).min(axis=-1, initial=1.0)
         return float(np.log(least + TINY).mean())
@@ -68,12 +68,12 @@ def balanced_joints(mechanism: Mechanism) -> tuple[int, ...]:
 
 @lru_cache(maxsize=64)
 def balanced_mechanism(mechanism: Mechanism) -> Mechanism:
-    """The mechanism with these as its actuated joints."""
+    """Return the mechanism with its balanced joints as actuated ones."""
     return replace(mechanism, actuated=balanced_joints(mechanism))
 
 
 def free_joints(mechanism: Mechanism) -> list[int]:
-    """The joints that have residuals; none where there are as many actuators as freedoms."""
+    """Return the joints with residuals; [] if actuators are as many as freedoms."""
     if len(mechanism.actuated) >= mechanism.n - len(mechanism.rows):
         return []
     return [k for k in balanced_joints(mechanism) if k not in mechanism.actuated]
@@ -82,11 +82,11 @@ def free_joints(mechanism: Mechanism) -> list[int]:
 def without_residual(
     mechanism: Mechanism, states: Mapping[str, Array], times: Array, tau: Array
 ) -> Array:
-    """The torques tau (..., n) of the balanced mechanism, zero at free joints.
+    """Return the torques tau (..., n) of the balanced mechanism, zero at free joints.
 
-    Raises ResidualError for the first of the states q, qd, qdd (..., n) whose residual is not zero:
-    above 1e-9 of the largest of M qdd, C qd, D qd, G and Q in its equation.  Rounding of the state,
-    static friction and stops of a joint at rest may hold it as well.
+    Raises ResidualError for the first of the states q, qd, qdd (..., n) whose residual exceeds 1e-9
+    of the largest of M qdd, C qd, D qd, G and Q in its equation.  Rounding of the state, static
+    friction, and stops of a joint at rest may account for it.
     """
     n, free = mechanism.n, free_joints(mechanism)
     q, qd, qdd = (x.reshape(-1, n) for x in states.values())
@@ -109,9 +109,9 @@ def without_residual(
 
 
 def _terms(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, left: Array, t: Array) -> Array:
-    """The largest term in the equation of each free joint, (T, free), which leaves `left`.
+    """Return the largest term in the equation of each free joint, (T, free), with residual `left`.
 
-    In loops it counts as no less than what rounding of the multipliers takes to be told from zero.
+    In loops it is at least what rounding of the multipliers makes visible.
     """
     inertial = matvec(mass_matrix(mechanism, q), qdd)
     bent = matvec(coriolis_matrix(mechanism, q, qd), qd)
@@ -137,9 +137,9 @@ def _terms(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, left: Array, t
 def _held(
     mechanism: Mechanism, joint: int, residual: float, q: Array, qd: Array, qdd: Array, t: float
 ) -> bool:
-    """Whether friction or a stop at rest gives this residual, or the state is given no better.
+    """Return whether friction, a stop at rest, or rounding of the state explains this residual.
 
-    The pose of a mechanism at rest need only be within 1e-9 rad of one where it rests.
+    A pose of a mechanism at rest need only be within 1e-9 rad of one in which it rests.
     """
     known = without_rubbing(balanced_mechanism(mechanism))
     by = inverse_dynamics_derivatives(known, q, qd, qdd, t)

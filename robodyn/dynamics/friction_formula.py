@@ -1,8 +1,8 @@
 """Forward dynamics with friction by the forces in pins and slides, as a formula.
 
-The formula of `friction_rounds.py`: what is eliminated once serves the mechanism without this
-friction and a unit of friction at each contact.  The forces in contacts are linear in the
-accelerations and multipliers, so their slopes give B.
+This is the formula of `friction_rounds.py`: one factorisation serves the mechanism without this
+friction and a unit of friction at each contact.  The forces in contacts are linear in accelerations
+and multipliers, so their derivatives give B.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def rubbed_formula(
     baumgarte: float = 0.0,
     power: bool = False,
 ) -> Formula | None:
-    """`formulas.forward_formula` with friction, by variables f0, f1, ... that `rounds` settle."""
+    """Return `formulas.forward_formula` with friction, in variables f0, f1, ... of `rounds`."""
     plain = without_rubbing(mechanism)
 
     def write(by_direction: bool) -> Formula:
@@ -56,10 +56,11 @@ def rubbed_formula(
 
 
 class Contacts(NamedTuple):
-    """The c contacts as formulas of a state: their forces are forces + slopes [xdd; lam] + push f.
+    """The c contacts of a state as formulas; forces are forces + slopes [xdd; lam] + push f.
 
-    D (c, n) rows of slip rates, `part` (c); planar forces (c) without accelerations, multipliers
-    and friction, slopes (2 c) of their x and y by these, by name, and push[j][i] (c, c) planar.
+    D (c, n) has rows of slip rates, `part` (c) factors of the forces.  `forces` (c) are planar,
+    without accelerations, multipliers and friction; `slopes` (2 c) are derivatives of their x and y
+    by these, by name; push[j][i] (c, c) is planar.
     """
 
     D: NDArray[Any]
@@ -72,7 +73,7 @@ class Contacts(NamedTuple):
 
 
 def contacts_of(mechanism: Mechanism, state: Recorded, Psi: Sequence[Sequence[Value]]) -> Contacts:
-    """The contacts of a recorded state of the mechanism without friction; Psi (r, n) in joints."""
+    """Return the contacts of a recorded state without friction; Psi (r, n) in joints."""
     plain, n, graph = state.mechanism, mechanism.n, state.graph
     contacts, rows = mechanism.rubbing, range(len(mechanism.rows))
     at = placed_formulas(state)
@@ -86,7 +87,7 @@ def contacts_of(mechanism: Mechanism, state: Recorded, Psi: Sequence[Sequence[Va
     R, carried = felt.reactions() if rubs else (), sides_of(plain)
 
     def within(i: int, force: complex) -> Planar:
-        """The part of a force on the link of a joint that makes friction there."""
+        """Return the component of a force on a joint's link that causes friction there."""
         if contacts[i].radius is None:
             return (along[i].conjugate() * force).imag, 0.0
         return force.real, force.imag
@@ -166,7 +167,7 @@ class ContactsAt(NamedTuple):
 
 @lru_cache(maxsize=64)
 def contacts_at(mechanism: Mechanism) -> Callable[[float, Array, Array], ContactsAt]:
-    """A function of t, q and qd (n,) of one state; slopes are by qdd and the multipliers."""
+    """Return a function of t, q and qd (n,) of one state; slopes are by qdd and multipliers."""
     plain, n, c = without_rubbing(mechanism), mechanism.n, len(mechanism.rubbing)
     state = Recorded(plain, ("qd",), True)
     series = state.series([0.0] * n)
@@ -198,7 +199,7 @@ def contacts_at(mechanism: Mechanism) -> Callable[[float, Array, Array], Contact
 
 
 def _absolute(mechanism: Mechanism, load: Sequence[Value]) -> list[Value]:
-    """J^-T times a load (n) at the joints: what acts on x."""
+    """Return J^-T times a load (n) at the joints: the load on x."""
     found = list(load)
     for k, above in enumerate(mechanism.above):
         if above is not None:

@@ -1,13 +1,13 @@
 """Forward and inverse dynamics with friction by the forces in pins and slides.
 
-Friction f (c,) is a load D^T f at the joints.  The forces N of the contacts follow from it:
+Friction f (c,) is a load D^T f at the joints.  The forces N of the contacts depend on it:
 accelerations, torques and multipliers are linear in a load, and N in these, so
 
     f = part |N0 + B f|
 
-with N0 of the mechanism without this friction, and B of loads alone.  That is solved by rounds
-from f = part |N0| on, to 1e-13 of f.  Where they do not settle friction is too large: it locks the
-mechanism, or no motion, or no torque, keeps the equations.
+with N0 of the mechanism without this friction, and B from loads alone.  Fixed-point rounds from f =
+part |N0| solve this to 1e-13 of f.  If they do not settle, friction is too large: it locks the
+mechanism, or no motion or torque satisfies the equations.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from robodyn.tables.arrays import Array, Complex
 
 
 class NotSettledError(RobodynError):
-    """Friction that depends on the forces in pins has no solution that rounds come to."""
+    """Friction that depends on the forces in pins has no solution that rounds reach."""
 
 
 class Friction(NamedTuple):
@@ -49,7 +49,7 @@ class Friction(NamedTuple):
 def by_rounds(
     mechanism: Mechanism, kind: str, states: dict[str, Array], times: Array, smooth: Smooth
 ) -> tuple[Array, Array, str]:
-    """Accelerations or torques of states (..., n), the multipliers (..., r), and a remark.
+    """Return accelerations or torques of states (..., n), multipliers (..., r), and a remark.
 
     `smooth` solves for a mechanism without this friction.  Raises NotSettledError for the first
     state at which rounds do not settle.
@@ -74,9 +74,9 @@ def settled(
     joints: Array,
     multipliers: Array,
 ) -> Friction:
-    """Add friction to the solution without it of states q, qd and qdd or tau, (T, n) each.
+    """Add friction to a solution without it, for states q, qd and qdd or tau, (T, n) each.
 
-    `joints` (T, n) are torques, or accelerations, and `multipliers` (T, r).
+    `joints` (T, n) are torques or accelerations, `multipliers` (T, r).
     """
     at, answer, lam, N, B = _system(mechanism, kind, states, times, joints, multipliers)
     f, left = rounds.by_rounds(at.part, N, B)
@@ -92,7 +92,7 @@ def settled(
 def forward_of_one(
     mechanism: Mechanism, q: Array, qd: Array, tau: Array, baumgarte: float, t: float
 ) -> Friction:
-    """Forward dynamics with friction of one state (n,), as `settled` has it."""
+    """Return forward dynamics with friction of one state (n,); see `settled`."""
     plain, state, at = without_rubbing(mechanism), (q[None], qd[None], tau[None]), None
     if mechanism.n <= MAX_GENERATED:
         with suppress(ArithmeticError, ValueError):  # arrays say where a spring has no direction
@@ -115,7 +115,7 @@ def forward_of_one(
 def solvable(
     mechanism: Mechanism, q: Array, qd: Array, tau: Array, times: Array
 ) -> NDArray[np.bool_]:
-    """Which of the states (T, n) have accelerations under torques tau with friction, (T,)."""
+    """Return which states (T, n) have accelerations under torques tau with friction, (T,)."""
     plain = without_rubbing(mechanism)
     first = dense_dynamics.forward(plain, q, qd, tau, t=times)
     at, _, _, N, B = _system(
@@ -132,7 +132,7 @@ def _system(
     joints: Array,
     multipliers: Array,
 ) -> tuple[Rubbing, Array, Array, Complex, Complex]:
-    """The contacts, what a unit at each makes of joints and multipliers, N and B."""
+    """Return the contacts, the effects of a unit of friction on joints and multipliers, N and B."""
     plain, (q, qd, third) = without_rubbing(mechanism), states
     at = rubbing_at(mechanism, q, qd)
     if kind == "inverse":
@@ -152,7 +152,7 @@ def _system(
 def load_of(
     mechanism: Mechanism, q: Array, qd: Array, qdd: Array, multipliers: Array, times: Array
 ) -> Array:
-    """The load of friction at the joints (T, n) along a motion, from the forces in its contacts."""
+    """Return the load of friction at the joints (T, n) along a motion, from its contact forces."""
     at = rubbing_at(mechanism, q, qd)
     pins = pins_at(mechanism, multipliers, placed(mechanism, q).E)
     R = np.zeros((*pins.shape[:-1], mechanism.n), complex)
@@ -171,7 +171,7 @@ def _first_forces(
     multipliers: Array,
     times: Array | float,
 ) -> Complex:
-    """The forces (T, c) in the contacts without friction there."""
+    """Return the forces (T, c) in the contacts without friction."""
     plain = without_rubbing(mechanism)
     pins = pins_at(plain, multipliers, placed(plain, q).E)
     R = np.zeros((*pins.shape[:-1], mechanism.n), complex)
@@ -181,9 +181,9 @@ def _first_forces(
 
 
 def _responses(mechanism: Mechanism, at: Rubbing, q: Array, qdd: Array, lam: Array) -> Complex:
-    """How much of force in each contact (last) a unit of friction at each other makes, (T, c, c).
+    """Return the force in each contact (last axis) per unit of friction at each, (T, c, c).
 
-    Accelerations qdd (T, c, n) and multipliers (T, c, r) are those that the units make.
+    Accelerations qdd (T, c, n) and multipliers (T, c, r) are those that the units cause.
     """
     plain, here = without_rubbing(mechanism), q[:, None]
     place = placed(plain, here)
@@ -205,7 +205,7 @@ def _responses(mechanism: Mechanism, at: Rubbing, q: Array, qdd: Array, lam: Arr
 
 
 def _felt(mechanism: Mechanism, along: Complex, R: Complex, pins: Complex) -> Complex:
-    """The force (..., c) in each contact, by those of joints (..., n) and of closures."""
+    """Return the force (..., c) in each contact, from those of joints (..., n) and closures."""
     found = []
     for i, contact in enumerate(mechanism.rubbing):
         if contact.closure is not None:
@@ -221,7 +221,7 @@ def _felt(mechanism: Mechanism, along: Complex, R: Complex, pins: Complex) -> Co
 def _not_settled(
     mechanism: Mechanism, part: Array, B: Complex, q: Array, state: int
 ) -> NotSettledError:
-    """The error of one of the states; it names the friction that adds most to its own force."""
+    """Return the error for a state; it names the friction with the largest own effect."""
     own = np.abs(part[state] * np.abs(np.diagonal(B[state])))
     friction = mechanism.rubbing[int(np.argmax(own))]
     at = ", ".join(f"{x:.6g}" for x in q[state])

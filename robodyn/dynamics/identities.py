@@ -1,7 +1,7 @@
-"""A self-test: the identities that every mechanism must keep, with their residuals.
+"""A self-test: identities that every mechanism must satisfy, with their residuals.
 
-Evaluated at random closed states with central differences of eighth order, which share nothing
-with the closed form that they check; the potential energy's rate is a tangent of its rows.
+They are evaluated at random closed states with central differences of eighth order, which share
+nothing with the closed form under test.  The potential energy's rate is a tangent of its rows.
 Residuals are relative to the size of the terms.
 """
 
@@ -49,9 +49,9 @@ POWER = "power in = dE/dt"
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """One identity and the largest relative residual over the sampled states.
+    """An identity and its largest relative residual over the sampled states.
 
-    Where it cannot be evaluated the residual is None, and `reason` says why.
+    If it cannot be evaluated, the residual is None and `reason` says why.
     """
 
     name: str
@@ -81,10 +81,10 @@ def sample_states(
 ) -> Sample:
     """Return up to `count` closed states with random rates.
 
-    The actuated joints and those that no loop or coupling holds are drawn, and the others
-    assembled.  If these do not tell the others, all are drawn, and Newton's method closes the
-    loops; raises InputError if that takes too long.  `watch` is told what part of the paths to
-    closed states is gone.
+    The actuated joints and those that no loop or coupling determines are drawn at random, and the
+    others assembled.  If these do not determine the others, all joints are drawn and Newton's
+    method closes the loops.  Raises InputError if that takes too long.  `watch` is called with the
+    finished part of paths to closed states.
     """
     rng, n = np.random.default_rng(seed), mechanism.n
     independent = with_independent(mechanism)
@@ -123,7 +123,7 @@ def sample_states(
 
 
 def _times(mechanism: Mechanism, rng: np.random.Generator, count: int) -> Array:
-    """Times (count,) at which laws of the time are looked at; 0 if there is none."""
+    """Return times (count,) at which laws of time are evaluated; 0 if there is none."""
     if not mechanism.driven:
         return np.zeros(count)
     drawn: Array = rng.uniform(0.0, SAMPLED, count)
@@ -131,7 +131,7 @@ def _times(mechanism: Mechanism, rng: np.random.Generator, count: int) -> Array:
 
 
 def _follows(mechanism: Mechanism) -> bool:
-    """Whether the joints can be assembled from any angles of the actuated ones."""
+    """Return whether the joints can be assembled from any positions of the actuated ones."""
     if len(mechanism.actuated) > mechanism.n - len(mechanism.rows):
         return False  # their angles depend on one another
     with suppress(InputError):
@@ -140,11 +140,11 @@ def _follows(mechanism: Mechanism) -> bool:
 
 
 def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
-    """Every identity at the sampled states; those of closures alone if links have no mass.
+    """Return every identity at the sampled states; only those of closures without masses.
 
-    The closed forms are held against the program of rows of the scene, built anew: a wrong
-    constant of the numeric model shows.  Of states that differ in the joints that slip or press
-    compliant stops each is held in its own mode, and the worst residual is told.
+    The closed forms are compared with a program of rows built anew from the scene, so a wrong
+    constant of the numeric model shows.  States with different contact modes are compared each in
+    its own mode, and the worst residual is returned.
     """
     if not mechanism.switches:
         return _of_one_mode(mechanism, sample)
@@ -187,7 +187,7 @@ def _of_one_mode(mechanism: Mechanism, sample: Sample) -> list[Identity]:
 
 
 def _below_zero(M: Array) -> float:
-    """By how much the least eigenvalue of matrices (T, n, n), scaled to a diagonal of 1, is not."""
+    """Return how far the least eigenvalue of M (T, n, n), scaled to unit diagonal, is negative."""
     scale = np.sqrt(np.maximum(np.abs(np.diagonal(M, axis1=-2, axis2=-1)), 1e-300))
     scaled = M / (scale[..., :, None] * scale[..., None, :])
     try:  # which only positive ones have, and sooner than eigenvalues
@@ -198,9 +198,10 @@ def _below_zero(M: Array) -> float:
 
 
 def condition_numbers(M: Array) -> Array:
-    """Of symmetric matrices (T, n, n) that are not negative, (T,); infinite where one is singular.
+    """Return condition numbers (T,) of positive semidefinite M (T, n, n).
 
-    Of large ones by Lanczos's method on M and on its inverse, which is exact to some 3 digits.
+    Infinite if singular.  Large matrices use Lanczos's method on M and its inverse, accurate to
+    about 3 digits.
     """
     if M.shape[-1] >= closed_form.LONG:
         with suppress(np.linalg.LinAlgError):
@@ -295,9 +296,9 @@ def _closure_identities(
 def _motion_identities(
     mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, t: Array, M: Array, C: Array
 ) -> list[Identity]:
-    """Forward dynamics against inverse dynamics, and power against the growth of energy.
+    """Compare forward with inverse dynamics, and power with the growth of energy.
 
-    Q has friction by the forces in pins too, of states at which it has a solution.
+    Q includes friction by the forces in pins, at states that have a solution.
     """
     driven = list(mechanism.actuated)
     rng = np.random.default_rng(4)
@@ -351,7 +352,7 @@ def _motion_identities(
 
 
 def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
-    """Of the bodies, each at its own point."""
+    """Return KE of the bodies, each at its own point."""
     bodies, rates = bodies_of(scene), absolute_rates(scene, qd)
     speeds = np.abs(bodies.points.moved(placed(scene, q).rates(scene, rates)))
     spinning = frame_rates(scene, rates)
@@ -368,7 +369,7 @@ def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
 
 
 def within_tables(mechanism: Mechanism, q: Array) -> NDArray[np.bool_]:
-    """Which of the states q (T, n) no table of the scene ends before."""
+    """Return which of the states q (T, n) are within all tables of the scene."""
     found = np.ones(len(q), bool)
     if mechanism.has_tables:
         rows = rows_of(parts.acting, mechanism)
@@ -380,7 +381,7 @@ def within_tables(mechanism: Mechanism, q: Array) -> NDArray[np.bool_]:
 
 
 def along(function: Callable[[Array], Any], speed: Array) -> Any:
-    """d function(s)/ds at s = 0 for each state; steps shrink with the largest speed."""
+    """Return d function(s)/ds at s = 0 for each state; steps shrink with the largest speed."""
     fastest = np.abs(speed).max(axis=-1, keepdims=True)
     step = np.asarray(STEP / np.where(fastest > 0.0, fastest, 1.0))  # (T, 1)
     total: Any = None

@@ -1,9 +1,8 @@
-"""A mechanism as a function of one number of its scene: what derivatives by numbers start from.
+"""A mechanism as a function of a number of its scene, for derivatives by numbers.
 
-What the mechanism was made from is read again with another value in that place.  What changes with
-it, by copies, sums or opposites, gets a variable of a graph; so what hangs from a tip moves with
-the length, as in the scene.  `mechanism.constants` then makes formulas of it, and no difference is
-left.
+The scene of the mechanism is read again with another value of the number.  Everything that changes
+with it, by copies, sums or signs, gets a variable of a graph.  So what hangs from a tip moves with
+the length, as in the scene.  `mechanism.constants` then makes formulas of it, without differences.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ SAME = 1e-9  # relative, by which what is no multiple of a change is told
 
 @lru_cache(maxsize=256)
 def number_formula(mechanism: Mechanism, name: str, mode: Mode | None = None) -> Formula:
-    """dR (N) by the number called `name`, at q, qd, tau and unknowns u (N); see `residuals`.
+    """Return the formula of dR (N) by the number `name`, at q, qd, tau and unknowns u (N).
 
-    In a mode, where one is given.  Raises InputError for a name that is none.
+    See `residuals`.  With `mode`, in that mode.  Raises InputError for an unknown name.
     """
     graph = Graph()
     x = graph.variable(name)
@@ -48,14 +47,14 @@ def number_formula(mechanism: Mechanism, name: str, mode: Mode | None = None) ->
 
 
 def with_variable(mechanism: Mechanism, name: str, x: Value, mode: Mode | None = None) -> Mechanism:
-    """The mechanism whose number is what it is plus x; in a mode, where one is given."""
+    """Return the mechanism with x added to a number; with `mode`, in that mode."""
     return with_variables(mechanism, {name: x}, mode)
 
 
 def with_variables(
     mechanism: Mechanism, numbers: Mapping[str, Value], mode: Mode | None = None
 ) -> Mechanism:
-    """The mechanism whose numbers of these names are what they are plus these values."""
+    """Return the mechanism with values added to numbers, by name."""
     values = named_values(mechanism, *numbers)
     base = values.base
     scene: Any = _comparable(base)
@@ -94,20 +93,20 @@ def with_variables(
 
 
 def _coupling_rows(mechanism: Mechanism, base: Description, scene: Any) -> tuple[ClosureRow, ...]:
-    """The rows of couplings with the numbers that `scene` has in them, as long as they are."""
+    """Return the rows of couplings with the numbers of `scene`, scaled as before."""
     if scene.couplings == base.couplings:
         return tuple(row for row in mechanism.rows if row.closure is None)
     return tuple(coupling_rows(mechanism.description._replace(couplings=scene.couplings)))
 
 
 def _comparable(scene: Description) -> Description:
-    """The scene without angles that closures keep, and without the constants by themselves."""
+    """Return the scene without angles kept by closures, and without constants."""
     closures = tuple(c._replace(aligned=None) for c in scene.closures)
     return scene._replace(closures=closures, constants=())
 
 
 def _turned(row: ClosureRow, by: Any) -> ClosureRow:
-    """The row of an angle that is kept, when that grows by a formula."""
+    """Return the row of a fixed angle that grows by a formula."""
     if not isinstance(by, Expression):
         return row
     turn = Planar(expression.cos(by), -expression.sin(by))
@@ -117,10 +116,9 @@ def _turned(row: ClosureRow, by: Any) -> ClosureRow:
 
 
 def named_values(mechanism: Mechanism, *names: str) -> SceneValues:
-    """The numbers of the scene that the mechanism was made from, of which the `names` are some.
+    """Return the numbers of the mechanism's scene; `names` must be among them.
 
-    Raises InputError for a name that is none, and where the mechanism is no longer that of its
-    scene.
+    Raises InputError for an unknown name, and if the mechanism is no longer that of its scene.
     """
     values = _values(mechanism)
     values.check(names)
@@ -136,11 +134,11 @@ def _values(mechanism: Mechanism) -> SceneValues:
 
 
 class _NoMultipleError(Exception):
-    """A value of the scene that does not change by a multiple of a number's change."""
+    """A value of the scene is not linear in a number's change."""
 
 
 def _changed(values: SceneValues, name: str) -> tuple[float, tuple[Description, Description]]:
-    """A change of a number, and the scene with all of it, and with half of it."""
+    """Return a change of a number, and the scene with all of it, and with half of it."""
     now = values.number(name)
     for sign in (1.0, -1.0):
         change = sign * CHANGE * (abs(now) or 1.0)
@@ -153,9 +151,9 @@ def _changed(values: SceneValues, name: str) -> tuple[float, tuple[Description, 
 
 
 def _seeded(now: Any, base: Any, whole: Any, half: Any, size: float, x: Value) -> Any:
-    """What a scene holds `now`, with x times its slope added.
+    """Return contents of a scene with x times their slope added.
 
-    The slope is that by which a change of `size` made `whole` of what was `base`.
+    The slope is that of the change of `size` which turned `base` into `whole`.
     """
     if isinstance(base, tuple) and isinstance(whole, tuple):
         if len(base) != len(whole):
@@ -185,7 +183,7 @@ def _seeded(now: Any, base: Any, whole: Any, half: Any, size: float, x: Value) -
 
 
 def _direction(base: complex, whole: complex, half: complex, size: float, x: Value) -> Planar:
-    """A unit vector d/|d| where x is added to a component of d."""
+    """Return a unit vector d/|d| with x added to a component of d."""
     for way in (1.0 + 0j, 1j):
         across = (whole.conjugate() * base).imag
         part = -across / (size * (whole.conjugate() * way).imag or math.nan)  # 1/|d|

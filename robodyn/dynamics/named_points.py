@@ -1,7 +1,7 @@
-"""How points of a mechanism move, and how its links turn.
+"""Motion of named points of a mechanism, and turns of its links.
 
-A point is p = const + c X (`placed.py`), so p' = c X' and dp/dq = c dX/dx J; in the minimal
-coordinates, the actuated joints, dp = dp/dq N with N the joints' rates for each of these at 1.
+A point is p = const + c X (`placed.py`), so p' = c X' and dp/dq = c dX/dx J. In the minimal
+coordinates, the actuated joints, dp = dp/dq N with N the joints' rates for each of these at rate 1.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ WAYS = "a link (its tip), tip2, centre1, joint3, LINK@x,y or a point of the scen
 
 
 class NamedPoint(NamedTuple):
-    """A point of a link by its name: in the frame of the link, and in terms of X."""
+    """A named point of a link: in the frame of the link, and in terms of X."""
 
     name: str
     own: Point
@@ -41,11 +41,11 @@ class NamedPoint(NamedTuple):
 def named_points(
     mechanism: Mechanism, texts: str | Sequence[str] = (), where: str = "of"
 ) -> list[NamedPoint]:
-    """The points that are written as POINT or NAME=POINT; the scene's, else all tips, for none.
+    """Return the points written as POINT or NAME=POINT; default: the scene's, else all tips.
 
-    A text may have several, with commas between them.  A place LINK@x,y without a name is point1,
-    ..., by its place in the list.  Raises InputError, naming `where`, for a point that is not there
-    for two of one name and for what is no text.
+    A text may list several, separated by commas.  A place LINK@x,y without a name is called point1,
+    ..., by its position in the list.  Raises InputError, which names `where`, for an unknown point,
+    for two points with one name, and for a value that is no text.
     """
     try:
         texts = [texts] if isinstance(texts, str) else list(texts)
@@ -75,7 +75,7 @@ def named_points(
 
 
 def named_point(mechanism: Mechanism, text: str, where: str = "of") -> NamedPoint:
-    """The one point that is written as POINT or NAME=POINT; InputError for none and for several."""
+    """Return the single point written as POINT or NAME=POINT; InputError for none or several."""
     found = named_points(mechanism, [text], where)
     if len(found) > 1:
         raise InputError(where, value=shown(text), limit=f"names {len(found)} points; give one")
@@ -83,13 +83,13 @@ def named_point(mechanism: Mechanism, text: str, where: str = "of") -> NamedPoin
 
 
 def _is_of_link(places: Places, text: str) -> bool:
-    """Whether this is a link, or a place of one; names of links may have commas and = in them."""
+    """Return whether a text is a link or a place on one; names may contain commas and =."""
     link, _, offset = text.rpartition("@")
     return text in places.links or (link in places.links and offset.count(",") == 1)
 
 
 def _listed(places: Places, text: str) -> list[str]:
-    """The points of a text, at commas but for those after an @ and those of names of links."""
+    """Return the points in a text, split at commas outside places and names."""
     name, _, written = text.partition("=")
     whole = not text or _is_of_link(places, text)
     whole |= "," not in name and _is_of_link(places, written)
@@ -97,7 +97,7 @@ def _listed(places: Places, text: str) -> list[str]:
 
 
 def _named(places: Places, text: str, k: int, where: str) -> tuple[str, Point]:
-    """The name and the point of the k-th text."""
+    """Return the name and the point of the k-th text."""
     given, equals, written = text.partition("=")
     known = _is_of_link(places, text) or not equals
     name, written = ("", text) if known else (given.strip(), written)
@@ -118,7 +118,7 @@ def _named(places: Places, text: str, k: int, where: str) -> tuple[str, Point]:
 
 @short_repr
 class PointMotion(NamedTuple):
-    """How points (p of them) move: position m, velocity m/s, acceleration m/s^2, (..., p, 2)."""
+    """Motion of p points: position m, velocity m/s, acceleration m/s^2, (..., p, 2) each."""
 
     names: tuple[str, ...]
     position: Array
@@ -133,10 +133,10 @@ def points(
     qdd: ArrayLike | None = None,
     of: str | Sequence[str] = (),
 ) -> PointMotion:
-    """How points move along states q, qd, qdd (..., n), closed; rates not given are zero.
+    """Return the motion of points at closed states q, qd, qdd (..., n); missing rates are zero.
 
-    `of` has names of points, `coupler@0.5,0.2` or `P=coupler@0.5,0.2`; the scene's, else all tips,
-    where it is empty.  Raises InputError for a point that is not there, and for shapes.
+    `of` has names of points, `coupler@0.5,0.2` or `P=coupler@0.5,0.2`; if empty, the scene's
+    points, else all tips.  Raises InputError for an unknown point, and for shapes that do not fit.
     """
     named = named_points(mechanism, of)
     moved = point_motion(mechanism, [point for *_, point in named], q, qd, qdd)
@@ -144,7 +144,7 @@ def points(
 
 
 def point_jacobian(mechanism: Mechanism, points: Sequence[PlanarPoint], q: ArrayLike) -> Array:
-    """dp/dq of points, (..., p, 2, n), m/rad or 1."""
+    """Return dp/dq of points, (..., p, 2, n), m/rad or 1."""
     at = placed(mechanism, q)
     moved = columns(
         mechanism, points_of(mechanism, points).c, at.X[..., None, :], at.E[..., None, :]
@@ -154,11 +154,9 @@ def point_jacobian(mechanism: Mechanism, points: Sequence[PlanarPoint], q: Array
 
 
 def unit_rates(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
-    """N (..., n, a): the rates of all joints where one of the a actuated joints moves at 1.
+    """Return N (..., n, a): the rates of all joints for rate 1 of each actuated joint.
 
-    What laws of the time move does not count.
-
-    Raises SingularError at a dead centre or change point.
+    Motion by laws of time is not included.  Raises SingularError at a dead centre or change point.
     """
     q = as_states(mechanism, "q", q)
     each = np.eye(len(mechanism.actuated))
@@ -170,7 +168,7 @@ def unit_rates(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
 def link_turns(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """The angle rad, rate rad/s and acceleration rad/s^2 of each link's frame, each (..., n)."""
+    """Return angle rad, rate rad/s and acceleration rad/s^2 of each link's frame, (..., n) each."""
     alpha = frame_rates(mechanism, placed(mechanism, q).x)  # as rates go, so go the angles
     phases = [cmath.phase(phase) for phase in Tree(mechanism.description.links).phases]
     rates = (absolute_rates(mechanism, x, name) for x, name in ((qd, "qd"), (qdd, "qdd")))

@@ -1,7 +1,7 @@
-"""Where friction by the forces in pins and slides acts, and how large it is.
+"""Contacts with friction by the forces in pins and slides, and the size of this friction.
 
-Each of c contacts has a slip rate D qd, D (c, n), and gives f = part |N| along it, so D^T f at the
-joints; N is the force in the pin, or that across the line of a slide, and
+Each of c contacts has a slip rate D qd, D (c, n), and a friction f = part |N| along it, so D^T f at
+the joints.  N is the force in the pin, or normal to the line of a slide, and
 
     part = -coefficient radius tanh(slip/speed),
 
@@ -23,7 +23,7 @@ from robodyn.tables.arrays import Array, Complex
 
 
 class Rubbing(NamedTuple):
-    """The contacts of states: D (..., c, n), `part` (..., c), and the direction of each slide.
+    """The contacts at states: D (..., c, n), `part` (..., c), and the direction of each slide.
 
     `along` (..., c) is a unit vector; zero for pins.
     """
@@ -34,7 +34,7 @@ class Rubbing(NamedTuple):
 
 
 def rubbing_at(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Rubbing:
-    """The contacts at states q, qd (..., n), which broadcast."""
+    """Return the contacts at states q, qd (..., n), which broadcast."""
     q, qd = np.broadcast_arrays(as_states(mechanism, "q", q), as_states(mechanism, "qd", qd))
     D, along = slips(mechanism, placed(mechanism, q))
     speeds = np.array([x.speed for x in mechanism.rubbing])
@@ -42,12 +42,12 @@ def rubbing_at(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Rubbing:
 
 
 def sizes(mechanism: Mechanism) -> list[float]:
-    """The coefficient of each contact, times the radius of pins."""
+    """Return the coefficient of each contact, times the radius for pins."""
     return [x.coefficient * (x.radius or 1.0) for x in mechanism.rubbing]
 
 
 def slips(mechanism: Mechanism, at: Placed) -> tuple[NDArray[Any], NDArray[Any]]:
-    """D (..., c, n) and `along` (..., c) of `Rubbing`, of numbers or of formulas `at` (n,)."""
+    """Return D (..., c, n) and `along` (..., c) of `Rubbing`, in numbers or formulas."""
     contacts, kind = mechanism.rubbing, at.x.dtype  # float, or object
     D = np.zeros((*at.x.shape[:-1], len(contacts), mechanism.n), kind)
     along = np.zeros(D.shape[:-1], np.result_type(kind, complex))
@@ -68,20 +68,20 @@ def slips(mechanism: Mechanism, at: Placed) -> tuple[NDArray[Any], NDArray[Any]]
 
 
 def _axis(mechanism: Mechanism, joint: int, at: Placed) -> NDArray[Any]:
-    """The direction (...) in which a link slides."""
+    """Return the direction (...) in which a link slides."""
     turned, frame = mechanism.tree.turned(joint, 1.0 + 0j), mechanism.frames[joint]
     return np.asarray(turned * (1.0 + 0j if frame is None else at.E[..., frame]))
 
 
 def _line(mechanism: Mechanism, closure: int, at: Placed) -> NDArray[Any]:
-    """The direction (...) of the line of a closure."""
+    """Return the direction (...) of a closure's line."""
     row = next(x for x in mechanism.rows if x.closure == closure and not x.arm)
     turned = 1.0 + 0j if row.line is None else at.E[..., row.line]
     return np.asarray(-1j * row.direction * turned)
 
 
 def _turning(mechanism: Mechanism, closure: Closure) -> Array:
-    """The rate (n,) of the link named first against the other, by those of joints."""
+    """Return the rate (n,) of a closure's first link relative to its second, per joint rate."""
     found = np.zeros(mechanism.n)
     for side, sign in ((closure.first, 1.0), (closure.second, -1.0)):
         frame = None if side.link is None else mechanism.frames[side.link]
@@ -93,9 +93,9 @@ def _turning(mechanism: Mechanism, closure: Closure) -> Array:
 def _sliding(
     mechanism: Mechanism, closure: Closure, at: Placed, along: NDArray[Any]
 ) -> NDArray[Any]:
-    """The rate (..., n) of the point along the line, by those of joints.
+    """Return the rate (..., n) of the point along the line, per joint rate.
 
-    The line's turning moves a point on it across it alone.
+    The line's turning moves a point on it only across the line.
     """
     points = [mechanism.tree.point(x) for x in (closure.first, closure.second)]
     c = points_of(mechanism, points).c
@@ -107,7 +107,7 @@ def _sliding(
 def at_closures(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, pins: Complex
 ) -> tuple[Complex, Array]:
-    """Friction on the sides of closures named first: forces N and moments N m, (..., closures).
+    """Return friction on the first sides of closures: forces N and moments N m, (..., closures).
 
     `pins` (..., closures) are the forces of the closures, N.
     """

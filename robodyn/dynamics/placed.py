@@ -1,8 +1,8 @@
-"""Where a mechanism is: its coordinates, the directions of its frames, and what moves with them.
+"""The placement of a mechanism: coordinates, directions of frames, and their motion.
 
-Coordinates x = J q are the angles alpha that directions E = exp(i alpha) turn by, and displacements
-s.  X is E of what turns, and s E_d of what slides on link d (E_d = 1 on the ground); its rates and
-accelerations are written here, once, and T = dX/dx is in `columns`.
+Coordinates x = J q are the angles alpha of directions E = exp(i alpha), and displacements s.  X is
+E for what turns, and s E_d for what slides on link d (E_d = 1 on the ground).  Rates and
+accelerations of X are computed here, and T = dX/dx in `columns`.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ STATE = ("qd", "qdd", "tau", "q")  # what functions of a state are given
 
 
 def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
-    """`values` as floats (..., n); InputError unless they are finite and n wide."""
+    """Return `values` as floats (..., n); InputError unless they are finite and n wide."""
     return finite(name, n_wide(mechanism, name, values))
 
 
 def n_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
-    """`values` as floats (..., n); InputError unless they are n wide.
+    """Return `values` as floats (..., n); InputError unless they are n wide.
 
-    Torques, `tau`, may be those of the actuated joints alone: passive joints get zero.
+    Torques `tau` may be those of the actuated joints alone: passive joints get zero.
     """
     array, n, driven = numbers(name, values), mechanism.n, list(mechanism.actuated)
     wide = array.shape[-1] if array.ndim else None
@@ -50,7 +50,7 @@ def n_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
 
 
 def actuated_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
-    """`values` as floats (..., actuated); InputError unless they are so wide."""
+    """Return `values` as floats (..., actuated); InputError for another width."""
     array, wanted = numbers(name, values), len(mechanism.actuated)
     if array.shape[-1:] != (wanted,):
         names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
@@ -60,7 +60,7 @@ def actuated_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
 
 
 def numbers(name: str, values: ArrayLike) -> Array:
-    """`values` as floats; InputError where they are none."""
+    """Return `values` as floats; InputError if they are no numbers."""
     try:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError):
@@ -68,7 +68,7 @@ def numbers(name: str, values: ArrayLike) -> Array:
 
 
 def finite(name: str, array: Array) -> Array:
-    """The array; InputError that names the first value which is not finite."""
+    """Return the array; InputError that names the first value that is not finite."""
     # of few numbers Python is faster
     good = map(math.isfinite, array.tolist()) if array.ndim == 1 and len(array) < FEW else None
     if not (np.isfinite(array).all() if good is None else all(good)):
@@ -79,9 +79,9 @@ def finite(name: str, array: Array) -> Array:
 
 
 def check_directions(mechanism: Mechanism, q: Array) -> None:
-    """Raise SingularError if at q (..., n) an element that needs a direction has none.
+    """Raise SingularError if the ends of an element that needs a direction coincide.
 
-    Then the ends of the element meet, but for rounding.
+    q is (..., n).
     """
     if not mechanism.parted:
         return
@@ -94,7 +94,7 @@ def check_directions(mechanism: Mechanism, q: Array) -> None:
 
 
 def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Values (..., n) of joints, broadcast to one another; InputError where they do not fit."""
+    """Return joint values (..., n), broadcast to one another; InputError if they do not fit."""
     each = [n_wide(mechanism, name, value) for name, value in given.items()]
     try:
         return dict(zip(given, np.broadcast_arrays(*each), strict=True))
@@ -104,7 +104,7 @@ def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, 
 
 
 def times_of(t: ArrayLike, q: Array) -> Array:
-    """The times of states q (..., n), (...)."""
+    """Return the times (...) of states q (..., n)."""
     try:
         times = np.broadcast_to(finite("t", np.asarray(t, float)), q.shape[:-1])
     except ValueError:
@@ -116,9 +116,9 @@ def times_of(t: ArrayLike, q: Array) -> Array:
 def within_floats(
     function: Callable[..., Any], names: Sequence[str], given: Sequence[Any], named: dict[str, Any]
 ) -> Any:
-    """What a function of a mechanism and a state gives; its arguments have `names`.
+    """Call a function of a mechanism and a state; its arguments have `names`.
 
-    Raises RobodynError that names the largest number of the state where results leave the floats.
+    Raises RobodynError that names the largest number of the state if results overflow.
     """
     try:
         with np.errstate(over="raise"):
@@ -134,22 +134,22 @@ def within_floats(
 
 
 def matvec(matrix: NDArray[Any], vector: NDArray[Any]) -> NDArray[Any]:
-    """Matrices (..., r, n) times vectors (..., n), each by itself.
+    """Return matrices (..., r, n) times vectors (..., n), each by itself.
 
-    So the digits of a state do not depend on how many there are, as those of rows @ matrix do.
+    So the digits of a state do not depend on the number of states, unlike those of rows @ matrix.
     """
     return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
 class Placed(NamedTuple):
-    """Where a mechanism is: x = J q, X, and the direction E of the frame of each, (..., n)."""
+    """The placement of a mechanism: x = J q, X, and the direction E of each frame, (..., n)."""
 
     x: Array
     X: Complex
     E: Complex
 
     def rates(self, mechanism: Mechanism, xd: Array) -> Placed:
-        """xd, X' and E'."""
+        """Return xd, X' and E'."""
         w = frame_rates(mechanism, xd)
         moved = 1j * self.X * w
         if not mechanism.slides:
@@ -159,7 +159,7 @@ class Placed(NamedTuple):
         return Placed(xd, moved, 1j * self.E * w)
 
     def accelerations(self, mechanism: Mechanism, xd: Array, xdd: Array) -> Placed:
-        """xdd, X'' and E''."""
+        """Return xdd, X'' and E''."""
         w, a = frame_rates(mechanism, xd), frame_rates(mechanism, xdd)
         turned = 1j * a - w * w
         bent = self.X * turned
@@ -171,7 +171,7 @@ class Placed(NamedTuple):
 
 
 def frame_rates(mechanism: Mechanism, rates: Array) -> Array:
-    """Of each coordinate the rate at which its frame turns, (..., n), from those of x."""
+    """Return the rate at which each coordinate's frame turns, (..., n), from those of x."""
     if not mechanism.slides:
         return rates
     w = rates.copy()
@@ -182,12 +182,12 @@ def frame_rates(mechanism: Mechanism, rates: Array) -> Array:
 
 
 def placed(mechanism: Mechanism, q: ArrayLike) -> Placed:
-    """Where the mechanism is at q (..., n)."""
+    """Return the placement of a mechanism at q (..., n)."""
     return placed_at(mechanism, matvec(mechanism.arrays.J, as_states(mechanism, "q", q)))
 
 
 def placed_at(mechanism: Mechanism, x: NDArray[Any]) -> Placed:
-    """The same at x = J q, of any precision."""
+    """Return the placement of a mechanism at x = J q, in any precision."""
     E = np.empty(x.shape, np.result_type(x, 1j))
     alpha = frame_rates(mechanism, x)  # as rates go, so go the angles themselves
     np.cos(alpha, out=E.real)
@@ -201,7 +201,7 @@ def placed_at(mechanism: Mechanism, x: NDArray[Any]) -> Placed:
 
 
 def columns(mechanism: Mechanism, V: NDArray[Any], X: Complex, E: Complex) -> Complex:
-    """V dX/dx (..., n) for V (..., n): a link that turns takes along what slides on it."""
+    """Return V dX/dx (..., n) for V (..., n): a turning link moves what slides on it."""
     found: Complex = V * (1j * X)
     for k in mechanism.slides:
         d = mechanism.frames[k]
@@ -212,16 +212,16 @@ def columns(mechanism: Mechanism, V: NDArray[Any], X: Complex, E: Complex) -> Co
 
 
 def absolute_rates(mechanism: Mechanism, qd: ArrayLike, name: str = "qd") -> Array:
-    """xd = J qd, angular velocities of links and rates of displacements, (..., n)."""
+    """Return xd = J qd, angular velocities and rates of displacements, (..., n)."""
     return matvec(mechanism.arrays.J, as_states(mechanism, name, qd))
 
 
 def joint_ways(
     mechanism: Mechanism, q: NDArray[Any], z: NDArray[Any], slope: NDArray[Any]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """How far joints moved from q (..., n), and qd, (..., n), by the series of x (..., n).
+    """Return displacements of joints from q (..., n), and qd, (..., n), from series of x.
 
-    z = rho + i theta turns a direction; of a displacement s it is 1 + i s.  `slope` is dz/dt.
+    z = rho + i theta turns a direction; for a displacement s it is 1 + i s.  `slope` is dz/dt.
     """
     way, rates = np.angle(z), (slope / z).imag
     for k in mechanism.slides:
@@ -234,7 +234,7 @@ def joint_ways(
 
 @lru_cache(maxsize=64)
 def relative_matrix(mechanism: Mechanism) -> Array:
-    """J^-1 (n, n): joint rates from absolute ones."""
+    """Return J^-1 (n, n): joint rates from absolute ones."""
     inverse = np.eye(mechanism.n)
     for k, above in enumerate(mechanism.above):
         if above is not None:

@@ -1,20 +1,20 @@
-"""The force in every joint, and what a mechanism does to the ground that carries it.
+"""The force in every joint, and the force of a mechanism on the ground.
 
-Newton's equation of all bodies b that link k carries, itself and payloads included, has only one
-unknown: the force R_k that acts on link k at its own joint, from the link (or the ground) that it
-hangs from.  With the pin forces f_c on the side that closure c names first,
+Newton's equation for all bodies b carried by link k, itself and payloads included, has one unknown:
+the force R_k that acts on link k at its own joint, from the link (or ground) that it hangs from.
+With the pin forces f_c on the first side of closure c,
 
     R_k = sum_b m_b (a_b - gamma) - sum_c (+1 first side, -1 second side below k) f_c - F_k
 
-F_k is what springs and loads put on all that link k carries.
+F_k is the force of springs and loads on all that link k carries.
 
-The ground feels the momentum that changes and the weight, whichever way the forces take:
+The ground feels the change of momentum and the weight, on whatever path the forces take:
 
     F = sum_b m_b (gamma - a_b)      M = sum_b s_b x m_b (gamma - a_b) - sum_k I_k alphadd_k
 
-and the loads besides.  A rotor that spins ever faster turns the link that carries it back, and so
-the ground: - sum J (w_carrier + ratio qd)' is in M too.  Joint torques, dampers, pins and springs
-between links are internal; those at the ground are in F and M.
+and the loads besides.  A rotor that accelerates turns back the link that carries it, and so the
+ground: - sum J (w_carrier + ratio qd)' is in M too.  Joint torques, dampers, pins and springs
+between links are internal; those at the ground are included in F and M.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ Part = Callable[[Mechanism], Mechanism]
 
 
 class Acts(NamedTuple):
-    """What elements do to links: forces at points, N, and moments, N m, of numbers (...)."""
+    """Effects of elements on links: forces at points, N, and moments, N m, of numbers (...)."""
 
     forces: Sequence[tuple[PointForce, Any]]  # complex ones
     moments: Sequence[tuple[LinkMoment, Any]]
@@ -63,7 +63,7 @@ FELT = 1e-9  # part of the largest force of a null vector that is more than roun
 
 
 class Bodies(NamedTuple):
-    """The point masses (centres of gravity and payloads) of a mechanism: b of them, n links.
+    """The b point masses (centres of gravity and payloads) of a mechanism with n links.
 
     Numbers are floats, or formulas in arrays of objects.
     """
@@ -78,12 +78,12 @@ class Bodies(NamedTuple):
 
 
 class Felt:
-    """What joints and the ground feel of a motion, of numbers (...) or of formulas.
+    """The quantities from which joint and ground forces follow, in numbers (...) or formulas.
 
-    Formulas stand in arrays of objects, complex ones as `Planar`: where they are (`at`), X'' and
-    E'' (`bent`), x'' and qdd (n,).  `pins` (..., closures) N act on the sides named first, `kept`
-    (..., k) N m of those that keep an angle, `rubbed` (..., closures) N m are moments of friction
-    there; `rows` gives what acts of a part (`parts.py`).
+    Formulas are in arrays of objects, complex ones as `Planar`.  `at` is the placement, `bent` has
+    X'' and E''; also x'' and qdd (n,).  `pins` (..., closures), N, act on the first sides, `kept`
+    (..., k), N m, belong to fixed angles, `rubbed` (..., closures), N m, are friction moments
+    there.  `rows` returns what acts for a part of the mechanism (`parts.py`).
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Felt:
         self.spun = list(np.moveaxis(-(matvec(bodies.spins, qdd) * bodies.rotors), -1, 0))
 
     def reactions(self) -> Complex:
-        """The force on each link at its own joint, (..., n)."""
+        """Return the force on each link at its own joint, (..., n)."""
         forces: Complex = -matvec(self.bodies.below.T, self.load)
         for _, force, link in self._acting():
             if link is not None:
@@ -121,7 +121,7 @@ class Felt:
         return forces
 
     def slide_moments(self) -> list[Array]:
-        """Of each link that slides, about its origin."""
+        """Return the moment on each sliding link about its origin."""
         carried, tree = self.bodies.carried, Tree(self.mechanism.description.links)
         each = (np.moveaxis(x, -1, 0) for x in (self.place, self.load))
         forces: list[Push] = list(zip(*each, self.bodies.below, strict=True))
@@ -143,7 +143,10 @@ class Felt:
         return found
 
     def _moments(self, part: Part) -> Array:
-        """On each link of inertia, rotors and `part`, (..., n + 1); the last on the ground."""
+        """Return the moments on each link of inertia, rotors and `part`, (..., n + 1).
+
+        The last is that on the ground.
+        """
         mechanism = self.mechanism
         own = -(self.turning * self.bodies.inertia)
         moments = np.concatenate([own, np.zeros_like(own[..., :1])], axis=-1)
@@ -156,7 +159,7 @@ class Felt:
         return moments
 
     def _acting(self) -> Iterator[tuple[Complex, Complex, int | None]]:
-        """The forces of elements and of cams: where each acts, and on which link."""
+        """Yield the forces of elements and cams: point, force and link."""
         for contact in self.contacts:
             yield contact.place, contact.force, contact.cam.link
             yield contact.place, -contact.force, contact.cam.driver
@@ -166,7 +169,7 @@ class Felt:
                 yield self._place(acting.back[0]), -force, acting.back[1]
 
     def _pinned(self, tree: Tree) -> Iterator[tuple[Complex, Complex, Array | float, int]]:
-        """What closures do to the links of their sides: where, the force, the moment, the link."""
+        """Yield the effects of closures on their links: point, force, moment and link."""
         kept = iter(np.moveaxis(self.kept, -1, 0))
         pins = np.moveaxis(self.pins, -1, 0)
         for c, (closure, pin) in enumerate(
@@ -184,7 +187,7 @@ class Felt:
         return np.moveaxis(points_of(self.mechanism, [point]).place(self.at), -1, 0)[0]  # type: ignore[no-any-return]
 
     def shaking(self) -> tuple[Array, Array, Array]:
-        """Fx, Fy and M on the ground."""
+        """Return Fx, Fy and M on the ground."""
         force = self.load.sum(axis=-1)
         # moments on links that cannot turn are no load of the mechanism's, but of the ground's
         moment = _imaginary(self.place.conj() * self.load).sum(axis=-1)
@@ -211,14 +214,13 @@ def reactions(
     multipliers: ArrayLike,
     t: ArrayLike = 0.0,
 ) -> Array:
-    """The force on each link at its own joint, (..., n, 2), N, ground axes.
+    """Return the force on each link at its own joint, (..., n, 2), N, ground axes.
 
     R_k = sum_b m_b (a_b - gamma) - F_k less the pin forces, over the bodies b that link k carries;
-    F_k has the contact forces of cams too.
-    It comes from the link, or the ground, that the link hangs from.  q, qd, qdd (..., n) are a
-    motion, rad and s, and multipliers (..., r) N those of `inverse_dynamics_and_forces` or
-    `forward_dynamics_and_forces` for it, (..., 0) without closures.  Raises InputError for arrays
-    that do not fit.
+    F_k includes the contact forces of cams.  It comes from the link, or the ground, from which the
+    link hangs. q, qd, qdd (..., n) are a motion, rad and s, and multipliers (..., r) N those of
+    `inverse_dynamics_and_forces` or `forward_dynamics_and_forces` for it, (..., 0) without
+    closures.  Raises InputError for arrays that do not fit.
     """
     lam = as_multipliers(mechanism, multipliers)
     forces = _of_numbers(mechanism, q, qd, qdd, t, lam).reactions()
@@ -233,9 +235,9 @@ def slide_moments(
     multipliers: ArrayLike,
     t: ArrayLike = 0.0,
 ) -> Array:
-    """The moment on each link that slides, about its origin, (..., slides), N m.
+    """Return the moment on each sliding link about its origin, (..., slides), N m.
 
-    It comes from what the link slides on, and keeps it from turning; arguments as of `reactions`.
+    It comes from the link it slides on, and keeps it from turning.  Arguments as for `reactions`.
     """
     felt = _of_numbers(mechanism, q, qd, qdd, t, as_multipliers(mechanism, multipliers))
     if not mechanism.slides:
@@ -246,12 +248,12 @@ def slide_moments(
 def shaking_force(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, t: ArrayLike = 0.0
 ) -> Array:
-    """What the mechanism does to the ground, (..., 3): Fx, Fy N, M N m.
+    """Return the force of the mechanism on the ground, (..., 3): Fx, Fy N, M N m.
 
-    F = sum_b m_b (gamma - a_b), and loads; M is about the origin, counter-clockwise.  All joints
-    that hang from the ground, closures to ground points, sliders, springs to the ground, and
-    torques and dampers of ground joints are in it.  q, qd, qdd (..., n) are a motion that the
-    torques make, rad and s, at times t.  Raises InputError for arrays that do not fit.
+    F = sum_b m_b (gamma - a_b), plus loads; M is about the origin, counter-clockwise.  It includes
+    all joints on the ground, closures to ground points, sliders, springs to the ground, and torques
+    and dampers of ground joints. q, qd, qdd (..., n) are a motion that the torques make, rad and s,
+    at times t.  Raises InputError for arrays that do not fit.
     """
     return np.stack(_of_numbers(mechanism, q, qd, qdd, t).shaking(), axis=-1)
 
@@ -264,7 +266,7 @@ def _of_numbers(
     t: ArrayLike,
     lam: Array | None = None,
 ) -> Felt:
-    """Of numbers; what multipliers are needed for only where they are given."""
+    """Build `Felt` from arrays; without `lam` it has no pin forces."""
     at, xd = placed(mechanism, q), absolute_rates(mechanism, qd)
     xdd, joints = absolute_rates(mechanism, qdd, "qdd"), np.asarray(qdd, float)
     pins, kept, rubbed = np.zeros(0, complex), np.zeros(0), None
@@ -291,9 +293,9 @@ def _of_numbers(
 
 
 def dependent_rows(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> NDArray[np.int64]:
-    """How many closure rows follow from the others at q (..., n): r less the rank of Psi, (...).
+    """Return how many closure rows depend on the others at q (..., n): r - rank Psi, (...).
 
-    Where it is not zero, the pin forces are not unique.
+    If it is not zero, the pin forces are not unique.
     """
     found = decompose(mechanism, scaled_jacobian(mechanism, q, t))
     return np.asarray(len(mechanism.rows) - found.rank)
@@ -302,25 +304,25 @@ def dependent_rows(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> NDArray[
 def not_unique(
     mechanism: Mechanism, q: ArrayLike, t: ArrayLike
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """The closures and the links whose pin force and reaction are not unique at q (n,).
+    """Return closures and links whose pin force or reaction is not unique at q (n,).
 
-    lambda may change by any null vector of Psi^T, which the R_k of `reactions` carry into the
-    joints of the loops.  Both are empty where the closures are independent.
+    lambda may change by any null vector of Psi^T, which `reactions` carry into the joints of the
+    loops.  Both are empty if the closures are independent.
     """
     changes = pin_forces(mechanism, _free_multipliers(mechanism, q, t), q) @ [1, 1j]
     return _felt(changes, FELT), _felt(changes @ sides_of(mechanism), FELT)
 
 
 def dependent_couplings(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> tuple[int, ...]:
-    """The couplings whose torque is not unique at q (n,)."""
+    """Return the couplings whose torque is not unique at q (n,)."""
     changes = coupling_torques(mechanism, _free_multipliers(mechanism, q, t))
     return _felt(changes, FELT * loop_size(mechanism))
 
 
 def names_not_unique(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> str:
-    """The columns of forces that are not unique at the first of the states q (T, n) that has such.
+    """Return the names of force columns that are not unique, at the first such state.
 
-    "" where all are.
+    q is (T, n).  Returns "" if all are unique.
     """
     states = as_states(mechanism, "q", q)
     dependent = dependent_rows(mechanism, states, t)
@@ -336,7 +338,7 @@ def names_not_unique(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> str:
 
 
 def _free_multipliers(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
-    """The null vectors of Psi^T at q (n,), (d, r)."""
+    """Return the null vectors of Psi^T at q (n,), (d, r)."""
     found = decompose(mechanism, scaled_jacobian(mechanism, q, t))
     return found.U[:, int(found.rank) :].T
 
@@ -347,7 +349,7 @@ def _felt(changes: NDArray[np.inexact], least: float) -> tuple[int, ...]:
 
 @lru_cache(maxsize=64)
 def bodies_of(mechanism: Mechanism) -> Bodies:
-    """The bodies of a mechanism, at points summed from the ground."""
+    """Return the bodies of a mechanism, at points summed from the ground."""
     scene = mechanism.description
     mechanism.check_masses(still=scene.gravity != 0 or scene.field is not None)
     links, n = mechanism.description.links, mechanism.n
@@ -371,7 +373,7 @@ def bodies_of(mechanism: Mechanism) -> Bodies:
 
 
 def sides_of(mechanism: Mechanism) -> Array:
-    """Return +1 and -1 where link k carries the first and the second side, (closures, n)."""
+    """Return +1 and -1 where link k carries the first or second side, (closures, n)."""
     carried = bodies_of(mechanism).carried
     sides = np.zeros((len(mechanism.description.closures), mechanism.n))
     for row, closure in zip(sides, mechanism.description.closures, strict=True):

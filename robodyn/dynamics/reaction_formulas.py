@@ -1,4 +1,4 @@
-"""Where links are, and what joints feel, as formulas of a recorded state."""
+"""Placement, joint forces and ground forces as formulas of a recorded state."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from robodyn.mechanics.mechanism import Mechanism
 
 
 def planar_values(values: Sequence[Value]) -> NDArray[Any]:
-    """Real values as `Planar`s."""
+    """Return real values as `Planar`s."""
     return np.array([Planar(x, 0.0) for x in values], object)
 
 
 def placed_formulas(state: Recorded) -> Placed:
-    """Where the mechanism is at a recorded state, arrays of formulas (n,)."""
+    """Return the placement of the mechanism at a recorded state, in formulas (n,)."""
     mechanism, x = state.mechanism, state.absolute("q")
     E = [
         Planar(1.0, 0.0) if d is None else Planar(expression.cos(x[d]), expression.sin(x[d]))
@@ -44,14 +44,14 @@ def felt_formulas(
     lam: Sequence[Value],
     Psi: Sequence[Sequence[Value]],
 ) -> Felt:
-    """What joints and the ground feel of a recorded state that is `at`, with X'' in `bent`.
+    """Return `Felt` for a recorded state with placement `at`, with X'' in `bent`.
 
-    `accelerations` are xdd and qdd (n), `lam` (r) the multipliers, and Psi (r, n) is in joints.
+    `accelerations` are xdd and qdd (n), `lam` (r) the multipliers; Psi (r, n) is in joints.
     """
     mechanism, graph = state.mechanism, state.graph
 
     def rows(part: Part) -> Acts:
-        """What acts, from the rows of its program."""
+        """Return what acts, from the rows of its program."""
         found = RowValues(part(mechanism), graph)
         forces, couples = found.acting, found.couples
         parts = found.nodes("forces") if forces else []
@@ -69,7 +69,7 @@ def felt_formulas(
 def contact_formulas(
     mechanism: Mechanism, at: Placed, lam: Sequence[Value], Psi: Sequence[Sequence[Value]]
 ) -> list[ContactForce]:
-    """What cams do to their followers."""
+    """Return the forces of cams on their followers."""
     rows = mechanism.rows
     first = mechanism.first_coupling
     slopes, torques = [], []

@@ -1,13 +1,13 @@
-"""Which joints stick, and which stops hold, at a state: the mode in which it goes on.
+"""Decides which joints stick and which stops hold at a state: the mode in which it goes on.
 
-A joint at rest is held by a force between bounds: dry friction by up to `static` either way, a hard
-stop by any push.  It is held as long as what is needed lies between them; where it does not, the
-joint starts the way that nothing holds it back from.  Of joints that the closures tie together
-only some can be held independently; the others help by what they hold (`margins`).
+A joint at rest is held by a force between bounds: dry friction by up to `static` in both
+directions, a hard stop by any push.  It is held as long as the needed force lies between them;
+otherwise it starts in the direction in which nothing holds it.  If closures tie joints together,
+only some can be held independently; the others contribute their bounds (`margins`).
 
-The forces f of the joints at rest make them accelerate by a = a0 + W f, W being symmetric.  Each is
-held (a = 0, f between its bounds) or starts (f is the bound against which it moves): f is what
-makes f . (W f / 2 + a0) least between the bounds, which is one problem for all joints together.
+The forces f of the joints at rest cause accelerations a = a0 + W f, with symmetric W. Each joint is
+held (a = 0, f between its bounds) or starts (f at the bound against which it moves): f minimises f
+. (W f / 2 + a0) between the bounds, one problem for all joints together.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ PASSES = 20  # a joint at rest, in which its force is found
 
 
 class Standing(NamedTuple):
-    """A mode, and all joints that stand still in it: those it holds, and those tied to them."""
+    """A mode, and all joints at rest in it: held ones, and those tied to them."""
 
     mode: Mode
     still: tuple[int, ...]
 
 
 class Bounds(NamedTuple):
-    """Between what a joint at rest is held, N m or N."""
+    """The bounds of the force that holds a joint at rest, N m or N."""
 
     low: float
     high: float
 
 
 def bounds(mechanism: Mechanism, joint: int, sides: Sequence[int]) -> Bounds:
-    """Of a joint that touches the hard stops of these sides."""
+    """Return the bounds of a joint that touches the hard stops of these sides."""
     friction = mechanism.dry.get(joint)
     static = 0.0 if friction is None else friction.static
     low = -math.inf if 1 in sides else -of_way(static, 1)
@@ -62,16 +62,16 @@ def bounds(mechanism: Mechanism, joint: int, sides: Sequence[int]) -> Bounds:
 
 
 def resting(mechanism: Mechanism, qd: ArrayLike) -> list[int]:
-    """The joints with dry friction that stand still at the rates qd (n)."""
+    """Return the joints with dry friction that are at rest at rates qd (n)."""
     rates = np.abs(np.asarray(qd, float))
     least = AT_REST * float(rates.max(initial=0.0))
     return [joint for joint in mechanism.dry if rates[joint] <= least]
 
 
 def touching(mechanism: Mechanism, q: Array, qd: Array, t: float) -> list[tuple[int, int]]:
-    """The hard stops, joints and sides, that a state at t touches without leaving them.
+    """Return the hard stops (joint, side) that a state at t touches without leaving them.
 
-    Not those of joints that laws of the time lead.
+    Joints led by laws of time are left out.
     """
     least = AT_REST * float(np.abs(qd).max(initial=0.0))
     found = [
@@ -84,7 +84,7 @@ def touching(mechanism: Mechanism, q: Array, qd: Array, t: float) -> list[tuple[
 
 
 def led_joints(mechanism: Mechanism, q: Array, t: float) -> tuple[int, ...]:
-    """The joints whose rates follow from laws of the time and closures alone, at q (n) and t.
+    """Return the joints whose rates follow from laws of time and closures alone, at q (n) and t.
 
     No force between bounds holds them, and no impulse changes their rates.
     """
@@ -98,7 +98,7 @@ def led_joints(mechanism: Mechanism, q: Array, t: float) -> tuple[int, ...]:
 def modes_of(
     mechanism: Mechanism, kind: str, states: Mapping[str, Array], times: Array
 ) -> dict[Mode, list[int]]:
-    """The modes of states (k, n) at times (k,), and which of them have each."""
+    """Return the modes of states (k, n) at times (k,), and the indices of states in each."""
     found: dict[Mode, list[int]] = {}
     for k, (q, qd, third, t) in enumerate(zip(*states.values(), times.tolist(), strict=True)):
         if kind == "inverse":
@@ -124,12 +124,12 @@ def mode_at(
     *,
     t: float,
 ) -> Standing:
-    """The mode in which a state goes on under the torques tau (n) at t, and what stands still.
+    """Return the mode in which a state goes on under torques tau (n) at t, and joints at rest.
 
-    The joints of `rests` stand still so far; `touches` are hard stops, joints and sides, at which
-    joints stand still as well; `pushing` compliant ones that push, None: as the state tells.
-    `starting` are joints that are held no longer, and which way they start; `paused` joints that
-    laws of the time lead, and that slip no way.
+    The joints of `rests` are at rest so far.  `touches` are hard stops (joint, side) on which
+    joints rest too.  `pushing` are compliant stops that push; None decides by the state.
+    `starting` are joints no longer held, with the direction in which they start.  `paused` are
+    joints led by laws of time that slip in no direction.
     """
     sides: dict[int, list[int]] = {}
     for joint, side in touches:
@@ -203,11 +203,10 @@ def _starts(
 
 
 def forces_between(a0: Array, W: Array, low: Array, high: Array) -> Array:
-    """f (k) from `low` to `high` with a0 + W f >= 0 where it is low, <= 0 where high, else 0.
+    """Return f (k) from `low` to `high` with a0 + W f >= 0 at low, <= 0 at high, else 0.
 
-    W is symmetric and has no negative eigenvalue.  From 0 on the forces that are free go to where
-    nothing accelerates, up to the first bound, which then holds one more; one that pulls back is
-    let free.
+    W is symmetric positive semidefinite.  Starting from 0, free forces move to where nothing
+    accelerates, up to the first bound, which then holds one more; a force that would pull is freed.
     """
     scale = np.sqrt(np.diagonal(W))
     scale = np.where(scale > 0.0, 1.0 / np.where(scale > 0.0, scale, 1.0), 1.0)
@@ -250,11 +249,10 @@ def forces_between(a0: Array, W: Array, low: Array, high: Array) -> Array:
 def stopped(
     mechanism: Mechanism, q: Array, qd: Array, joints: Sequence[int], t: float
 ) -> tuple[Array, list[int]]:
-    """The rates (n) next to qd with which these joints stand still; those that then do so too.
+    """Return the rates (n) nearest to qd with these joints at rest, and all joints then at rest.
 
-    Laws of the time are kept: Psi qd + d gap/dt = 0.
-
-    Those are joints with dry friction that the closures stop together with the others.
+    Laws of time are kept: Psi qd + d gap/dt = 0.  The list includes joints with dry friction that
+    the closures stop together with the others.
     """
     after = qd.copy()
     if mechanism.rows:
@@ -276,7 +274,7 @@ def stopped(
 
 
 def held_forces(moving: Mechanism, multipliers: Array) -> Array:
-    """What holds each joint that a mode holds, (..., k), N m or N, by the multipliers (..., r)."""
+    """Return the force on each held joint, (..., k), N m or N, from multipliers (..., r)."""
     arms = [moving.rows[r].arm for r in moving.held]
     return np.asarray(multipliers[..., list(moving.held)] * np.array(arms))
 
@@ -297,7 +295,7 @@ def independent(mechanism: Mechanism, joints: Sequence[int], q: Array, t: float)
 
 
 def stands(moving: Mechanism, q: Array, t: float) -> bool:
-    """Whether what a mode holds leaves nothing that can move."""
+    """Return whether the held joints of a mode leave nothing that can move."""
     least = len(moving.rows) >= moving.n and bool(moving.held)
     return least and _rank(scaled_jacobian(moving, q, t)) == moving.n
 
@@ -316,10 +314,10 @@ def margins(
     limits: Mapping[int, Bounds],
     t: Array,
 ) -> Array:
-    """How far what holds is from its bounds, (k, m) at q (k, n), t (k,); below zero it fails.
+    """Return how far holding forces are from their bounds, (k, m); negative if one fails.
 
-    `forces` (k, held) hold the joints that the mode holds; the joints of `still` that it does not
-    hold stand still with them, and help.  N m, or N.
+    q is (k, n), t (k,).  `forces` (k, held) hold the joints of the mode; the other joints of
+    `still` are at rest with them, and contribute their bounds.  N m, or N.
     """
     helpers = [joint for joint in still if joint not in mode.held]
     if not mode.held:
@@ -340,7 +338,7 @@ def margins(
 
 
 def _shares(mechanism: Mechanism, mode: Mode, helpers: Sequence[int], q: Array, t: float) -> Array:
-    """The rate of each helper as those of held joints are 1, (helpers, held)."""
+    """Return the rate of each helper per unit rate of held joints, (helpers, held)."""
     rows = scaled_jacobian(mechanism, q, t) / mechanism.arrays.units
     held = list(mode.held)
     others = [k for k in range(mechanism.n) if k not in mode.held]
@@ -351,9 +349,9 @@ def _shares(mechanism: Mechanism, mode: Mode, helpers: Sequence[int], q: Array, 
 def _shared(
     force: Array, low: Array, high: Array, shares: Array, bounded: Sequence[Bounds]
 ) -> tuple[float, Array]:
-    """By how much what holds misses its bounds where several joints are held: a linear program.
+    """Return the margin where several joints are held, by a linear program.
 
-    And the rates (held) with which the joints start where it does, the duals of that.
+    The second result are the rates (held) with which joints start if it fails: the dual solution.
     """
     from scipy.optimize import linprog
 
