@@ -150,13 +150,24 @@ class TestRight:
         assert "couplings[0] = " in given.err
         assert "law" in given.err.split("couplings[0] = ")[1]
 
-    def test_a_trajectory(self, robodyn, scene, kind):
-        given = robodyn("trajectory", scene(SCENES[kind]), *PATH)
+    def test_a_trajectory(self, robodyn, scene, kind, tmp_path):
+        path = scene(SCENES[kind])
+        given = robodyn("trajectory", path, *PATH)
         if kind == "wholly":
             assert given.code == 2
             assert "couplings[0] = " in given.err
             return
         assert given.code == 0, given.err
+        track = tmp_path / "track.csv"
+        track.write_text(given.out)
+        vary = ["--vary", "links.arm.m=0.5,0.7", "--result", "max(KE),max(PE)"]
+        swept = robodyn("sweep", path, "--kind", "torque", "--track", str(track), *vary)
+        energies = robodyn("energy", path, str(track))
+        states = [*csv.DictReader(energies.out.splitlines())]
+        of_own_mass = next(csv.DictReader(swept.out.splitlines()))
+        for name in ("KE", "PE"):
+            most = max(float(x[name]) for x in states)
+            assert float(of_own_mass[f"max({name})"]) == pytest.approx(most, rel=1e-9)
         rows = [*csv.DictReader(given.out.splitlines())]
         told = [[float(x[name]) for name in ("t", "q1", "qd1", "qdd1", "q2")] for x in rows]
         exact = [

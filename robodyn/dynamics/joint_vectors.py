@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.columns import scene_units, unit_of
-from robodyn.errors import InputError, overflow
+from robodyn.dynamics.placed import STATE, finite, numbers
+from robodyn.errors import InputError, SingularError, overflow
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.quantities import parse_vector
 from robodyn.tables.arrays import Array
@@ -78,6 +79,29 @@ def driver_of(mechanism: Mechanism, name: str = "q") -> Mechanism:
     return with_independent(mechanism)
 
 
+def vector(mechanism: Mechanism, name: str, values: ArrayLike) -> tuple[Array, bool]:
+    """The floats of q, qd, qdd or tau, and whether they are of all joints.
+
+    Else they are of those of `driver_of`.  A vector of another `name` is one of angles q.  Raises
+    InputError for another width.
+    """
+    each, n = numbers(name, values), mechanism.n
+    few = driver_of(mechanism, name if name in STATE else "q").actuated
+    width = each.shape[-1] if each.ndim else None
+    if width not in (n, len(few)):
+        limit = f"must have {n} values along the last axis, one a joint"
+        if 0 < len(few) < n:
+            limit += f", or {len(few)} ({', '.join(mechanism.link_names[k] for k in few)})"
+        raise InputError(f"{name}.shape", value=each.shape, limit=limit)
+    return each, width == n
+
+
+def vectors(mechanism: Mechanism, **given: ArrayLike | None) -> dict[str, tuple[Array, bool]]:
+    """The vectors that are given, as `full` takes them; InputError if a value is not finite."""
+    pairs = {k: vector(mechanism, k, x) for k, x in given.items() if x is not None}
+    return {name: (finite(name, values), whole) for name, (values, whole) in pairs.items()}
+
+
 def full(
     mechanism: Mechanism,
     given: Mapping[str, tuple[Array, bool]],
@@ -85,6 +109,7 @@ def full(
     place: str = "",
     *,
     t: ArrayLike,
+    missing: Array | None = None,
 ) -> dict[str, Array]:
     """Return q, qd and what else is given for all joints (..., n), in this order, at times t (...).
 
@@ -92,6 +117,9 @@ def full(
     `driver_of`, and the rest is assembled, in these branches, and follows.  Torques of other joints
     are zero.  Raises InputError, with its place, if values of all joints do not close the loops;
     RobodynError if a result is not finite.
+
+    With zeros `missing` (T,), states need not close: it takes by how much each stays open, m, nan
+    if its configuration is singular.  Such states (T, n) have any values.
     """
     driver = driver_of(mechanism)
     free = not mechanism.rows and len(driver.actuated) == mechanism.n  # a joint each
@@ -107,25 +135,42 @@ def full(
                 fault[1].add_place(place)
             raise fault[1]
 
+    def follow(rates: Callable[..., Array], *known: Array) -> Array:
+        if missing is None:
+            return rates(driver, *known, t)
+        found, times = np.zeros((len(missing), mechanism.n)), np.broadcast_to(t, missing.shape)
+        closed = np.flatnonzero(missing == 0.0)
+        columns = [x[closed] for x in (*known, times)]
+        found[closed], regular = each_regular(
+            lambda k: rates(driver, *(x[k] for x in columns)), (len(closed), mechanism.n)
+        )
+        missing[closed[~regular]] = np.nan
+        return found
+
     unchecked = bool(mechanism.rows) and any(whole for _, whole in given.values())
     with np.errstate(all="ignore"):
         for name, (values, whole) in given.items():
             every = values
             if whole or (free and name != "tau"):
                 pass
+            elif name == "q" and missing is not None:
+                every, short = assembly.attempt(driver, values, branches, t=t)
+                lost = np.where(np.isfinite(every).all(axis=-1), 0.0, np.inf)
+                missing[:] = np.where(short <= 0.0, lost, short)
+                every[missing != 0.0] = 0.0
             elif name == "q":
                 every = assembly.assemble(driver, values, branches, t=t)
             elif name == "qd":
-                every = loop_rates.loop_velocities(driver, motion["q"], values, t)
+                every = follow(loop_rates.loop_velocities, motion["q"], values)
             elif name == "qdd":
                 if unchecked:
                     check()
                     unchecked = False
-                every = loop_rates.loop_accelerations(driver, motion["q"], motion["qd"], values, t)
+                every = follow(loop_rates.loop_accelerations, motion["q"], motion["qd"], values)
             else:
                 every = np.zeros((*values.shape[:-1], mechanism.n))
                 every[..., list(mechanism.actuated)] = values
-            if not np.isfinite(every).all():
+            if missing is None and not np.isfinite(every).all():
                 raise overflow()
             motion[name] = every
             if name == "q" and whole and mechanism.driven:  # a law is told before rates are sought
@@ -133,3 +178,36 @@ def full(
         if unchecked:
             check()
     return motion
+
+
+def each_regular(
+    compute: Callable[[slice], Array], shape: tuple[int, int]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Rows (T, k), computed at once or, if one is singular, one by one; and which are regular."""
+    regular = np.ones(shape[0], bool)
+    try:
+        return compute(slice(None)), regular
+    except SingularError:
+        found = np.zeros(shape)
+        for k in range(len(found)):
+            try:
+                found[k] = compute(slice(k, k + 1))[0]
+            except SingularError:
+                regular[k] = False
+        return found, regular
+
+
+def reclosed(mechanism: Mechanism, q: Array, qd: Array, *, t: float) -> tuple[Array, Array]:
+    """q and qd (n,) of a start near these, which closes at t with the independent joints as given.
+
+    InputError if the loops do not close there.
+    """
+    from robodyn.loops.assembly import close_positions
+    from robodyn.loops.loop_rates import check_closed, loop_velocities
+
+    driver = driver_of(mechanism)
+    held = list(driver.actuated)
+    q = close_positions(mechanism, q, held, t=t)
+    if fault := check_closed(mechanism, q, t=t):
+        raise fault[1]
+    return q, loop_velocities(driver, q, qd[held], t)

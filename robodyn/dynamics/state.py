@@ -29,9 +29,9 @@ from robodyn.dynamics.columns import (
     family_of,
     names_of,
 )
-from robodyn.dynamics.joint_vectors import driver_of, full
+from robodyn.dynamics.joint_vectors import full, vector
 from robodyn.dynamics.named_points import NamedPoint, named_points, point_jacobian, unit_rates
-from robodyn.dynamics.placed import as_states, n_wide, numbers, times_of, together
+from robodyn.dynamics.placed import as_states, times_of, together
 from robodyn.errors import InputError, overflow
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.loop_rates import check_way_on, loop_accelerations
@@ -244,19 +244,17 @@ def _of_all_joints(
     mechanism: Mechanism, given: Mapping[str, ArrayLike], t: ArrayLike
 ) -> Mapping[str, ArrayLike]:
     """The vectors as they are, or of all joints where q, qd or qdd are of the actuated ones."""
-    values = {name: numbers(name, x) for name, x in given.items()}
-    for name, x in values.items():
-        few = mechanism if name == "tau" else driver_of(mechanism, name)
-        if not x.ndim or x.shape[-1] != len(few.actuated):
-            n_wide(mechanism, name, x)  # which tells what is wrong
-    if all(x.shape[-1] == mechanism.n for name, x in values.items() if name != "tau"):
+    values = {name: vector(mechanism, name, x) for name, x in given.items()}
+    if all(whole for name, (_, whole) in values.items() if name != "tau"):
         return given
     try:
-        rows = np.broadcast_shapes(*(x.shape[:-1] for x in values.values()))
+        rows = np.broadcast_shapes(*(x.shape[:-1] for x, _ in values.values()))
     except ValueError:
         return given  # which is told of all of them
-    each = {name: np.broadcast_to(x, (*rows, x.shape[-1])) for name, x in values.items()}
-    every = {name: (x, x.shape[-1] == mechanism.n) for name, x in each.items()}
+    every = {
+        name: (np.broadcast_to(x, (*rows, x.shape[-1])), whole)
+        for name, (x, whole) in values.items()
+    }
     return full(mechanism, every, t=t)
 
 

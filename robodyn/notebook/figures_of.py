@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.columns import ANY_SCENE, scene_units
+from robodyn.dynamics.joint_vectors import full, vectors
 from robodyn.dynamics.named_points import named_points
-from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError, printable
-from robodyn.loops import loop_rates
-from robodyn.loops.assembly import assemble, first_pose
+from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.notebook.inline import named_as_arguments, opened, own_settings
 from robodyn.pictures import animation_files
@@ -113,10 +112,10 @@ def draw(
 ) -> Figure:
     """The mechanism in the closed pose q, to scale; of q (T, n) some poses, the last in full.
 
-    q is of all joints or of the actuated ones; without it a pose is chosen.  `of` names points
-    whose paths through q are drawn.  With `forces` weights and forces in pins of the state q, qd,
-    that moves with qdd, or as the torques tau make it.  Raises InputError for values that do not
-    fit, AssemblyError where the pose does not close, RobodynError without matplotlib.
+    Vectors are of all joints or of the actuated ones; without q a pose is chosen.  `of` names
+    points whose paths through q are drawn.  With `forces` weights and forces in pins of the state
+    q, qd, that moves with qdd, or as the torques tau make it.  Raises InputError for values that
+    do not fit, AssemblyError where the pose does not close, RobodynError without matplotlib.
     """
     named = named_points(mechanism, of, "of") if of else []
     if poses < 1:
@@ -129,19 +128,23 @@ def draw(
         raise InputError("q", limit="missing: forces need a state")
     elif qdd is not None and tau is not None:
         raise InputError("qdd and tau", limit="exclude each other")
-    rows = np.atleast_2d(first_pose(mechanism, t=0.0) if q is None else _closed(mechanism, q))
-    found = []
+    given = vectors(
+        mechanism,
+        q=first_pose(mechanism, t=0.0) if q is None else q,
+        qd=np.zeros(mechanism.n) if forces and qd is None else qd,
+        qdd=qdd,
+        tau=tau,
+    )
+    for name, (values, whole) in given.items():
+        few = values.size == values.shape[-1]  # of one state
+        if not 1 <= values.ndim <= 2 or not values.size or (forces and not few):
+            limit = "must be one pose, for forces" if forces else "must be one pose, or rows"
+            raise InputError(f"{name}.shape", value=values.shape, limit=limit)
+        given[name] = (values.reshape(-1) if forces else values), whole
+    state = full(mechanism, given, t=0.0)
+    rows, found = np.atleast_2d(state["q"]), []
     if forces:
-        if len(rows) > 1:
-            raise InputError("q", limit="must be one pose, for forces")
-        rates, moved, torques = (
-            None if x is None else as_states(mechanism, name, x)
-            for name, x in (("qd", qd), ("qdd", qdd), ("tau", tau))
-        )
-        at_rest = np.zeros(mechanism.n)
-        found = forces_at(
-            mechanism, rows[0], at_rest if rates is None else rates, moved, torques, t=0.0
-        )
+        found = forces_at(mechanism, **state, t=0.0)
     drawn = drawing(mechanism, rows[even_rows(len(rows), poses)], named)
     texts = list(map(shown, mechanism.link_names))
     if labels != "names":
@@ -150,19 +153,6 @@ def draw(
         traces = traced(mechanism, named, rows)
         figure: Figure = mechanism_figure(drawn, texts, traces, found, size)
         return figure
-
-
-def _closed(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """Closed poses (n,) or (T, n); of the actuated joints alone the others are assembled."""
-    given = np.asarray(q, float)
-    if given.shape[-1:] == (len(mechanism.actuated),) and len(mechanism.actuated) != mechanism.n:
-        return assemble(mechanism, given, t=0.0)
-    poses = as_states(mechanism, "q", given)
-    if not 1 <= poses.ndim <= 2 or not poses.size:
-        raise InputError("q.shape", value=poses.shape, limit="must be that of one pose, or of rows")
-    if (fault := loop_rates.check_closed(mechanism, poses, t=0.0)) is not None:
-        raise fault[1]
-    return poses
 
 
 class Animation(animation_files.MovingPicture):
@@ -207,8 +197,9 @@ def animate(
 ) -> Animation:
     """A motion as a moving picture: one that `simulate` gave, or a mechanism and its t, q, qd.
 
-    t (T,), s, q and qd (T, n); `of` names points whose paths are drawn.  `speed` seconds of the
-    motion pass in one.  Raises InputError for values that do not fit.
+    t (T,), s, q and qd (T, n), or of the actuated joints alone; `of` names points whose paths are
+    drawn.  `speed` seconds of the motion pass in one.  Raises InputError for values that do not
+    fit.
     """
     if isinstance(motion, Motion):
         if t is not None or q is not None or qd is not None:
@@ -219,10 +210,13 @@ def animate(
         if t is None or q is None:
             raise InputError("t and q", limit="missing: a mechanism alone does not move")
         mechanism, times = motion, np.asarray(t, float)
-        rows, rates = as_states(motion, "q", q), None if qd is None else as_states(motion, "qd", qd)
-        if times.ndim != 1 or rows.shape[:-1] != times.shape:
-            limit = "must be (T, n), at times (T,)"
-            raise InputError("q.shape", value=rows.shape, limit=limit)
+        given = vectors(motion, q=q, qd=qd)
+        for name, (values, _) in given.items():
+            if times.ndim != 1 or values.shape[:-1] != times.shape:
+                limit = "must have a row each of the times (T,)"
+                raise InputError(f"{name}.shape", value=values.shape, limit=limit)
+        state = full(mechanism, given, t=times)
+        rows, rates = state["q"], state.get("qd")
     else:
         limit = "must be a motion, or a mechanism with t and q"
         raise InputError("motion", value=type(motion).__name__, limit=limit)

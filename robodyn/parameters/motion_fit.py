@@ -25,21 +25,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.columns import column_names, of_joints
+from robodyn.dynamics.joint_vectors import driver_of, full, reclosed, vectors
 from robodyn.dynamics.named_numbers import named_values
 from robodyn.dynamics.placed import matvec
 from robodyn.engines.expression import Value, tangents
 from robodyn.errors import DescriptionError, InputError, RobodynError
-from robodyn.loops.assembly import assemble
-from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.closing import close_positions, half_turn
-from robodyn.loops.loop_rates import check_closed, loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.driven import check_times
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -647,26 +645,26 @@ class _Begin:
         q: ArrayLike,
         qd: ArrayLike | None,
     ) -> None:
-        n, joints = mechanism.n, np.array(q, float)
-        rates = np.zeros(joints.shape) if qd is None else np.array(qd, float)
-        self.whole, driven = joints.shape == (n,), len(mechanism.actuated)
-        for name, given in (("q", joints), ("qd", rates)):
-            wide = {driven, n} if self.whole or name == "q" else {driven}
-            if given.ndim != 1 or len(given) not in wide:
-                limit = f"must have {' or '.join(map(str, sorted(wide)))} values, one a joint"
-                raise InputError(f"{name}.shape", value=given.shape, limit=limit)
-        if self.whole and (fault := check_closed(mechanism, joints, t=0.0)):
-            raise fault[1]
-        self.first = (close_positions if self.whole else assemble)(mechanism, joints, t=0.0)
-        if self.whole and len(rates) < n:
-            rates = loop_velocities(mechanism, self.first, rates, 0.0)
+        given = vectors(mechanism, q=q, qd=np.zeros(np.shape(q)) if qd is None else qd)
+        for name, (values, _) in given.items():
+            if values.ndim != 1:
+                raise InputError(f"{name}.shape", value=values.shape, limit="must be of one state")
+        (joints, self.whole), (rates, whole_rates) = given.values()
+        self.first = full(mechanism, {"q": (joints, self.whole)}, t=0.0)["q"]
+        self.held = list(driver_of(mechanism).actuated)
+        if self.whole:
+            self.first = close_positions(mechanism, self.first, t=0.0)
+            if not whole_rates:
+                start = {"q": (self.first, True), "qd": (rates, False)}
+                rates = full(mechanism, start, t=0.0)["qd"]
+        elif whole_rates:
+            rates = rates[self.held]
         self.mechanism, self.given = mechanism, {"q": joints, "qd": rates}
-        self.held = list(with_independent(mechanism).actuated)
-        self.joints = list(range(n) if self.whole else mechanism.actuated)  # of what is given
+        self.joints = list(range(mechanism.n)) if self.whole else self.held  # of what is given
         self.places: dict[str, tuple[str, int]] = {}
         for name in vary:
             match = _START.fullmatch(name)
-            if match and int(match[2]) - 1 in {*self.held} & {*self.joints}:
+            if match and int(match[2]) - 1 in self.held:
                 self.places[name] = match[1], int(match[2]) - 1
 
     def value(self, name: str) -> float:
@@ -680,13 +678,10 @@ class _Begin:
         for name, (kind, joint) in self.places.items():
             start[kind][self.joints.index(joint)] = values[name]
         if not self.whole:
-            q = assemble(moved, start["q"], t=0.0)
-            return q, loop_velocities(moved, q, start["qd"], 0.0)
-        q = close_positions(moved, start["q"], self.held, t=0.0)
-        if fault := check_closed(moved, q, t=0.0):
-            raise fault[1]
-        moving = replace(moved, actuated=tuple(self.held))
-        return q, loop_velocities(moving, q, start["qd"][self.held], 0.0)
+            few = {kind: (values, False) for kind, values in start.items()}
+            q, qd = full(moved, few, t=0.0).values()
+            return q, qd
+        return reclosed(moved, start["q"], start["qd"], t=0.0)
 
 
 class _Motions:

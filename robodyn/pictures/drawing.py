@@ -21,11 +21,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.cam_contacts import Cam, cams_of, outline
+from robodyn.dynamics.joint_vectors import driver_of, full
 from robodyn.dynamics.named_points import NamedPoint
 from robodyn.dynamics.placed import Placed, placed
 from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.errors import RobodynError
-from robodyn.loops.assembly import assembly_plan, attempt
+from robodyn.loops.assembly import assembly_plan
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Point
@@ -565,17 +566,18 @@ def _moves(
 
 def _travelled(mechanism: Mechanism, poses: Array) -> Array:
     """The poses (T, n); those of a turn too where one pose alone would tell no slot's length."""
-    closures, actuated = mechanism.description.closures, list(mechanism.actuated)
+    closures = mechanism.description.closures
     slotted = any(c.along is not None and c.second.link is not None for c in closures)
-    turning = [k for k in actuated if k not in mechanism.slides]
+    turning = [k for k in mechanism.actuated if k not in mechanism.slides]
     if len(poses) > 1 or not slotted or not turning or mechanism.driven:
         return poses
     if assembly_plan(mechanism).rest:
         return poses
     given = np.repeat(poses, TURNS, axis=0)
     given[:, turning] += np.arange(TURNS)[:, None] * (2 * np.pi / TURNS)
-    q, missing = attempt(mechanism, given[:, actuated], t=0.0)
-    return np.concatenate([poses, q[missing <= 0.0]])
+    few, missing = given[:, list(driver_of(mechanism).actuated)], np.zeros(TURNS)
+    q = full(mechanism, {"q": (few, False)}, t=0.0, missing=missing)["q"]
+    return np.concatenate([poses, q[missing == 0.0]])
 
 
 def span(mechanism: Mechanism, q: Array) -> float:

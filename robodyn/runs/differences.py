@@ -23,10 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.dynamics import motion_dynamics
+from robodyn.dynamics.joint_vectors import reclosed
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.assembly_plan import with_independent
-from robodyn.loops.closing import close_positions
-from robodyn.loops.loop_rates import check_closed, loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.runs.report import Outcome, Report
@@ -159,12 +158,7 @@ class Numbers:
         for name, place in self.starts.items():
             start[place] = values.get(name, start[place])
         if moved.rows:
-            driver = with_independent(moved)
-            held = list(driver.actuated)
-            start[:n] = close_positions(moved, start[:n], held, t=0.0)
-            if fault := check_closed(moved, start[:n], t=0.0):
-                raise fault[1]
-            start[n:] = loop_velocities(driver, start[:n], start[n:][held], 0.0)
+            start = np.concatenate(reclosed(moved, start[:n], start[n:], t=0.0))
         return moved, start
 
 

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics, placed
-from robodyn.dynamics.placed import as_states
+from robodyn.dynamics.joint_vectors import full, vectors
 from robodyn.errors import InputError, printable
-from robodyn.loops import loop_rates
 from robodyn.mechanics.actuation import Actuation, CallerError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs.differences import Numbers, columns, sensitivities, tell
@@ -185,6 +184,8 @@ def simulate(
 ) -> Motion:
     """Simulate the motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
+    q and qd may be of the actuated joints alone: the others are assembled.
+
     `tau` is constants, an expression such as "2*sin(3*t)", a function tau(t, q, qd), or None.  It
     gives torques (N m, or N) of all joints or of the actuated ones.  An exception of the function
     ends the run and is raised unchanged; if the function returns nan, a shorter step is tried.
@@ -202,16 +203,11 @@ def simulate(
     """
     if engine is not None:
         raise InputError("engine", value=engine, limit=NO_ENGINE)
-    q = as_states(mechanism, "q", q)
-    qd = as_states(mechanism, "qd", qd)
-    if q.ndim != 1 or qd.ndim != 1:
-        shapes = f"{q.shape} and {qd.shape}"
-        raise InputError("shapes of q and qd", value=shapes, limit="must be those of one state")
-    if mechanism.rows:
-        fault = loop_rates.check_closed(mechanism, q, qd, t=0.0)
-        if fault is not None:
-            raise fault[1]
-    state = np.concatenate([q, qd])
+    given = vectors(mechanism, q=q, qd=qd)
+    for name, (values, _) in given.items():
+        if values.ndim != 1:
+            raise InputError(f"{name}.shape", value=values.shape, limit="must be of one state")
+    state = np.concatenate(list(full(mechanism, given, t=0.0).values()))
     actuation = over_run(mechanism, as_actuation(mechanism, tau), state, t_end, atol)
     times = None if t_eval is None else np.asarray(t_eval, float)
     watch = watched_events(mechanism, events or {}, until, float(t_end))

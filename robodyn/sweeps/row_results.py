@@ -18,8 +18,6 @@ from robodyn.dynamics.columns import STATE, column_names
 from robodyn.dynamics.named_points import named_points
 from robodyn.dynamics.state import State
 from robodyn.errors import InputError
-from robodyn.loops import loop_rates
-from robodyn.loops.assembly_plan import with_independent
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs.simulation import Motion
 from robodyn.scene.yaml_values import nearest
@@ -84,14 +82,6 @@ def check_results(
         if taken and not rows:
             limit = f"there is one row: write {column}, or give --track"
             raise InputError("result", value=text, limit=limit)
-
-
-def at_states(
-    mechanism: Mechanism, t: Array, q: Array, qd: Array, qdd_driven: Array, of: Sequence[str]
-) -> State:
-    """The states where the independent joints accelerate so, at closed q and qd (T, n)."""
-    qdd = loop_rates.loop_accelerations(with_independent(mechanism), q, qd, qdd_driven, t)
-    return State(mechanism, q, qd, qdd, t=t, of=of)
 
 
 def of_states(texts: Sequence[str], state: State) -> Array:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import cmath
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import groupby, pairwise
@@ -30,10 +30,10 @@ from robodyn.control.tracking import ReferenceTable
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.columns import TORQUE, column_names
 from robodyn.dynamics.dynamics import RobodynWarning
+from robodyn.dynamics.joint_vectors import driver_of, each_regular, full
+from robodyn.dynamics.state import State
 from robodyn.engines import machine
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
-from robodyn.loops import assembly, loop_rates
-from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.change_points import MISSES, suspect_quality
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -46,7 +46,7 @@ from robodyn.runs.watch import Event
 from robodyn.scene.scene_values import read_numbers
 from robodyn.sweeps.lane_observer import QUARTERS, crossings, derivative, extremes
 from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
-from robodyn.sweeps.row_results import at_states, of_motion, of_rows, of_states
+from robodyn.sweeps.row_results import of_motion, of_rows, of_states
 from robodyn.sweeps.sweep_plan import Axis, Plan
 from robodyn.tables.arrays import Array
 from robodyn.trajectories.joint_paths import hermite
@@ -180,7 +180,6 @@ def _leave(
 
 
 Indices = NDArray[np.intp]
-Kept = NDArray[np.bool_]
 
 CANNOT_ASSEMBLE = "cannot assemble"
 NO_SCENE = "not a scene"  # with what was drawn
@@ -208,13 +207,13 @@ class Rows(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Points of a chunk that share a mechanism, and their start."""
+    """Points of a chunk that share a mechanism, and their start: each (k, n)."""
 
     mechanism: Mechanism
     points: Indices
-    q: Array  # (k, n)
+    q: Array
     qd: Array
-    tau: Array  # (k, n)
+    acting: Array  # tau of motions, qdd of torques
 
 
 def run_chunk(plan: Plan, number: int) -> Rows:
@@ -228,11 +227,12 @@ def run_chunk(plan: Plan, number: int) -> Rows:
     values = np.full((len(points), len(plan.columns()) - 1), math.nan)
     values[:, : points.shape[1]] = points
     with np.errstate(all="ignore"):
-        groups = list(_groups(plan, points, outcomes))
+        with _misses() as said:
+            groups = list(_groups(plan, points, outcomes))
         if plan.kind == "torque":
-            said = [_torques(plan, group, points, values, outcomes) for group in groups]
+            said += [_torques(plan, group, points, values, outcomes) for group in groups]
         else:
-            said = _motions(plan, groups, values, outcomes)
+            said += _motions(plan, groups, values, outcomes)
     return Rows(values, outcomes, next(filter(None, said), ""))
 
 
@@ -240,7 +240,7 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
     """The points, a group for each mechanism, less those that cannot be assembled."""
     axes = plan.variation.axes
     changed = list(plan.scene_axes)
-    scene = None
+    scene, last = None, "qdd" if plan.kind == "torque" else "tau"
     if changed:
         scene = read_numbers(plan.scene, plan.source, plan.numbers, plan.tables)
     members: dict[tuple[float, ...], list[int]] = {}
@@ -261,28 +261,19 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
                         outcomes[k] = NO_SCENE
                     continue
                 raise InputError("the scene with these values", limit=str(error)) from None
-        chosen, driver = np.array(indices), with_independent(mechanism)
-        q, qd, tau = (
-            _given(given_by, name, base, axes, points[chosen])
-            for given_by, name, base in (
-                (driver, "q", plan.q),
-                (driver, "qd", plan.qd),
-                (mechanism, "tau", plan.tau),
-            )
+        chosen = np.array(indices)
+        q, qd, acting = (
+            _given(driver_of(mechanism, name), name, getattr(plan, name), axes, points[chosen])
+            for name in ("q", "qd", last)
         )
-        full_q, missing = assembly.attempt(driver, q, t=0.0)
+        missing, given = np.zeros(len(chosen)), {"q": q, "qd": qd, last: acting}
+        few = {name: (values, False) for name, values in given.items()}
+        motion = full(mechanism, few, t=0.0, missing=missing)
         for k in chosen[np.isnan(missing)]:
             outcomes[k] = Outcome.SINGULAR.label
-        closes = np.isfinite(full_q).all(axis=1) & (missing <= 0.0)
-        chosen, full_q, qd, tau = chosen[closes], full_q[closes], qd[closes], tau[closes]
-        full_qd, kept = _velocities(mechanism, full_q, qd)
-        for k in chosen[~kept]:
-            outcomes[k] = Outcome.SINGULAR.label
-        torques = np.zeros((len(chosen), mechanism.n))
-        torques[:, list(mechanism.actuated)] = tau
-        if not kept.any():
-            continue
-        yield Group(mechanism, chosen[kept], full_q[kept], full_qd[kept], torques[kept])
+        closes = missing == 0.0
+        if closes.any():
+            yield Group(mechanism, chosen[closes], *(x[closes] for x in motion.values()))
 
 
 def _given(
@@ -300,39 +291,14 @@ def _given(
     return values
 
 
-def _regular(compute: Callable[[slice], Array], shape: tuple[int, int]) -> tuple[Array, Kept]:
-    """The rows that it computes, all at once or, where one is singular, each; which are there."""
-    kept = np.ones(shape[0], bool)
-    try:
-        return compute(slice(None)), kept
-    except SingularError:
-        found = np.zeros(shape)
-        for k in range(len(found)):
-            try:
-                found[k] = compute(slice(k, k + 1))[0]
-            except SingularError:
-                kept[k] = False
-        return found, kept
-
-
-def _velocities(mechanism: Mechanism, q: Array, qd: Array) -> tuple[Array, Kept]:
-    """All rates (k, n) from the independent joints', and which states have them."""
-    driver = with_independent(mechanism)
-    return _regular(lambda k: loop_rates.loop_velocities(driver, q[k], qd[k], 0.0), q.shape)
-
-
 def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: list[str]) -> str:
     """The columns of a group, or of each of its points where one has none; the remark."""
     mechanism, first = group.mechanism, points.shape[1]
     texts = plan.told or column_names(mechanism, TORQUE)
-    driver = with_independent(mechanism)
-    given = _given(driver, "qdd", plan.qdd, plan.variation.axes, points[group.points])
 
     def compute(chosen: slice) -> Array:
-        q, qd = group.q[chosen], group.qd[chosen]
-        return of_states(
-            texts, at_states(mechanism, np.zeros(len(q)), q, qd, given[chosen], plan.of)
-        )
+        q, qd, qdd = (x[chosen] for x in (group.q, group.qd, group.acting))
+        return of_states(texts, State(mechanism, q, qd, qdd, of=plan.of))
 
     if plan.track is not None:  # which all points of a mechanism share
         with _misses() as said:
@@ -342,7 +308,7 @@ def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: l
             outcomes[k] = outcome
         return next(iter(said), "")
     with _misses() as said:
-        found, kept = _regular(compute, (len(group.points), len(texts)))
+        found, kept = each_regular(compute, (len(group.points), len(texts)))
     values[group.points[kept], first:] = found[kept]
     for k, regular in zip(group.points, kept, strict=True):
         outcomes[k] = FINISHED if regular else Outcome.SINGULAR.label
@@ -366,18 +332,16 @@ def _misses() -> Iterator[list[str]]:
 def _along(plan: Plan, mechanism: Mechanism, track: ReferenceTable) -> tuple[Array, str]:
     """The results of torques along a reference, nan where there are none, and the outcome."""
     nothing, t = np.full(len(plan.told), math.nan), np.array(track.times)
-    driven, rates = track.at(t)
-    q, missing = assembly.attempt(mechanism, driven, t=0.0)
+    pairs = zip(("q", "qd", "qdd"), (*track.at(t), track.accelerations(t)), strict=True)
+    missing = np.zeros(len(t))
+    motion = full(mechanism, {x: (values, False) for x, values in pairs}, t=t, missing=missing)
     if np.isnan(missing).any():
         return nothing, Outcome.SINGULAR.label
-    if not np.isfinite(q).all() or (missing > 0.0).any():
+    if missing.any():
         return nothing, CANNOT_ASSEMBLE
-    qd, kept = _velocities(mechanism, q, rates)
-    if not kept.all():
-        return nothing, Outcome.SINGULAR.label
     try:
-        states = at_states(mechanism, t, q, qd, track.accelerations(t), plan.of)
-        columns = of_states(plan.told, states)
+        q, qd, qdd = motion.values()
+        columns = of_states(plan.told, State(mechanism, q, qd, qdd, t=t, of=plan.of))
     except SingularError:
         return nothing, Outcome.SINGULAR.label
     return of_rows(plan.told, t, columns), FINISHED
@@ -409,7 +373,7 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
         offset[group.points] = group.mechanism.energy_offset
         angle = _from_hanging(group.mechanism, group.q, aims.link)
         y = np.hstack([group.q, group.qd])
-        members.append(Motions(group.mechanism, y, group.tau, angle))
+        members.append(Motions(group.mechanism, y, group.acting, angle))
     told = np.full((P, 2 * len(plan.events) + len(plan.told)), math.nan)
     together: list[Ends | None] = [None] * len(members)
     if plan.method == "taylor":
@@ -436,7 +400,7 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
             flipped = ~np.isnan(ends.flip[group.points])
             if not flipped.any():
                 continue
-            start = (x[flipped] for x in (group.q, group.qd, group.tau))
+            start = (x[flipped] for x in (group.q, group.qd, group.acting))
             with suppress(RobodynError):  # beyond a table nothing rests
                 at_rest = rests(group.mechanism, *start)
                 ends.flip[group.points[flipped][at_rest]] = math.nan  # only rounding moves it

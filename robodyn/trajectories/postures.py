@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_gap, point_motion, scaled_jacobian
+from robodyn.dynamics.joint_vectors import full, vectors
 from robodyn.dynamics.named_points import named_point
 from robodyn.dynamics.placed import numbers
 from robodyn.errors import AssemblyError, InputError, SingularError
@@ -22,7 +23,6 @@ from robodyn.loops.closing import close_positions, loop_size, wrapped
 from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
-from robodyn.trajectories.reference import all_joints
 from robodyn.trajectories.task_space import Task, is_dyads, out_of_reach, task_of
 
 ALIKE = 1e-6  # rad, or of a length: postures that are one
@@ -73,10 +73,11 @@ def postures(
     task = task_of(mechanism, named, angle is not None)
     if near is None:
         return postures_at(task, place, _first(mechanism), False)
-    given = all_joints(mechanism, numbers("near", near)[None])[0]
-    whole = not np.isnan(given).any()
+    given, whole = vectors(mechanism, near=near)["near"]
+    if given.ndim > 1:
+        raise InputError("near.shape", value=given.shape, limit="must be that of one pose")
     if not whole:
-        given = assembly.assemble(mechanism, given[list(mechanism.actuated)], t=0.0)
+        given = full(mechanism, {"q": (given, False)}, t=0.0)["q"]
     return postures_at(task, place, given, whole)
 
 

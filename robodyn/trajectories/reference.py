@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.dynamics import RobodynWarning
+from robodyn.dynamics.joint_vectors import full
 from robodyn.errors import InputError, SingularError
-from robodyn.loops import assembly, loop_rates
 from robodyn.loops.closing import wrapped
 from robodyn.mechanics.driven import check_torques
 from robodyn.mechanics.mechanism import Mechanism
@@ -184,12 +184,8 @@ def check_driven(mechanism: Mechanism) -> None:
 
 def started(mechanism: Mechanism, pose: Array, driven: Array, t: float = 0.0) -> Array:
     """Return the closed state (n,) of a pose (n,) at t; passive joints with NaN are assembled."""
-    if np.isnan(pose).any():
-        return assembly.assemble(mechanism, driven, t=t)
-    fault = loop_rates.check_closed(mechanism, pose, t=t)
-    if fault is not None:
-        raise fault[1]
-    return pose.copy()
+    whole = not np.isnan(pose).any()
+    return full(mechanism, {"q": (pose if whole else driven, whole)}, t=t)["q"].copy()
 
 
 def all_joints(mechanism: Mechanism, points: ArrayLike) -> Array:
