@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -55,6 +57,7 @@ def test_it_is_a_schema() -> None:
         assert schema.keys() <= known
         parts = [x for key in ("$defs", "properties") for x in schema.get(key, {}).values()]
         parts += [x for key in ("anyOf", "allOf", "oneOf") for x in schema.get(key, [])]
+        parts += schema.get("dependentSchemas", {}).values()
         single = {"not", "items", "contains", "additionalProperties", "if", "then", "else"}
         for part in (*parts, *(schema[key] for key in schema.keys() & single)):
             check(part)
@@ -253,6 +256,8 @@ FAULTS = [
     (DRIVEN, "resistance: 1.2", "resistance: 0"),
     (DRIVEN, "speed_max: 500", "speed_max: fast"),
     (DRIVEN, "speed_max: 500", "speed: 500"),
+    (LOOP, "closures:\n  - [coupler, rocker]\n", ""),
+    (LOOP, "assembly: open", "assembly: []"),
     (EVERYTHING, "plate: 30deg", "plate: 30degrees"),
     (EVERYTHING, "plate: 30deg", "plate: [1]"),
     (EVERYTHING, "start: {plate: 30deg, right: -pi/4, slide: 0.5}", "start: 30deg"),
@@ -271,6 +276,89 @@ def test_faulty_scenes_do_not() -> None:
 @pytest.mark.parametrize("text", ["links: []", "[1, 2]", "hello"])
 def test_what_is_no_scene_does_not(text: str) -> None:
     assert not obeys(text)
+
+
+DRAWN = """
+gravity: 9.81
+pins: {O: [0, 0], A: [0.1, 0.1], B: [0.6, 0.3], Q: [0.6, 0], C: [0.9, 0], D: [0.9, -0.5],
+  E: [0.3, 0.21], F: [0.2, 0.05]}
+links:
+  - {name: crank, pins: [O, A, F], m: 0.4, r: 0.05, I: 0.001}
+  - {name: rod, pins: [A, B], m: 0.5, centre: [0.3, 0.2], I: 0.012}
+  - {name: lever, pins: [Q, B], m: 0.6, r: 0.15, J: 0.02}
+  - {name: arm, pins: [Q, C], joint: fixed, m: 0.5, r: 0.15, I: 0.005}
+  - {name: push rod, pins: [C, D], m: 0.3, r: 0.25, I: 0.006}
+  - {name: block, pins: [E], along: [1, 0.3]}
+ground: [O, Q, E, {pin: D, along: [0, 1]}]
+actuated: [crank]
+"""
+SLOTTED = """
+pins: {O: [0, 0], A: [0.1, 0.1], Q: [0.3, -0.2], B: [0.3, 0.5]}
+links: [{name: crank, pins: [O, A]}, {name: lever, pins: [Q, B]}]
+slots: [{pin: A, on: lever, along: [-2, 3]}]
+ground: [O, Q]
+"""
+PLAIN = """
+links:
+  - {name: crank, l: 0.2}
+  - {name: rod, l: 0.4, m: 0.5, r: [0.3, 0.2], I: 0.012}
+  - {name: lever, l: 0.3, from: [0.4, 0], m: 0.6, r: 0.15, J: 0.02}
+  - {name: arm, l: 0.1, joint: fixed, angle: 0.2, from: lever, m: 0.5, r: 0.15, I: 0.005}
+  - {name: block, joint: prismatic, axis: [1, 0.3], l: 0, m: 0.1, r: 0, I: 0.01, from: [1, 0]}
+closures: [[rod, lever], {point: crank, on: {link: block, through: [0, 0], along: [1, 0]}}]
+assembly: open
+"""
+ADDED = {
+    "joint": ("revolute", "prismatic", "fixed", "welded"),
+    "pins": (["O", "A"], ["O"], [], {"O": [0, 0]}),
+    "along": ([1, 0.2],),
+    "axis": ([1, 0],),
+    "centre": ([0.1, 0.1],),
+    "from": ([0, 0], "crank"),
+    "on": ("rod",),
+    "ground": (["O", "Q"],),
+    "assembly": ("open",),
+    "friction": ({"torque": 0.1, "speed": 0.1}, {"coefficient": 0.1, "radius": 0.1, "speed": 1}),
+    "limits": ({"min": -1},),
+    "name": ("other",),
+    **dict.fromkeys(("closures", "slots", "springs", "loads", "couplings", "points"), ([],)),
+    **dict.fromkeys(("start", "constants"), ({},)),
+}
+
+
+def mappings(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The places of the mappings of a scene, less those of names."""
+    if isinstance(node, dict):
+        yield path
+    for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+        if isinstance(value, (dict, list)) and key != "pins":
+            yield from mappings(value, (*path, key))
+
+
+@pytest.mark.parametrize("text", [DRAWN, SLOTTED, PLAIN], ids=["drawn", "slotted", "plain"])
+def test_it_refuses_the_keys_that_the_reader_refuses(text: str) -> None:
+    """Each key of the grammar at each place: both refuse it, unless it is what a name is of."""
+    names = sorted({name for form in FORMS.values() for name in form.keys})
+    told = re.compile("names no|drawn in line|nothing (holds|above)|is on no link|as drawn|has O")
+    for path in mappings(yaml.safe_load(text)):
+        for name in names:
+            for value in ADDED.get(name, (0.1,)):
+                scene = yaml.safe_load(text)
+                place = scene
+                for key in path:
+                    place = place[key]
+                if name in place and name not in ("joint", "pins"):
+                    continue
+                place[name] = value
+                with case(path, name, value):
+                    faults = []
+                    try:
+                        from_text(json.dumps(scene), "my.yaml")
+                    except DescriptionError as error:
+                        faults = [x for x in error.faults if not told.search(x.limit)]
+                        if not faults:
+                            continue  # no schema knows where pins are, or what has a name
+                    assert VALIDATOR.is_valid(scene) is not bool(faults), faults
 
 
 # The same keys

@@ -42,6 +42,7 @@ class Key(Record):
     instead: str = ""  # the field that stands in its place, if that has a value
     only_with: str = ""  # the field without which torques are not linear in it
     name: Sided = ""  # in files, if it is not the field's
+    only: Sided = ""  # the one word of its kind that this form may have
     ways: tuple[str, ...] = ()  # the ways to write the mapping that have it; none: all
     field: str = ""  # of the record
 
@@ -85,7 +86,7 @@ class Key(Record):
         return self._replace(**{x: y[slides] for x, y in pairs.items()})
 
 
-_SIDED = frozenset(("kind", "help", "unit", "told", "hint", "symbol", "name"))
+_SIDED = frozenset(("kind", "help", "unit", "told", "hint", "symbol", "name", "only"))
 
 
 def key(kind: Sided, help: Sided, **more: Any) -> Any:

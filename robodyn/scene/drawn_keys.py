@@ -41,7 +41,7 @@ class DrawnLink(Declared):
     """A link by its pins."""
 
     pins: ClassVar[Any] = key(
-        "pin_names",
+        ("two_pins", "pin_names"),
         (
             "its pins: the first is its own joint",
             "its pins: the first is its own joint; it may be the only one",
@@ -86,7 +86,7 @@ class DrawnWeld(Declared):
     """A link by its pins that is part of what has its first pin."""
 
     pins: ClassVar[Any] = key(
-        "pin_names", "its pins: the first is one of what it is welded to, to the second its x goes"
+        "two_pins", "its pins: the first is one of what it is welded to, to the second its x goes"
     )
     r: ClassVar[Any] = DrawnLink.keys["r"]
     centre: ClassVar[Any] = DrawnLink.keys["centre"]

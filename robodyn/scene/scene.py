@@ -170,7 +170,7 @@ class Link(Body):
     """
 
     joint: ClassVar[Any] = key(
-        "joint_kind", ("of its own joint", "prismatic"), told=(JOINTS[0], "")
+        "joint_kind", ("of its own joint", "prismatic"), told=(JOINTS[0], ""), only=JOINTS[:2]
     )
     axis: complex | None = key(
         "direction",
@@ -224,7 +224,7 @@ class Weld(Body):
     `place` is its place among the links of the file.
     """
 
-    joint: ClassVar[Any] = key("joint_kind", "fixed", told="")
+    joint: ClassVar[Any] = key("joint_kind", "fixed", told="", only=JOINTS[2])
     angle: float = key(
         "angle", "from the x axis of what it hangs from to its own", unit="rad", default=0.0
     )

@@ -48,6 +48,8 @@ def scene_schema() -> Schema:
     }
     kinds |= {_place(name): _mapping(form) for name, form in FORMS.items()}
     del kinds["scene"]  # it is the whole
+    some = {"required": ["closures"], "properties": {"closures": {"minItems": 1}}}
+    kinds["plain_scene"]["dependentSchemas"] = {"assembly": some}
     kinds |= _other_kinds()
     named = kinds | {
         "quantity": {"type": "string", "pattern": _quantity(True)},
@@ -108,6 +110,7 @@ def _other_kinds() -> dict[str, Schema]:
         "points": {"type": "object", "additionalProperties": _ref("moving_point")},
         "pins": {"type": "object", "additionalProperties": _ref("vector"), "minProperties": 1},
         "pin_names": {**_list("name"), "minItems": 1, "uniqueItems": True},
+        "two_pins": {**_list("name"), "minItems": 2, "uniqueItems": True},
         "ground_pin": _any("name", "ground_line"),
         "start": {"type": "object", "additionalProperties": _ref("angle")},
         "constants": {
@@ -115,7 +118,7 @@ def _other_kinds() -> dict[str, Schema]:
             "propertyNames": {"pattern": f"^{_ANY_NAME}$"},
             "additionalProperties": _ref("number"),
         },
-        "assembly": {"anyOf": [_ref("branch"), _list("branch")]},
+        "assembly": {"anyOf": [_ref("branch"), {**_list("branch"), "minItems": 1}]},
         "equation": {"type": "string", "pattern": r"^\s*q\s*[0-9][0-9\s]*=\s*\S"},
         "coupling": _any("equation", "law_coupling", "table_coupling"),
         "table_coupling": {
@@ -202,6 +205,8 @@ def _described(key: Key) -> Schema:
     told = f"{key.help[0].upper()}{key.help[1:]}{', ' * bool(key.unit)}{key.unit}."
     if not key.needed:
         told += f" Default: {key.shown_default}."
+    if key.only:
+        return {"description": told, "const": key.only}
     if not key.listed:
         return {"description": told, **_ref(key.kind)}
     least = {"minItems": 1} if key.needed else {}

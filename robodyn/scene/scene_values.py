@@ -34,7 +34,7 @@ _INNER: dict[str, str | None] = {
     "couplings": "coupling",
     "varying_place": "varying",
     "gravity": "varying",
-} | dict.fromkeys(("joints", "assembly", "pin_names"))
+} | dict.fromkeys(("joints", "assembly", "pin_names", "two_pins"))
 # mappings by names, and what they hold
 _BY_NAME = {
     "start": Key("angle", "", BY_JOINT),
