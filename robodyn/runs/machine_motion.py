@@ -298,7 +298,7 @@ class _Step(Items):
         return fast
 
     def _shorten(self, go: Word, h: Word, small: Word) -> None:
-        """Halve the step until the torque at its end is that of the series.
+        """Shorten the step until the torque at its end is that of the series.
 
         And until nothing within it strays from where the series hold.
         """
@@ -313,7 +313,7 @@ class _Step(Items):
             poor = k.both(go, k.compare("oeq", self.get("agrees"), k.number(0.0)))
             poor = k.both(poor, k.compare("oge", now, small))
             k.leave(k.invert(k.any(poor)), good)
-            k.set(h, k.select(poor, k.multiply(now, k.number(0.5)), now))
+            k.set(h, k.select(poor, k.multiply(now, self.get("part")), now))
             self.reach(k.get(h))
 
     def _land(self, go: Word, h: Word) -> None:

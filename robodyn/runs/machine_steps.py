@@ -58,8 +58,8 @@ ALIGNED = 8  # items, on which a vector of one lane and 8 numbers crosses no lin
 # of a block, besides what its scene asks for
 COMMON = (
     "t", "bound", "direction", "status", "steps", "most_steps", "x", "t_there", "h", "longest",
-    "quality", "agrees", "miss", "relative", "rtol", "atol", "suspect", "lightest", "rounding",
-    "converged", "base_t",
+    "quality", "agrees", "part", "miss", "relative", "rtol", "atol", "suspect", "lightest",
+    "rounding", "converged", "base_t",
 )  # fmt: skip
 
 
@@ -283,9 +283,10 @@ class Scene:
     def _compare(self, module: Module) -> None:
         """Whether what may bend is, at the state there, what its series gives at x.
 
-        And nothing strays on the way.
+        And nothing strays on the way.  The part of the step to try next, if not.
         """
         k, block = self.kernel(module, "compare")
+        self.put(k, block, "part", k.number(0.5))
         names = self.there([f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)])
         watched = self.loop.columns[2 * self.mechanism.n :][: self.loop.watched]
         starts = [series.first[0] for series in watched]
@@ -304,8 +305,10 @@ class Scene:
             series = [coefficients(graph, column, orders) for column in self.loop.spanned]
             arms = [graph.variable(f"arm{i}") for i in range(len(self.bends))]
             given = map(graph.variable, ("x", "miss", "relative"))
-            way = read_segment(self, k, block).write([strays(spans, arms, series, *given)])[0]
+            found = strays(spans, arms, series, *given)
+            way, part = read_segment(self, k, block).write([*found])
             agrees = k.both(agrees, k.invert(k.less(k.number(0.0), way)))
+            self.put(k, block, "part", part)
         self.put(k, block, "agrees", k.select(agrees, k.number(1.0), k.number(0.0)))
         k.done()
 
