@@ -100,7 +100,7 @@ _WHOLE = (float, bool)
 
 
 def _plain(values: list[Any]) -> bool:
-    """Whether a list is a few finite numbers: mostly it is, and that is soon seen."""
+    """Return whether a list holds a few finite numbers; this fast check covers most calls."""
     if len(values) >= _FEW:
         return False
     for x in values:

@@ -53,7 +53,7 @@ def _rebuilt(kind: type[RobodynError], args: tuple[object, ...]) -> RobodynError
 
 @contextmanager
 def at_place(place: str, *of: str) -> Iterator[None]:
-    """What is wrong within it is told with its place; `of` what it may be, where not all is."""
+    """Add a place to errors raised within; with `of`, only to those that begin with it."""
     try:
         yield
     except RobodynError as error:

@@ -84,6 +84,23 @@ def test_a_cam_by_its_table_keeps_its_energy(cam, method):
     np.testing.assert_allclose(motion.q[:, 1], 0.02 * (1 - np.cos(motion.q[:, 0])), atol=4e-9)
 
 
+@pytest.mark.parametrize("rows", [37, 361])
+def test_steps_of_a_series_end_at_the_rows_of_a_table_over_a_joint(cam, rows):
+    """One step a row, a little beyond it; forth and back, and backwards in time."""
+    mech = load(cam(lambda x: 0.02 * (1 - np.cos(x)), rows))
+    q = assemble(mech, [0.2])
+    for rate, end in ((9.0, 2.0), (-9.0, -2.0), (2.0, 2.0)):  # the last one swings about the rest
+        motion = simulate(mech, q, loop_velocities(mech, q, [rate]), end, method="taylor")
+        at = motion.q[:, 0] * (rows - 1) / (2 * np.pi)
+        passed = int(np.abs(np.diff(np.floor(at))).sum())
+        assert passed > 10
+        assert len(at) - 1 <= 1.2 * passed + 20
+        assert motion.report.energy_drift < 1e-11
+        inner = at[1:-1]
+        landed = np.abs(inner - np.round(inner)) < 1e-4
+        assert landed.sum() >= 0.9 * passed
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_a_cart_follows_a_table(cart, method):
     """The steps land on the rows: the series are exact between them."""

@@ -430,7 +430,7 @@ def _declared(name: str, kind: Any, default: Any) -> inspect.Parameter:
 
 
 def _without_reader() -> int:
-    """What is still buffered has no reader: let the interpreter flush it into nothing."""
+    """Redirect stdout to nothing: buffered output has no reader.  Return exit code 0."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno() if sys.__stdout__ else 1)
     return 0
 

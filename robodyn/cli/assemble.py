@@ -154,7 +154,7 @@ def _led(
     to_xy: str,
     angles: Sequence[str],
 ) -> tuple[Found, Ways, set[str]]:
-    """The same of the postures that bring a point to a place; those within limits first."""
+    """Return the postures that bring a point to a place, those within limits first."""
     if of is None:
         raise InputError("--of", limit="missing: give the point that is to be at --to-xy")
     named = named_point(mechanism, of, "--of")
@@ -192,7 +192,7 @@ def _write_ranges(
     ways: Mapping[str, tuple[str, ...] | None],
     rows: RowOptions,
 ) -> None:
-    """Where each actuated joint can go, one a row, from each way to assemble."""
+    """Write the range of each actuated joint, one per row, for each way to assemble."""
     columns = ["branch", "joint", "low", "low_end", "high", "high_end"]
     with rows.writer(columns) as writer:
         for name, (q, *_) in found:

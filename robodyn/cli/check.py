@@ -105,7 +105,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
 
 
 def _curves(mechanism: Mechanism) -> Iterator[dict[str, object]]:
-    """Of each coupling by a table its largest second derivative, with a note where digits lack."""
+    """Yield the largest second derivative of each table coupling; note if digits are lacking."""
     for c, coupling in enumerate(mechanism.description.couplings, start=1):
         if isinstance(law := coupling.law, Curve):
             bend, off = law.largest_bend, law.bend_of_digits
@@ -116,7 +116,7 @@ def _curves(mechanism: Mechanism) -> Iterator[dict[str, object]]:
 
 
 def _start(mechanism: Mechanism) -> dict[str, object] | None:
-    """How far the scene's start is from closing, and from the closed pose that is nearest to it."""
+    """Return the gap of the scene's start, and its distance from the nearest closed pose."""
     start = scene_start(mechanism)
     if start is None:
         return None
@@ -130,7 +130,7 @@ def _start(mechanism: Mechanism) -> dict[str, object] | None:
 
 
 def _cams(mechanism: Mechanism) -> list[dict[str, Any]]:
-    """What there is to say of each cam over a turn; notes on profiles that cannot be cut so."""
+    """Return facts on each cam over a turn; note profiles that cannot be cut."""
     from robodyn.dynamics.cam_contacts import cams_of, profile_of
 
     found: list[dict[str, Any]] = []
@@ -155,7 +155,7 @@ def _cams(mechanism: Mechanism) -> list[dict[str, Any]]:
 
 
 def _cams_told(cams: list[dict[str, Any]]) -> Iterator[list[str]]:
-    """What `_cams` holds, as rows of a table."""
+    """Yield the result of `_cams` as rows of a table."""
     for cam in cams:
         told = [f"base circle {cam['base_circle']:.6g} m"]
         if cam["offset"] is not None:
@@ -186,7 +186,7 @@ def _rubbing(mechanism: Mechanism) -> list[dict[str, Any]]:
 
 
 def _rubbing_told(rubbing: list[dict[str, Any]]) -> Iterator[list[str]]:
-    """What `_rubbing` holds, as rows of a table."""
+    """Yield the result of `_rubbing` as rows of a table."""
     for x in rubbing:
         radius = "" if x["radius"] is None else f"radius {x['radius']:.6g} m, "
         told = f"coefficient {x['coefficient']:.6g}, {radius}speed {x['speed']:.6g} {x['unit']}"
@@ -194,7 +194,7 @@ def _rubbing_told(rubbing: list[dict[str, Any]]) -> Iterator[list[str]]:
 
 
 def _start_told(start: dict[str, Any]) -> str:
-    """What `_start` holds as a sentence."""
+    """Return the result of `_start` as a sentence."""
     if not start["closed"]:
         return "does not close, nor does a pose near to it"
     gap = "" if start["gap"] is None else f"misses closing by {start['gap']:.3g} m, "

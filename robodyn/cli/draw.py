@@ -134,7 +134,7 @@ def draw(
 
 
 def _texts(mechanism: Mechanism, labels: Labels | None) -> list[str]:
-    """What is written beside the links."""
+    """Return the labels of the links."""
     if labels == "names":
         return list(map(shown, mechanism.link_names))
     return [str(k + 1) for k in range(mechanism.n)] if labels else []

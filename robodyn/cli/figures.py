@@ -1,4 +1,4 @@
-"""How pictures are asked for and written: as characters, or by matplotlib (the extra `plot`)."""
+"""Options and output of pictures: as characters, or by matplotlib (the extra `plot`)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _CHART_SUFFIX = "Default: by the suffix of --out; on a terminal text, made of ch
 
 @dataclass(frozen=True)
 class PictureOptions:
-    """What a picture is like, and where it goes."""
+    """Options for the look of a picture, and its output file."""
 
     size: Size = None
     dpi: int = option("Dots an inch of a .png: 300 is twice as sharp.", "N", default=DOTS)
@@ -100,7 +100,7 @@ class PictureOptions:
 
 @dataclass(frozen=True)
 class ChartOptions(PictureOptions):
-    """The same of a chart, which may be made of characters."""
+    """Options of a chart, which may be drawn in characters."""
 
     format: ChartFormat | None = option(_CHART_SUFFIX)  # type: ignore[assignment]
     out: Annotated[Text, output_file("--out", "-o", help=_CHART_OUT)] = None

@@ -127,9 +127,9 @@ def _reads(option: str) -> Callable[..., Any]:
 
 
 def _places(name: str, standard: int) -> frozenset[object]:
-    """What nobody else may write: a path, and the file that is there, under whatever name.
+    """Return identifiers of an output: its path, and the existing file behind it.
 
-    A device has none.  "-" is the stream `standard`.
+    A device has none. "-" is the stream `standard`.
     """
     try:
         path = f"stream {standard}" if name == "-" else os.path.realpath(name)

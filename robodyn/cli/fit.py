@@ -213,7 +213,7 @@ _OUT = "Write the scene with these numbers here; comments and order stay."
 
 @dataclass(frozen=True)
 class FitOptions:
-    """What is to be met, or to become least, and how it is searched for."""
+    """Options for targets, objective, and search."""
 
     match: Annotated[Text, input_file("--match", _MATCH)] = None
     columns: Text = option(_COLUMNS, "NAMES")
@@ -351,7 +351,7 @@ def _bounds(mechanism: Mechanism, values: SceneValues, vary: Sequence[str]) -> B
 def _scene_numbers(
     model: Model, values: SceneValues, found: Fit
 ) -> dict[str, float | Sequence[float]]:
-    """What the file gets: numbers of --set, and those that were found."""
+    """Return the numbers that the output file gets: those of --set, and those fitted."""
     made: dict[str, float | Sequence[float]] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in model.put().items()

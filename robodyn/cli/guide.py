@@ -104,7 +104,7 @@ def guide(
 
 
 def _near(word: str, told: list[Page]) -> str:
-    """What there is in place of a page."""
+    """Return page names similar to `word`, or the pages that contain it."""
     whole = re.compile(rf"\b{re.escape(word)}\b", re.IGNORECASE)
     hold = [page.name for page in told if whole.search(page.text)]
     if hold:

@@ -59,7 +59,7 @@ def is_large(text: str, named: Mapping[str, Node] = NOTHING) -> bool:
 
 
 def _is_large(number: Node) -> bool:
-    """The same of a tree; False where it is no number."""
+    """Return whether a tree is a plain number beyond a turn; False if it is no number."""
     plain = all(type(x) is tuple or (type(x) is float and x != math.pi) for x in walk(number))
     return plain and abs(number_of(number) or 0.0) > math.tau
 

@@ -57,7 +57,7 @@ def tell_at_rest(source: str, names: Sequence[str], more: str = "") -> None:
 
 
 class Lack(NamedTuple):
-    """What a table lacks of the rates, and the columns that they are found from."""
+    """Rates that a table lacks, and the columns from which they are computed."""
 
     absent: Sequence[str]  # qd and qdd, where they are not given
     base: Source  # q, or qd where that is given
@@ -89,7 +89,7 @@ class Lack(NamedTuple):
 
 
 def lack_of(mechanism: Mechanism, sources: Sequence[Source]) -> Lack:
-    """What is lacking; of a closed mechanism for the actuated joints, which tell the others."""
+    """Return which rates are lacking; in a closed mechanism, of the independent joints."""
     known = {x.quantity.name: x for x in sources}
     absent = [name for name in ("qd", "qdd") if name in known and not known[name].given]
     base = known["q"] if "qd" in absent else known["qd"]

@@ -100,7 +100,7 @@ class Model:
         return read_scene(self.model)
 
     def put(self) -> dict[str, float | tuple[float, ...]]:
-        """What --set gives, by the names of numbers, as a scene is rewritten with it."""
+        """Return the values of --set by the names of numbers, for rewriting the scene."""
         values, found = self.values(), {}
         for name, _ in self.given:
             node = values.place(name)[1]

@@ -65,7 +65,7 @@ def row_writer(
 def maker(
     stream: BinaryIO, format: Format, out: str | None, units: Mapping[str, str] = TURNING
 ) -> MakeWriter:
-    """What makes a writer to the stream of columns, and of the header of an input."""
+    """Return a function that makes a writer from columns and an input's header."""
 
     def make(
         columns: Sequence[str], header: Sequence[str] = (), only: Sequence[str] | None = None
@@ -80,7 +80,7 @@ def maker(
 
 @dataclass(eq=False, repr=False)
 class RowOptions:
-    """How rows are written."""
+    """Options for the output of rows."""
 
     columns: Columns = None
     format: OutputFormat = None

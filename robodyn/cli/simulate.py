@@ -94,7 +94,7 @@ _MODEL = "Scene that the controller believes. Default: MODEL."
 
 @dataclass(eq=False, repr=False)
 class TorqueOptions:
-    """Where torque comes from."""
+    """Options for the source of torques."""
 
     tau: Text = option(_TAU, "TORQUES")
     tau_from: Annotated[Text, input_file("--tau-from", _TAU_FROM)] = None
@@ -104,7 +104,7 @@ class TorqueOptions:
 
 @dataclass(eq=False, repr=False)
 class ControlOptions:
-    """What makes the torques track a reference."""
+    """Options for a controller that tracks a reference."""
 
     control: Law | None = option("Makes the torques track a reference, or keep to a pose.")
     track: Annotated[Text, input_file("--track", _TRACK)] = None
@@ -146,7 +146,7 @@ _SENSITIVITY = "Adds dq1/NAME.., dqd1/NAME..: derivatives by numbers of the scen
 
 @dataclass(eq=False, repr=False)
 class RunOptions:
-    """How to start and to integrate."""
+    """Options for start and integration."""
 
     method: Method | None = option("Integrator. Default: DOP853; with --accuracy the best.")
     rtol: Number = option("Relative tolerance of a step. Default: 1e-9.")
@@ -187,14 +187,14 @@ _EVENTS = "Writes event,t,q1..,qd1.. of each event as CSV."
 
 @dataclass(eq=False, repr=False)
 class EventOptions:
-    """What to look for on the way."""
+    """Options for events."""
 
     until: Text = option(_UNTIL, "EXPR")
     event: list[str] | None = option(EVENT, "NAME=EXPR")
     events: Annotated[Text, output_file("--events", help=_EVENTS)] = None
 
     def watch(self, mechanism: Mechanism, t_end: float) -> EventWatch | None:
-        """What watches the run; InputError naming the option that is none."""
+        """Return the watch for events of a run; InputError names a wrong option."""
         given: dict[str, str] = {}
         if self.event:
             given = named_events(mechanism, self.event, UNTIL)
@@ -304,7 +304,7 @@ def _units(mechanism: Mechanism, law: str, name: str, count: int) -> list[str]:
 
 
 def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
-    """What the file tells, at the pose of --at with what holds it there if that is given.
+    """Return the feedback in a file, moved to the pose of --at and its holding torques.
 
     The pose must close.
     """
@@ -379,7 +379,7 @@ class TimeOptions:
 
 @dataclass(eq=False, repr=False)
 class ResultOptions:
-    """What is told, and where."""
+    """Options for reports."""
 
     quiet: Quiet = False
     report: Annotated[Text, output_file("--report", help="Write the summary as JSON.")] = None
@@ -643,7 +643,7 @@ def _told(
     results: ResultOptions,
     table: BinaryIO | None,
 ) -> tuple[Outcome, Report]:
-    """How the run ended and what is told of it, in its report and the table of its events too."""
+    """Run, and return outcome and report; write the table of events."""
     mechanism, watched = rows.mechanism, given[-1]
     with nullcontext() if results.report is None else open_output(results.report) as report:
         with named(), remarks():

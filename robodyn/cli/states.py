@@ -127,7 +127,7 @@ class TableOptions(StateOptions, RowOptions):
 
 
 class Source(NamedTuple):
-    """Where a quantity comes from: an option's values, or columns; for all joints or actuated."""
+    """The source of a quantity: an option's values, or columns; of all or the actuated joints."""
 
     quantity: Quantity
     values: list[float]  # from the option
@@ -463,7 +463,7 @@ def note_replaced(names: Sequence[str]) -> None:
 
 
 class _Computed:
-    """What is computed of rows, which hold the columns of the sources, and perhaps t behind."""
+    """Computes rows from rows that hold the columns of the sources, and perhaps t at the end."""
 
     def __init__(
         self,

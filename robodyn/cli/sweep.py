@@ -57,7 +57,7 @@ _STEPS = "A motion gives up after so many."
 
 @dataclass(frozen=True)
 class SweepOptions(SweepRequest):
-    """What is computed, and at which points."""
+    """Options for what is computed, and at which points."""
 
     vary: list[str] = option(
         "What varies: NAME=first:last:count, first:last:step (with a unit or a decimal point), "
@@ -91,7 +91,7 @@ class SweepOptions(SweepRequest):
 
 
 def plan_of(model: Model, given: SweepOptions, control: ControlOptions) -> Plan:
-    """What the options say; InputError naming the option that is wrong."""
+    """Return the plan of a sweep from its options; InputError names a wrong option."""
     refuse(_NO_ENGINE, engine=given.engine)
     scene, acts = model.values(), partial(_acting, given, control)
     return sweep_request.plan_of(scene, model.given, given, acts)

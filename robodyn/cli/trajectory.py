@@ -191,7 +191,7 @@ def _points_from(mechanism: Mechanism, given: TrajectoryOptions) -> _Through:
 
 
 def when(times: Array | None, source: str, duration: float | None) -> tuple[float, float]:
-    """Where a motion begins and its duration, s (NaN: the shortest), by --time or its points'."""
+    """Return begin and duration of a motion, s (NaN: the shortest), from --time or its points."""
     if times is None:
         if duration is None:
             raise InputError("--time", limit="missing: give seconds, or min and a limit")

@@ -70,36 +70,63 @@ def strays(
     x: Value,
     small: Value,
     relative: Value,
-) -> Value:
+) -> tuple[Value, Value]:
     """Return a positive number if an argument may leave the region of its series in a step x.
 
+    The second result is the fraction of the step to try next: one half, or what ends just beyond
+    the line of a table (by Newton's method), so that the next step starts on the next line.
+
     An argument stays within the hull of the Bezier points of its first three terms, widened by the
-    sizes of the other terms.  The series of exp(-steep |x|) has its largest term at order steep
-    |change of x|; step control sees it if the series has so many terms.  A line of a table may be
-    left if a torque changes by less than `small` (N m) or the part `relative`.
+    sizes of the other terms; or between its ends, if these terms show that its slope keeps its
+    sign.  The series of exp(-steep |x|) has its largest term at order steep |change of x|; step
+    control sees it if the series has so many terms.  A line of a table may be left if a torque
+    changes by less than `small` (N m) or the part `relative`.
     """
     found: Value = -1.0
+    part: Value = 1.0
     for span, each in zip(spanned, series, strict=True):
         h, rest = abs(x), 0.0
-        for coefficient in reversed(each[3:]):
-            rest = rest * h + abs(coefficient)
-        rest = rest * (h * h * h)
+        bent: Value = 0.0  # by which the slope may change
+        for k in range(len(each) - 1, 2, -1):
+            rest = rest * h + abs(each[k])
+            bent = bent * h + k * abs(each[k])
+        rest, bent = rest * (h * h * h), bent * (h * h)
         first, second, third = (*each[:3], 0.0, 0.0)[:3]
         middle, end = first + 0.5 * second * x, first + (second + third * x) * x
         low = expression.least(expression.least(first, middle), end) - rest
         high = expression.greatest(expression.greatest(first, middle), end) + rest
+        shorter: Value = 0.5
         if span.line >= 0:
+            value, slope = horner(each, x)
+            steady = expression.least(abs(second), abs(second + 2.0 * third * x)) - bent
+            steady = expression.choose(0.0, second * (second + 2.0 * third * x), steady, -1.0)
+            low = expression.choose(0.0, steady, expression.least(first, value), low)
+            high = expression.choose(0.0, steady, expression.greatest(first, value), high)
             beyond = 2.0 * expression.greatest(1.0 - low, high - 2.0)
             passed = beyond - expression.greatest(small / arms[span.line], relative)
+            over = LANDED * relative
+            end = expression.choose(1.5, value, 2.0 + over, 1.0 - over)
+            nearer = x
+            for _ in range(NEWTON):
+                nearer = nearer - (value - end) / (slope + TINY)
+                value, slope = horner(each, nearer)
+            nearer = nearer / x
+            inside = expression.choose(nearer, 1.0 - ROUNDED, nearer, 0.5)
+            shorter = expression.choose(LEAST, nearer, inside, 0.5)
         else:
             near = span.steep * expression.greatest(expression.greatest(low, -high), 0.0)
             nearer = span.steep * abs(first) - near - len(each)
             passed = expression.choose(near, FLAT, nearer, -1.0)
         found = expression.greatest(found, passed)
-    return found
+        part = expression.least(part, expression.choose(0.0, passed, shorter, 1.0))
+    return found, expression.choose(part, 1.0, part, 0.5)
 
 
 KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
+LANDED = 0.125  # of the part by which a line may be left: so far beyond it a step ends
+NEWTON = 5  # iterations to there
+LEAST = 1e-6  # part of a step that Newton's method leaves, at least
+ROUNDED = 1e-12  # and takes off
 TINY = 1e-290  # in place of a coefficient that vanishes
 TURN = 2.0  # rad: a link that turns farther in a step may not have its turns counted
 

@@ -1,1 +1,1 @@
-"""The same mechanism in the formats of other tools."""
+"""Export of a mechanism to formats of other tools."""

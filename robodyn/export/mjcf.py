@@ -304,7 +304,7 @@ class _Elements:
         return pivot, arms + sizes, begin
 
     def _align(self, name: str, closure: Closure, angle: float) -> None:
-        """What keeps the angle of the point's link to the line's: an equation between joints."""
+        """Keep the angle of a point's link to the line's link, by an equation between joints."""
         counts: dict[int, float] = {}
         for sign, link in ((1.0, closure.first.link), (-1.0, closure.second.link)):
             if link is not None:

@@ -197,7 +197,7 @@ MOST_DAMPED = 2.5  # damping ratio that a bounce of so many steps allows
 
 
 def contact_notes(mechanism: Mechanism) -> Iterator[str]:
-    """What MuJoCo does otherwise than the scene at ends of joints and with dry friction."""
+    """Yield how MuJoCo differs from the scene at stops and with dry friction."""
     for k, link in enumerate(mechanism.description.links):
         stop, joint = link.limits, f"joint {link.name}"
         if stop is None:
@@ -268,7 +268,7 @@ def _soft(stiffness: float, damping: float) -> dict[str, str]:
 
 
 def damping_ratio(part: float) -> float:
-    """Of a stop that throws a joint back with this part of its speed, as far as steps allow."""
+    """Return the damping ratio of a stop with this restitution, within limits of the step."""
     low, high = 1e-9, MOST_DAMPED
     while high - low > 1e-12:
         ratio = 0.5 * (low + high)

@@ -94,7 +94,7 @@ def urdf(mechanism: Mechanism) -> str:
 
 
 def urdf_notes(mechanism: Mechanism) -> Iterator[str]:
-    """What is not told of ends of joints and of dry friction."""
+    """Yield what URDF does not hold of stops and dry friction."""
     for link in mechanism.description.links:
         if link.limits is not None:
             told = "URDF says where it ends; what happens there is left to who reads it"
@@ -106,7 +106,7 @@ def urdf_notes(mechanism: Mechanism) -> Iterator[str]:
 
 
 def _limits(link: Link) -> dict[str, float]:
-    """What a joint has of limits: its ends, and what its motor gives it at most."""
+    """Return a joint's limits: its ends, and the largest effort and speed of its motor."""
     motor, stop = link.motor, link.limits
     most = motor is not None and bool(motor.torque_max or motor.speed_max)
     if stop is None and not link.slides and not most:

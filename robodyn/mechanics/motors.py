@@ -17,7 +17,7 @@ from robodyn.scene.scene import Motor
 
 
 def motors_at(mechanism: Mechanism, joints: Iterable[int]) -> Iterator[tuple[int, Motor]]:
-    """Those of the joints that have motors, each with its motor."""
+    """Return those of the joints that have motors, each with its motor."""
     links = mechanism.description.links
     return ((k, motor) for k in joints if (motor := links[k].motor) is not None)
 
@@ -53,12 +53,12 @@ def motor_values(
 
 
 def torque_limits(mechanism: Mechanism) -> list[float]:
-    """What motors can put on the actuated joints at most, N m; infinite where nothing limits it."""
+    """Return the largest torques of motors on the actuated joints, N m; infinite if unlimited."""
     return _limits(mechanism, lambda x: x.torque_max and x.torque_max * abs(x.ratio))
 
 
 def rate_limits(mechanism: Mechanism) -> list[float]:
-    """How fast motors can turn the actuated joints, rad/s; infinite where nothing limits it."""
+    """Return the largest rates of motors on the actuated joints, rad/s; infinite if unlimited."""
     return _limits(mechanism, lambda x: x.speed_max and x.speed_max / abs(x.ratio))
 
 

@@ -177,7 +177,7 @@ class Mechanism:
 
     @cached_property
     def spins(self) -> tuple[Spin, ...]:
-        """What spins beside the links."""
+        """Rotors and other parts that spin beside the links."""
         found = []
         for x in self.of(Rotor):
             carried = [] if x.carrier is None else self.turns_by(x.carrier)

@@ -1,1 +1,1 @@
-"""What notebooks and scripts call: the commands as functions, and how results show themselves."""
+"""Functions for notebooks and scripts: the commands, and how results display themselves."""

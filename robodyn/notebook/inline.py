@@ -30,7 +30,7 @@ LINES = 70, 12  # characters and rows of a chart where there is no matplotlib
 
 
 def mechanism_html(mechanism: Mechanism) -> str:
-    """Its one line, and below it a drawing to scale in the pose that `draw` begins with."""
+    """Return a mechanism's summary line, and a drawing in the pose with which `draw` begins."""
     from robodyn.loops.assembly import first_pose
     from robodyn.pictures.animation_files import svg
     from robodyn.pictures.drawing import drawing
@@ -43,7 +43,7 @@ def mechanism_html(mechanism: Mechanism) -> str:
 
 
 def motion_html(motion: Motion) -> str:
-    """Its one line, and below it q and tau over time; of characters without matplotlib."""
+    """Return a motion's summary line, and a chart of q and tau, plain without matplotlib."""
     from robodyn.pictures.chart import chart_lines
 
     states = {"t": motion.t, **{f"q{k + 1}": q for k, q in enumerate(motion.q.T)}}

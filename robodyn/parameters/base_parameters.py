@@ -72,7 +72,7 @@ class BaseParameter:
 
 
 def dependence(Y: Array, names: Sequence[str], cut: float = CUT) -> Dependence:
-    """What the columns of Y (k, p) have in common, but for a part `cut` of them."""
+    """Return the linear dependence of the columns of Y (k, p), up to a fraction `cut` of them."""
     size = np.linalg.norm(Y, axis=0)
     most = float(size.max(initial=0.0))
     order = sorted(range(len(names)), key=lambda k: _rank(names[k]))
@@ -130,7 +130,7 @@ def base_parameters(mechanism: Mechanism) -> tuple[BaseParameter, ...]:
 
 @lru_cache(maxsize=16)
 def structural(mechanism: Mechanism) -> Dependence:
-    """What the columns of Y have in common at all states."""
+    """Return the linear dependence of the columns of Y at all states."""
     found = regressor(mechanism, *random_rows(mechanism))
     return dependence(found.Y.reshape(-1, len(found.names)), found.names)
 
@@ -256,7 +256,7 @@ def _changed(
     lengths = [near(link.l) for link in base.links]
 
     def moved(value: Any) -> Any:
-        """What a scene holds, points and ratios changed; a tip goes with its link's length."""
+        """Return scene contents with points and ratios changed; tips move with link lengths."""
         match value:
             case Point(link, at):
                 if link is not None and at == base.links[link].l:

@@ -108,7 +108,7 @@ class ColumnFormulas:
 
     @cached_property
     def moving(self) -> tuple[Placed, Placed, Placed]:
-        """Where the mechanism is, and its rates and accelerations."""
+        """The placement of the mechanism, and its rates and accelerations."""
         mechanism, at = self.mechanism, placed_formulas(self.state)
         w, a = (planar_values(self.state.absolute(name)) for name in ("qd", "qdd"))
         return at, at.rates(mechanism, w), at.accelerations(mechanism, w, a)
@@ -124,7 +124,7 @@ class ColumnFormulas:
 
     @cached_property
     def loop_forces(self) -> list[Value]:
-        """Those of closures, moments of angles that are kept, torques of couplings."""
+        """Pin forces, moments of fixed angles, and torques of couplings."""
         return [*(x for pin in self._felt.pins for x in (pin.real, pin.imag)), *self._felt.kept]
 
     @cached_property
@@ -134,7 +134,7 @@ class ColumnFormulas:
 
     @cached_property
     def slide_moments(self) -> dict[int, Value]:
-        """What keeps the links that slide from turning, about their origins."""
+        """Moments about their origins that keep sliding links from turning."""
         found: list[Any] = self._felt.slide_moments()
         return dict(zip(self.mechanism.slides, found, strict=True))
 
@@ -164,7 +164,7 @@ class ColumnFormulas:
 
     @cached_property
     def _named(self) -> dict[str, Callable[[], Any]]:
-        """What makes the columns that are no point's."""
+        """Functions that make the columns that belong to no point."""
         mechanism, state, n = self.mechanism, self.state.relative, self.mechanism.n
         torques = dict(zip(mechanism.actuated, self.forces, strict=False))
         taken = partial(partial, self._taken)
@@ -296,10 +296,10 @@ class ColumnFormulas:
     # -- conditions --------------------------------------------------------------------------------
 
     def condition(self, text: str, numbers: Mapping[str, float]) -> tuple[Value, bool]:
-        """Of LEFT <= RIGHT (or >=, ==) what must not be above zero; and whether it must be zero.
+        """Return what must not be positive in LEFT <= RIGHT, and if it must be zero.
 
-        Names are those of the scene's `numbers`, of which the varied ones change, and of columns.
-        Raises InputError for what is no such condition.
+        Also for >= and ==. Names are those of the scene's `numbers`, of which the varied ones
+        change, and of columns.  Raises InputError for another text.
         """
         where = "--subject-to"
         signs = _RELATION.findall(text)
@@ -344,7 +344,7 @@ MISSED = 1e-9  # of the loop's size: a gap that Newton's method leaves and that 
 
 @dataclass(frozen=True)
 class Rows:
-    """What is known of each row: q, qd, qdd (T, a) of the actuated joints, and the time (T,)."""
+    """Known data of each row: q, qd, qdd (T, a) of the actuated joints, and time (T,)."""
 
     q: Array
     qd: Array
@@ -394,7 +394,7 @@ class LaneStates:
         return self._codes[name]
 
     def _parts(self, name: str) -> Outputs:
-        """What is called so: values, and their slopes by groups of inputs behind one another."""
+        """Return the values called `name`, and their derivatives by groups of inputs."""
         f, n, r = self.formulas, self.n, len(self.formulas.gap)
         q, qd, qdd = (f.state.inputs[i : i + n] for i in (0, n, 2 * n))
         p = [f"p{i}" for i in range(self.k)]
@@ -424,7 +424,7 @@ class LaneStates:
 
     @cached_property
     def _least(self) -> tuple[list[Value], list[Value]]:
-        """What is zero at closed loops, and Psi^T gap of each group; one a joint that follows."""
+        """Return what is zero for closed loops, and Psi^T gap per group and dependent joint."""
         f = self.formulas
         closed: list[Value] = []
         least: list[Value] = []
@@ -437,10 +437,10 @@ class LaneStates:
     # -- lanes -------------------------------------------------------------------------------------
 
     def __call__(self, p: Array) -> tuple[Array, Array, Array, Array]:
-        """Of changes p (S, k): columns (S, T, c), their derivatives (S, T, c, k), and what misses.
+        """Return columns (S, T, c) for changes p (S, k), their derivatives, and gaps.
 
-        What is missing is (S, T, g) m, zero where loops close, with its derivatives (S, T, g, k).
-        Values are nan where there are none.
+        Derivatives are (S, T, c, k).  Gaps are (S, T, g), m, zero if loops close, with derivatives
+        (S, T, g, k).  Undefined values are nan.
         """
         T = len(self.rows.t)
         size = max(1, LANES // T)

@@ -81,12 +81,12 @@ class Estimate(NamedTuple):
 
 @short_repr
 class Identification(NamedTuple):
-    """What was found.
+    """The result of an identification.
 
-    `kept` are combinations or numbers that the data do not tell, and which keep the scene's; the
-    `condition` is that of the columns that were fitted, each scaled to 1.  `rms` (a,) is what is
-    left of the torques of the actuated joints, and free ones, `rms_torque` what they are, both
-    without the rows that `at_rest` (T, a) leaves out of a torque's equations.
+    `kept` are combinations or numbers that the data do not determine, which keep the scene's
+    values.  `condition` belongs to the fitted columns, each scaled to 1.  `rms` (a,) is the
+    residual of the torques of actuated and free joints, `rms_torque` their size, both without the
+    rows `at_rest` (T, a) that are left out of a torque's equations.
     """
 
     estimates: tuple[Estimate, ...]
@@ -345,16 +345,19 @@ class _Numbers:
         return slopes(self.described(x), self.where)
 
     def left(self, x: Array) -> Array:
-        """What is left of the torques."""
+        """Return the residual of the torques."""
         found: Array = self.data.R @ self.change(x) - self.data.s
         return found
 
     def free(self, x: Array) -> Array:
-        """Those that fit best."""
+        """Return the numbers that fit best."""
         return self._best(x, np.full(len(x), -np.inf), np.zeros(len(x)))
 
     def bounded(self, x: Array, hold: bool) -> Array:
-        """Those of bodies that can be; with `hold` what the data do not tell stays near."""
+        """Return physically possible numbers that fit best.
+
+        With `hold`, numbers that the data do not determine stay close to their values.
+        """
         data = self.data
         size = np.sqrt(data.rows * ((data.rms_torque / data.weights) ** 2).sum())
         usual = np.where(self.before == 0.0, 1.0, np.abs(self.before))
@@ -452,14 +455,14 @@ def number_called(description: Description, name: str) -> Number:
 
 
 def number_at(value: Any, place: Place) -> float:
-    """What stands there."""
+    """Return the number at a place."""
     for step in place:
         value = value[step] if isinstance(step, int) else getattr(value, step)
     return float(value)
 
 
 def replaced(value: Any, place: Place, number: Any) -> Any:
-    """The same with another number, or entry, there."""
+    """Return the value with another number, or entry, at a place."""
     if not place:
         return number
     step, rest = place[0], place[1:]
@@ -495,7 +498,7 @@ def slopes(description: Description, where: Sequence[Place]) -> Array:
 
 
 def own_numbers(description: Description) -> dict[str, Number]:
-    """Those that make up pi, each once: what is fitted where no names are given."""
+    """Return the numbers that make up pi, each once: the default of what is fitted."""
     known = numbers(description).items()
     return {name: x for name, x in known if x.alone and not name.startswith("links[")}
 
@@ -540,7 +543,7 @@ def checked(description: Description) -> tuple[Description, tuple[str, ...]]:
 def changes(
     before: Description, after: Description, known: SceneValues
 ) -> dict[str, float | Sequence[float]]:
-    """What must be written in the file, whose numbers are `known`, to make `after` of `before`."""
+    """Return the numbers to write into a file with `known` to turn `before` into `after`."""
     found: dict[str, float | Sequence[float]] = {}
     for name, (place, *_) in numbers(before).items():
         if name.startswith("links[") or name.endswith("]"):

@@ -183,7 +183,7 @@ class Search:
 def finished(
     problem: Problem, search: Search, u: Array, lane: int
 ) -> tuple[float, float, Array, Array]:
-    """What scipy makes of a start: what is broken, the norm of residuals, u and conditions."""
+    """Refine a start by scipy: return violation, norm of residuals, u and conditions."""
     from scipy.optimize import least_squares
 
     alone = Search(problem, 1)
@@ -307,12 +307,12 @@ SAME = 1e-3  # of the residuals' rms, by which starts that reached the best are 
 @short_repr
 @dataclass(frozen=True)
 class Fit:
-    """What was found: numbers by name, residuals (T, c) of the columns, and their rms (c,).
+    """The result of a fit: numbers by name, residuals (T, c) of the columns, and their rms (c,).
 
-    Before are those of the scene's own numbers, nan where it has none.  `bounds` tells which
-    numbers are at one, `reached` how many of the `starts` led to the best, `conditions` how far
-    each is from its limit (> 0: it holds with room; 0: it is active).
-    `untold` are numbers that others, or any, serve for: without conditions, columns do not tell.
+    `before` values belong to the scene's own numbers, nan if it has none.  `bounds` tells which
+    numbers are at a bound, `reached` how many of the `starts` led to the best result, `conditions`
+    the distance of each from its limit (> 0: holds with room; 0: active).  `untold` are numbers
+    that the columns do not determine.
     """
 
     mechanism: Mechanism
@@ -537,7 +537,7 @@ def solved(
 def _starts(
     mechanism: Mechanism, problem: Problem, own: Array, count: int, rng: np.random.Generator
 ) -> Array:
-    """Where to start from (count, k): the scene's numbers, if they are within the bounds, first."""
+    """Return starting points (count, k), first the scene's own numbers if within bounds."""
     k = len(own)
     found = np.zeros((0, k))
     sizes: list[Array] = []
@@ -632,10 +632,10 @@ def fit_motion(
 
 
 class _Begin:
-    """Where motions begin: q and qd of all joints (`whole`), or of the actuated ones.
+    """Starts of motions: q and qd of all joints (`whole`), or of the actuated ones.
 
     `places` are start values among the names of `vary`, each with its kind, q or qd, and its joint.
-    Joints `held` tell all others at `first`.
+    Joints `held` determine all others at `first`.
     """
 
     def __init__(

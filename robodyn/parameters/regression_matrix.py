@@ -63,9 +63,9 @@ class Parameter(NamedTuple):
 def linear_parameters(
     description: Description, damping: Sequence[float] | None = None
 ) -> tuple[Parameter, ...]:
-    """Those of a scene, with their values there, link by link, then the springs'.
+    """Return the linear parameters of a scene with their values, by link, then by spring.
 
-    `damping` (n) are the dampers at joints, if the mechanism has others than its scene.
+    `damping` (n) are joint dampers, if the mechanism has others than its scene.
     """
     found: list[Parameter] = []
     links = description.links
@@ -148,7 +148,7 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
 
 
 def with_formulas(value: Any) -> Any:
-    """What a scene holds, with complex numbers that take formulas."""
+    """Return scene contents with complex numbers that accept formulas."""
     if isinstance(value, tuple):
         parts = map(with_formulas, value)
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)

@@ -1,1 +1,1 @@
-"""What pictures show: charts of columns, mechanisms to scale, maps, in figures and characters."""
+"""Contents of pictures: charts of columns, mechanisms to scale, maps; in figures and characters."""

@@ -145,7 +145,7 @@ class MovingPicture:
         points: Sequence[NamedPoint],
         size: Size,
     ) -> Self:
-        """That of a mechanism's frames, with the paths of points."""
+        """Return the moving picture of a mechanism's frames, with the paths of points."""
         paths = [path for _, path in traced(mechanism, points, shown.fine)]
         return cls(drawing(mechanism, shown.q, points), shown, speed, paths, size)
 

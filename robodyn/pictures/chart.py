@@ -105,7 +105,7 @@ def choose_x(header: Sequence[str], wanted: str | None, source: str) -> str | No
 
 
 def place_of(name: str, option: str, header: Sequence[str], source: str) -> int:
-    """Where in the header a column is; InputError, with those that are there, where it is not."""
+    """Return a column's index in the header; InputError lists the columns if it is missing."""
     if name not in header:
         limit = f"is no column; there are {columns_told(header, name)}"
         raise InputError(option, where=source, value=shown(name), limit=limit)
@@ -196,7 +196,7 @@ def _label(unit: str, curves: Sequence[Curve]) -> str:
 
 
 def short_names(sources: Sequence[str]) -> list[str]:
-    """What tells files apart: nothing for one, names without their directories if these differ."""
+    """Return labels that distinguish files: "" for one, else names without directories."""
     if len(sources) == 1:
         return [""]
     short = [re.sub(r"^.*[/\\]|\.csv$", "", source) for source in sources]
@@ -428,7 +428,7 @@ def plain(text: str, ascii: bool) -> str:
 
 
 def y_axis(at: Sequence[int], texts: Sequence[str], rows: int, left: int, ascii: bool) -> list[str]:
-    """What stands at the left of each row: a line with its ticks at some rows, and their texts."""
+    """Return the left edge of each row: a line with ticks at some rows, and their labels."""
     tick, bar, *_ = FRAMES[ascii]
     edge = [" " * (left - 1) + bar] * rows
     for row, text in zip(at, texts, strict=True):

@@ -111,9 +111,9 @@ class Way(NamedTuple):
         return 1.0 if self.high >= -self.low else -1.0
 
     def leaving(self, points: Complex, w: float) -> Way:
-        """The same, with where it leaves a link that has these `points`, if it goes farther.
+        """Return the way with the point at which it leaves a link with these `points`.
 
-        Or if that link has no room for a block on it.
+        It leaves the link if it extends farther, or if the link has no room for a block.
         """
         apart = (points - self.place) * self.along.conjugate()
         on_line = self.side * apart.real[np.abs(apart.imag) < w]
@@ -124,7 +124,7 @@ class Way(NamedTuple):
 
 
 def at(point: PlanarPoint, X: Complex) -> Complex:
-    """Where a point of the mechanism is, (...), m, at X (..., n)."""
+    """Return the position (...), m, of a point of the mechanism at X (..., n)."""
     z = np.full(X.shape[:-1], point.constant, complex)
     for k, coefficient in point.terms:
         z = z + coefficient * X[..., k]
@@ -132,12 +132,12 @@ def at(point: PlanarPoint, X: Complex) -> Complex:
 
 
 def direction(tree: Tree, k: int, E: Complex) -> Complex:
-    """That of link k's x axis, (...), with E (..., n)."""
+    """Return the direction of link k's x axis, (...), with E (..., n)."""
     return E[..., k] if tree.phases[k] == 1.0 else tree.phases[k] * E[..., k]
 
 
 def rails(mechanism: Mechanism, travelled: Placed) -> Iterator[Way]:
-    """Of each joint that slides, from where it is zero to where it goes."""
+    """Yield the way of each sliding joint, from zero to where it goes."""
     for k in mechanism.slides:
         link, s = mechanism.description.links[k], travelled.x[..., k]
         low, high = float(s.min(initial=0.0)), float(s.max(initial=0.0))
@@ -147,7 +147,7 @@ def rails(mechanism: Mechanism, travelled: Placed) -> Iterator[Way]:
 
 
 def slots(mechanism: Mechanism, tree: Tree, travelled: Placed) -> Iterator[Way]:
-    """Of each line on a link, with the points that closures hold there; once for one line."""
+    """Yield each slot on a link, with the points that closures hold there; once per line."""
     found: dict[tuple[int, complex, complex], Way] = {}
     for closure in mechanism.description.closures:
         carrier, along = closure.second.link, closure.along
@@ -198,7 +198,7 @@ def on_link(way: Way, w: float) -> Iterator[Shape]:
 
 
 def rod(way: Way, w: float) -> Shape:
-    """What of a link stays in the cylinder that it slides in, in the frame of that link, m."""
+    """Return the part of a link that stays in its cylinder, in the frame of that link, m."""
     assert way.out is not None
     far = way.high if way.side > 0.0 else way.low
     back = way.out - far - 2.0 * w * way.side
@@ -354,7 +354,7 @@ def _welded(mechanism: Mechanism) -> list[Point]:
 
 
 def _attached(mechanism: Mechanism, k: int) -> list[complex]:
-    """Where on link k other links hang, closures join and springs end."""
+    """Return the points of link k at which other links hang, closures join and springs end."""
     hanging = [link.hangs_from for link in mechanism.description.links]
     points = [*hanging, *_joined(mechanism), *_spring_ends(mechanism)]
     return [point.at for point in points if point.link == k]
@@ -527,10 +527,10 @@ def _moved(points: Complex, place: Complex, turn: Complex) -> Complex:
 
 
 def drawing(mechanism: Mechanism, q: ArrayLike, marked: Sequence[NamedPoint] = ()) -> Drawing:
-    """What is to be drawn of the mechanism at the closed poses q, (n,) or (T, n).
+    """Return the drawing of the mechanism at closed poses q, (n,) or (T, n).
 
-    Points that are `marked` are joined to their links.
-    Raises RobodynError where it is too large or too small for numbers.
+    Points that are `marked` are joined to their links.  Raises RobodynError if it is too large or
+    too small for numbers.
     """
     poses = np.atleast_2d(np.asarray(q, float))
     with np.errstate(all="ignore"), suppress(ValueError, OverflowError):  # whole numbers of nan

@@ -185,7 +185,7 @@ def with_prefix(value: float, unit: str) -> str:
 
 
 def _way(mechanism: Mechanism, load: LoadForce, q: Array, here: Placed) -> complex:
-    """How far a force is from its fixed place of the link, m, at q (n,) and t = 0."""
+    """Return the distance of a force from its fixed place on the link, m, at q (n,) and t = 0."""
     values = {"t": 0.0} | {f"q{k}": x for k, x in enumerate(np.asarray(q, float).tolist())}
 
     def value(signal: Signal | None) -> float:

@@ -230,7 +230,7 @@ HEAD = 0.3  # inches of a title
 
 
 def style_of(kind: str, closed: bool, link: int | None) -> dict[str, Any]:
-    """How a shape is painted, in matplotlib's words."""
+    """Return the style of a shape, as arguments of matplotlib."""
     style = {"facecolor": "none"} | STYLES[kind]
     if kind in COLOURED:
         style["facecolor"] = LINK_COLOURS[(link or 0) % len(LINK_COLOURS)]
@@ -363,7 +363,7 @@ class Picture:
             self._text(self._beside(z[-1], name), name, colour, 9)
 
     def _beside(self, z: complex, text: str) -> complex:
-        """Where a text stands beside a point: at its upper right, or within the frame."""
+        """Return the position of a text beside a point: at its upper right, within the frame."""
         far = self.extent(text) * 1.2  # the text's other end
         right = 1.0 if z.real + far.real <= self.frame.right else -1.0
         up = 1.0 if z.imag + far.imag <= self.frame.top else -1.0

@@ -50,7 +50,7 @@ class ColourScale(NamedTuple):
     log: bool
 
     def fraction(self, values: Array) -> Array:
-        """How far values are along the scale, 0 to 1; nan stays nan.  Shapes as given."""
+        """Return the position of values along the scale, 0 to 1; nan stays nan."""
         low, high = self.low, self.high
         if self.log:
             values, low, high = np.log(values), math.log(low), math.log(high)
@@ -347,11 +347,11 @@ def _edges(lines: Array) -> Array:
 def colour_values(
     name: str, fields: Sequence[tuple[str, str]], positive: bool = False
 ) -> tuple[Array, tuple[str, ...]]:
-    """Of the fields of a column, (T,) numbers or places in its sorted words, and these.
+    """Return numbers (T,) for the fields of a column, or indices in its sorted words.
 
-    Fields are texts, and where they stand; the first with a value tells what the column holds;
-    empty ones, and nan, are nan.  Raises InputError, with the place, where one is neither empty nor
-    a number (with `positive` > 0).
+    Fields are texts with places; the first with a value decides what the column holds.  Empty ones,
+    and nan, are nan.  Raises InputError, with the place, if one is neither empty nor a number (with
+    `positive`, > 0).
     """
     fields = [("" if is_missing(text) else text, where) for text, where in fields]
     worded = _is_word(next((text for text, _ in fields if text), "0"))

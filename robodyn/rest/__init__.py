@@ -1,1 +1,1 @@
-"""Where a mechanism rests, how it moves near by, and what to feed back to keep it there."""
+"""Poses at rest, small motions around them, and feedback gains that keep a pose."""

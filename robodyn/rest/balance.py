@@ -36,7 +36,7 @@ ROUNDING = 1e-14  # part of what acts below which a force that is left over is r
 
 
 class Balance(NamedTuple):
-    """What acts at a pose at rest; f freedoms, r rows of closures."""
+    """Forces and stiffness at a pose at rest; f freedoms, r rows of closures."""
 
     N: Array  # (n, f)
     force: Array  # (f,) N^T (tau - h)

@@ -255,7 +255,7 @@ def _beyond(mechanism: Mechanism, q: Array, end: tuple[int, int, float]) -> Robo
 
 
 def _none(mechanism: Mechanism, near: Array | None, tau: Array, left: float) -> RobodynError:
-    """That no pose at rest is found; of torques that are given, what part is balanced at most."""
+    """Return the error that no pose at rest was found, and what part of torques balances."""
     what, way, other = "no pose at rest", "from any start", "give torques"
     if near is not None:
         what, way, other = (
@@ -369,9 +369,9 @@ Key = TypeVar("Key")
 def _poses(
     mechanism: Mechanism, joints: tuple[int, ...], starts: Iterable[Array], tau: Array
 ) -> Iterator[tuple[Found | float, int]]:
-    """Of each start what `_at_rest` finds, and how many balances that took.
+    """Yield the result of `_at_rest` for each start, and the number of balances it took.
 
-    So many as TOGETHER go on at once, since numpy takes for one pose as long as for many.
+    TOGETHER starts go on at once, since numpy needs as long for one pose as for many.
     """
     each = iter(starts)
     while block := list(islice(each, TOGETHER)):
@@ -513,7 +513,7 @@ def _downhill(at: Balance, size: float) -> Array:
 
 
 def _size(mechanism: Mechanism, at: Balance, tau: Array) -> float:
-    """What forces and stiffness are measured against, N m: the largest of what acts."""
+    """Return the scale of forces and stiffness, N m: the largest of what acts."""
     return max(_acts(mechanism, at, tau), float(np.abs(at.stiffness).max(initial=0.0)))
 
 

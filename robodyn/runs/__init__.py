@@ -1,1 +1,1 @@
-"""What moves a mechanism: steps of the series in machine code that close, land and leap."""
+"""Runs: the integration of motions, their events, contacts, rows and statistics."""

@@ -163,9 +163,10 @@ class _Series:
         h = min(stop - t, LONG(longest))
         while h > SMALLEST_STEP:
             new = _along(self.mechanism, series, y, h)
-            if not arms or self.agrees(series, held, h, t + h, new):
+            part = self.part(series, held, h, t + h, new) if arms else 1.0
+            if part == 1.0:
                 return h, new
-            h = h / 2
+            h = h * part
         return None
 
     def expanded(
@@ -179,25 +180,27 @@ class _Series:
         numbers = [LONG(x) for x in motion.program.numbers]
         return motion.expand(LONGS, numbers, order, start), list(start.w), motion.arms
 
-    def agrees(self, series: Coefficients, held: Any, x: Any, t: Any, y: Long) -> bool:
-        """Return whether the series still holds at x after its start, at time t and state y.
+    def part(self, series: Coefficients, held: Any, x: Any, t: Any, y: Long) -> Any:
+        """Return 1 if the series still holds at x after its start, at time t and state y.
 
-        Torques that may bend are compared with their series there, and no argument may stray on the
-        way.  Differences that change no rate beyond rounding are ignored.
+        Otherwise return the fraction of x to try next.  Torques that may bend are compared with
+        their series there, and no argument may stray on the way.  Differences that change no rate
+        beyond rounding are ignored.
         """
         try:
             found, _, arms = self.expanded(self.made[held], t, y, 1)
         except (ArithmeticError, ValueError):  # outside the domain
-            return False
+            return 0.5
         rates = y[self.mechanism.n : 2 * self.mechanism.n]
         small = ROUNDING * np.abs(rates).max() * self.lightest / x  # N m
-        if strays(self.made[held].spans, arms, series.spanned, x, small, AGREE) > 0.0:
-            return False
+        way, part = strays(self.made[held].spans, arms, series.spanned, x, small, AGREE)
+        if way > 0.0:
+            return part
         for each, known, arm in zip(series.watched, found.watched, arms, strict=True):
             terms = np.array(each) * x ** np.arange(len(each))
             if not abs(terms.sum() - known[0]) <= AGREE * np.abs(terms).max() + small / arm:
-                return False
-        return True
+                return 0.5
+        return 1.0
 
 
 def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:

@@ -301,7 +301,7 @@ class _Step(Items):
         return fast
 
     def _shorten(self, go: Word, h: Word, small: Word) -> None:
-        """Halve the step until torques at its end equal their series and no argument strays."""
+        """Shorten the step until torques at its end equal their series and no argument strays."""
         k = self.k
         fast = self._fastest(k.number(0.0))
         miss = k.add(self.get("atol"), k.multiply(self.get("rtol"), fast))
@@ -313,7 +313,7 @@ class _Step(Items):
             poor = k.both(go, k.compare("oeq", self.get("agrees"), k.number(0.0)))
             poor = k.both(poor, k.compare("oge", now, small))
             k.leave(k.invert(k.any(poor)), good)
-            k.set(h, k.select(poor, k.multiply(now, k.number(0.5)), now))
+            k.set(h, k.select(poor, k.multiply(now, self.get("part")), now))
             self.reach(k.get(h))
 
     def _land(self, go: Word, h: Word) -> None:

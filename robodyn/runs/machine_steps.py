@@ -58,8 +58,8 @@ ALIGNED = 8  # items, on which a vector of one lane and 8 numbers crosses no lin
 # of a block, besides what its scene asks for
 COMMON = (
     "t", "bound", "direction", "status", "steps", "most_steps", "x", "t_there", "h", "longest",
-    "quality", "agrees", "miss", "relative", "rtol", "atol", "suspect", "lightest", "rounding",
-    "converged", "base_t",
+    "quality", "agrees", "part", "miss", "relative", "rtol", "atol", "suspect", "lightest",
+    "rounding", "converged", "base_t",
 )  # fmt: skip
 
 
@@ -282,9 +282,11 @@ class Scene:
     def _compare(self, module: Module) -> None:
         """Write `compare(block)`: do watched rows at the step's end equal their series?
 
-        Also, no argument of a steep row may stray within the step.
+        Also, no argument of a steep row may stray within the step.  If they do not agree, the
+        fraction of the step to try next is stored.
         """
         k, block = self.kernel(module, "compare")
+        self.put(k, block, "part", k.number(0.5))
         names = self.there([f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)])
         watched = self.loop.columns[2 * self.mechanism.n :][: self.loop.watched]
         starts = [series.first[0] for series in watched]
@@ -303,8 +305,10 @@ class Scene:
             series = [coefficients(graph, column, orders) for column in self.loop.spanned]
             arms = [graph.variable(f"arm{i}") for i in range(len(self.bends))]
             given = map(graph.variable, ("x", "miss", "relative"))
-            way = read_segment(self, k, block).write([strays(spans, arms, series, *given)])[0]
+            found = strays(spans, arms, series, *given)
+            way, part = read_segment(self, k, block).write([*found])
             agrees = k.both(agrees, k.invert(k.less(k.number(0.0), way)))
+            self.put(k, block, "part", part)
         self.put(k, block, "agrees", k.select(agrees, k.number(1.0), k.number(0.0)))
         k.done()
 

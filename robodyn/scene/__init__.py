@@ -1,1 +1,1 @@
-"""What a scene file says: its grammar, the numbers and units in it, and the examples."""
+"""Scene files: their grammar, numbers and units, and the examples."""

@@ -107,7 +107,7 @@ def constant_of(text: str, named: Mapping[str, Node]) -> Constant:
 
 
 def node_of(name: str, constant: Constant) -> Node:
-    """What stands in trees of expressions for a constant."""
+    """Return the node of a constant in trees of expressions."""
     if not constant.unit:
         return Named(constant.value, name)
     return Quantity(constant.value, 0, _dimension(constant.unit), name=name)
@@ -120,7 +120,7 @@ def _dimension(unit: str) -> Dimension:
 
 
 def numbers_of(constants: Constants) -> dict[str, Any]:
-    """What stands in trees for each of the constants where they are numbers without a name."""
+    """Return the nodes of constants as numbers without names."""
     return {
         name: Quantity(x.value, 0, _dimension(x.unit)) if x.unit else float(x.value)
         for name, x in constants
@@ -146,5 +146,5 @@ def check_apart(constants: Constants, varied: Iterable[str], texts: Mapping[str,
 
 
 def nodes_of(constants: Constants) -> dict[str, Any]:
-    """What stands in trees for each of the constants."""
+    """Return the nodes of constants in trees of expressions."""
     return {name: node_of(name, constant) for name, constant in constants}

@@ -25,7 +25,7 @@ Dimensions = Callable[[str], Dimension | None]  # of variables; None: it is not 
 
 
 class Measure(NamedTuple):
-    """What an expression is in, whether a unit says so, and whether it has a variable."""
+    """The dimension of an expression, whether a unit fixes it, and whether it has a variable."""
 
     of: Dimension
     sure: bool = False
@@ -36,7 +36,7 @@ Measured = Measure | None  # None: numbers without units leave it open
 
 
 def measured(node: Node, dimensions: Dimensions = lambda name: None) -> Measured:
-    """What an expression is in; ExpressionError where units do not fit."""
+    """Return the dimension of an expression; ExpressionError if units do not fit."""
 
     def leaf(x: float | str | Quantity) -> Measured:
         if isinstance(x, Quantity):
@@ -105,7 +105,7 @@ def _power(node: tuple[Any, ...], base: Measured, exponent: Measured) -> Measure
 
 
 def _same(node: Node, what: str, a: Measured, b: Measured) -> Measured:
-    """What two parts are both in; ExpressionError where they cannot be."""
+    """Return the common dimension of two parts; ExpressionError if there is none."""
     if a is None or b is None or not (a.sure or b.sure):
         sure = next((x for x in (a, b) if x and x.sure), None)
         return a if a == b else sure and sure._replace(varies=True)

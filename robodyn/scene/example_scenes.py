@@ -39,7 +39,7 @@ def example_file(name: str) -> Path | None:
 
 
 def like(missing: Path) -> str:
-    """What the name of a file that is not there may mean: a scene beside it, or an example."""
+    """Return suggestions for a missing file: a scene beside it, or an example."""
     if missing.stem in scene_names():
         return f"; the example of this name is {missing.stem}, without a folder or .yaml"
     beside = [path.stem for path in islice(missing.parent.glob("*.yaml"), MOST_LISTED)]
@@ -57,7 +57,7 @@ def _closest(name: str, known: list[str]) -> list[str]:
 
 
 def summary(text: str) -> str:
-    """What a scene is, by the first line of its comment."""
+    """Return the first line of a scene's comment."""
     return text.partition("\n")[0].lstrip("# ").rstrip()
 
 

@@ -47,7 +47,7 @@ SMOOTH = tuple(name for name in FUNCTIONS if name not in BENDS)
 
 
 class ExpressionError(ValueError):
-    """What is wrong with an operation of a tree, and which it is."""
+    """A fault in an operation of a tree, with that operation."""
 
     def __init__(self, what: str, node: Node) -> None:
         super().__init__(what)
@@ -64,10 +64,10 @@ def fold(
     apply: Callable[[tuple[Any, ...], list[T]], T],
     known: MutableMapping[int, T] | None = None,
 ) -> T:
-    """What a tree is: `leaf` of its numbers, quantities and names, `apply` of the rest.
+    """Evaluate a tree: `leaf` for numbers, quantities and names, `apply` for operations.
 
-    `apply` takes an operation (a node) and what its parts are.  `known` keeps what operations are,
-    by their ids, from one fold to the next: a part that two trees share is looked at once.
+    `apply` takes an operation (a node) and the results of its parts.  `known` stores results of
+    operations by id from one fold to the next: a part shared by two trees is evaluated once.
     """
     if type(node) is not tuple:
         return leaf(node)
@@ -115,7 +115,7 @@ def value_in(
     values: Mapping[str, Any],
     operations: Mapping[str, Callable[..., Any]] = OPERATIONS,
 ) -> Any:
-    """What a tree without units is of these values; KeyError for an operation that is none."""
+    """Evaluate a tree without units; KeyError for an unknown operation."""
     return fold(
         node,
         lambda x: values[x] if isinstance(x, str) else x,

@@ -40,7 +40,7 @@ class PointReader(ValueReader):
         )
 
     def survey_link(self, i: int, given: dict[str, Node]) -> None:
-        """What points need to know of link i, as far as its keys are right."""
+        """Collect what points need to know of link i, as far as its keys are valid."""
         with suppress(ValueError):
             self.lengths[i] = self._number(given.get("l"))
         with suppress(ValueError):

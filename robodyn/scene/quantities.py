@@ -296,7 +296,7 @@ def parse_vector(
 
 
 def entries(text: str, where: str, example: str) -> list[str]:
-    """What stands between commas, or between blanks that cannot be within one value."""
+    """Return the parts of a text between commas, or between blanks outside values."""
     found: list[str] = []
     parts = _at_commas(text)
     for part in parts:

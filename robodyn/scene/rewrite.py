@@ -70,7 +70,7 @@ def _written(value: float | Sequence[float], unit: str) -> str:
 
 
 class _Nodes:
-    """Where the values of a text stand: its nodes, beside those of a tree without aliases."""
+    """Positions of the values of a text: its nodes, beside those of a tree without aliases."""
 
     def __init__(self, text: str, source: str, root: yaml_tree.Node) -> None:
         self.text = text

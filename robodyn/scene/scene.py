@@ -555,5 +555,5 @@ def signals_of(description: Description) -> Iterator[tuple[str, Signal]]:
 
 
 def signal_place(description: Description, signal: Signal) -> str:
-    """Where the file has a signal, by its identity."""
+    """Return the place of a signal in the file, found by identity."""
     return next(place for place, other in signals_of(description) if other is signal)

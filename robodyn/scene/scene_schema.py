@@ -90,7 +90,7 @@ def _of_named(schema: Any) -> Any:
 
 
 def _place(form: str) -> str:
-    """Where the schema has a form: not where it has all forms of the kind of this name."""
+    """Return the name of a form in the schema, distinct from that of all forms of its kind."""
     return f"plain_{form}" if len(MAPPINGS.get(form, ())) > 1 else form
 
 

@@ -46,7 +46,7 @@ _BY_NAME = {
 
 @dataclass(slots=True)
 class _Place:
-    """Where a number stands: the collection, and its key or index there."""
+    """The place of a number: its collection, and its key or index there."""
 
     around: yaml_tree.Mapping | Sequence
     at: str | int
@@ -55,7 +55,7 @@ class _Place:
 
     @property
     def held(self) -> list[Any]:
-        """What the collection around holds."""
+        """The contents of the collection."""
         return self.around.items if isinstance(self.around, Sequence) else self.around.pairs
 
     @property
@@ -67,7 +67,7 @@ class _Place:
 
     @property
     def node(self) -> Node | None:
-        """What stands there."""
+        """The node at the place, or None."""
         if self.index is None:
             return None
         found: Any = self.held[self.index]
@@ -111,7 +111,7 @@ class SceneValues:
             self.base = again._replace(written=scene)
 
     def _found(self) -> dict[str, _Place]:
-        """Where the numbers stand, by all of their names."""
+        """Return the places of the numbers by all of their names."""
         assert isinstance(self.root, yaml_tree.Mapping)
         named = nodes_of(self.base.constants)
         places = dict(_numbers(_Place(self.root, ""), self.root, "", "scene", named))

@@ -92,7 +92,7 @@ class Token(NamedTuple):
 
 
 class NotAllowedError(ValueError):
-    """What an expression must not have."""
+    """An expression contains something that is not allowed."""
 
 
 class Parsed(NamedTuple):
@@ -109,7 +109,7 @@ class Parsed(NamedTuple):
 
 
 def plain_text(text: str) -> str:
-    """The same in letters that all keyboards have."""
+    """Return the text in characters that all keyboards have."""
     return text if text.isascii() else text.translate(_TRANSLATED)
 
 
@@ -274,7 +274,7 @@ class _Making:
         return self.text[begin:end].strip()
 
     def no(self, node: ast.expr, what: str) -> NotAllowedError:
-        """What is not allowed, and where it stands."""
+        """Return the error for something not allowed, with its position."""
         at = self.places[node.col_offset]
         return NotAllowedError(f"{what}, at character {at + 1}" if at else what)
 

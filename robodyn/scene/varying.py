@@ -146,7 +146,7 @@ class SignalReader(ValueReader):
         turns: bool,
         hold: bool = False,
     ) -> Table | None:
-        """What a file holds; None, and a fault, where it is no table."""
+        """Return the table in a file; None, and a fault, if it has none."""
         from robodyn.scene.table_files import read_table
 
         try:

@@ -15,7 +15,7 @@ from robodyn.scene.scene import Closure, Description, Link, Point, Weld
 
 
 class Frame(NamedTuple):
-    """Where a body's frame lies in that of the link that it is part of: origin and turn."""
+    """Origin and turn of a body's frame in the frame of the link that it is part of."""
 
     origin: Point
     turn: complex
@@ -138,6 +138,6 @@ def _closed(closure: Closure, welded: Welded) -> Closure:
 
 
 def _acting(elements: tuple[Element, ...], welded: Welded) -> list[Element]:
-    """What acts on links; what acts on the ground alone does nothing."""
+    """Return the elements that act on links; those on the ground alone have no effect."""
     found = (element.moved(welded.point, welded.turn) for element in elements)
     return [element for element in found if element is not None]

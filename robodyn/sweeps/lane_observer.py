@@ -62,7 +62,7 @@ def kept(mechanism: Mechanism) -> dict[str, float]:
 
 
 class _Kept(Items):
-    """Those that a motion leaves behind."""
+    """Results that a motion leaves behind."""
 
     def widen(self, low: str, high: str, value: Word, mask: Word) -> None:
         """Take a value into its extremes."""
@@ -71,7 +71,7 @@ class _Kept(Items):
 
 
 class LaneObserver(Observer):
-    """Its kernels `begin` and `run` are what Python calls."""
+    """Observer of lanes; Python calls its kernels `begin` and `run`."""
 
     def __init__(self, scene: Scene, extremes: bool) -> None:
         self.scene, self.extremes = scene, extremes
@@ -201,7 +201,10 @@ class LaneObserver(Observer):
     # -- within a step -----------------------------------------------------------------------------
 
     def _values(self, k: Kernel, series: Word, x: Word, sizes: bool = False) -> Values:
-        """Of the series whose items begin there; `sizes`: of the sizes of its coefficients."""
+        """Return turn, value, slope and bend of the series whose items begin at `series`.
+
+        With `sizes`, of the sizes of its coefficients.
+        """
         turn, value, slope, bend = (k.number(0.0) for _ in range(4))
         for m in reversed(range(self.scene.order + 1)):
             c = k.load(k.at(series, m, k.numbers))
@@ -221,9 +224,9 @@ class LaneObserver(Observer):
         return [begin, *(self._values(k, series, end) for end in ends)]
 
     def _beyond(self, k: Kernel, bound: Word, x: Word) -> Word:
-        """How far an extreme within a quarter may be beyond the ends of that.
+        """Return how far an extreme within a quarter may exceed the values at its ends.
 
-        One of them is nearer than an eighth of the step; `bound` is one of the second derivative.
+        One end is nearer than an eighth of the step; `bound` bounds the second derivative.
         """
         return k.multiply(k.multiply(bound, k.number(1.0 / (8 * QUARTERS**2))), k.multiply(x, x))
 
@@ -384,7 +387,7 @@ class Notes:
                 self._take(kind, dict(zip(HEAD, noted, strict=False)), noted[len(HEAD) :])
 
     def _take(self, kind: int, head: dict[str, Array], rates: Array) -> None:
-        """The same of the notes of a kind, of their items and the coefficients (K, notes)."""
+        """Take the notes of a kind, with their items and coefficients (K, notes)."""
         lane = head["lane"].astype(int)
         if kind == LINK:
             flips = head["t"] + crossings(head["start"], rates, head["x"], math.pi)
@@ -450,10 +453,10 @@ def extremes(rates: Array, h: Array) -> tuple[Array, Array, Array, Array]:
 def turns(
     series: Array, begin: Array, end: Array, first: Array, last: Array, rise: Array
 ) -> tuple[Array, Array]:
-    """Where each polynomial (K, B) has an extreme between `begin` and `end`, and its value there.
+    """Return place and value of the extreme of each polynomial (K, B) between `begin` and `end`.
 
-    Its slopes there, `first` and `last` (B,), differ in sign; its value rises by `rise` between.
-    The slope that is quadratic and has these has a root near the extreme.
+    Its slopes there, `first` and `last` (B,), differ in sign; its value rises by `rise`.  The
+    quadratic slope with these data has a root near the extreme.
     """
     place, found, left = np.empty_like(begin), np.empty_like(begin), np.arange(len(begin))
     with np.errstate(all="ignore"):
@@ -481,9 +484,9 @@ def turns(
 
 
 def crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
-    """Where |angle + turn| first exceeds `limit` within steps h, (B,); nan where it does not.
+    """Return when |angle + turn| first exceeds `limit` within steps h, (B,); nan if never.
 
-    `angle` (B,) is that at the steps' begin, `rates` (K, B) the coefficients of its rate.
+    `angle` (B,) is that at the begin of the steps, `rates` (K, B) the coefficients of its rate.
     """
     x = h * (np.arange(QUARTERS + 1.0) / QUARTERS)[:, None]
     series = integral(rates, angle)

@@ -37,7 +37,7 @@ def order_where_series_cost(tolerance: float) -> int:
 
 
 class Aims(NamedTuple):
-    """How lanes are integrated, and what is wanted of them besides their ends."""
+    """Settings of the integration of lanes, and the results wanted besides their ends."""
 
     rtol: float
     atol: float
@@ -49,7 +49,7 @@ class Aims(NamedTuple):
 
 
 class Motions(NamedTuple):
-    """Of one mechanism: starts y (k, 2n), torques tau (k, n), angles (k,) from hanging.
+    """Motions of one mechanism: starts y (k, 2n), torques tau (k, n), angles (k,) from hanging.
 
     The angle is that of the link whose flip is wanted: it flips where |angle| exceeds pi.
     """
@@ -62,11 +62,11 @@ class Motions(NamedTuple):
 
 @dataclass(slots=True)
 class Ends:
-    """What L lanes leave behind: SI units; nan where a lane has none.
+    """Results of L lanes in SI units; nan if a lane has none.
 
-    `low` and `high` (L, 2n) are the extremes of q, then of qd; `energy` (L, 2) its extremes at the
-    ends of steps, less the mechanism's constant; `drift` the largest |E - E(0) - work| there
-    against the energy in motion, as `recording.Report` has it; `flip` when the link passed upright.
+    `low` and `high` (L, 2n) are the extremes of q, then of qd.  `energy` (L, 2) are its extremes at
+    the ends of steps, without the mechanism's constant.  `drift` is the largest |E - E(0) - work|
+    there over the energy in motion, as in `report.Report`.  `flip` is when the link passed upright.
     """
 
     t: Array
@@ -88,7 +88,7 @@ class Ends:
 
 
 class _Shape(NamedTuple):
-    """What serves scenes of one shape: where items stand, and what runs columns of them."""
+    """What serves all scenes of one shape: places of items, and code that runs columns of them."""
 
     scene: Scene
     run: Callable[[Array], None]
@@ -194,7 +194,7 @@ def _columns(scene: Scene | None, motions: Motions, t_end: float, aims: Aims) ->
 
 
 def _ends(scene: Scene, columns: Array) -> Ends:
-    """What columns (items, L) of lanes that have ended hold."""
+    """Return the results of lanes that have ended from their columns (items, L)."""
     place, n = scene.place, scene.mechanism.n
     rows = {name: columns[i] for name, i in place.items()}
     moving = np.maximum(rows["KE"], rows["PE_high"] - rows["PE_low"])

@@ -44,7 +44,7 @@ _TEXT = re.compile(rf"(?:({'|'.join(TAKEN)})\()?(.*?)(?(1)\))")
 
 
 class RowResult(NamedTuple):
-    """What is taken of a column; nothing where there is one row."""
+    """A result taken of a column; none for a single row."""
 
     taken: str
     column: str
@@ -90,7 +90,7 @@ def of_states(texts: Sequence[str], state: State) -> Array:
 
 
 def of_rows(texts: Sequence[str], t: Array, columns: Array) -> Array:
-    """What the texts take of their columns (T, results) at times t (T,)."""
+    """Return the results of the texts from their columns (T, results) at times t (T,)."""
     return np.array(
         [TAKEN[parsed(text).taken](x, t) for text, x in zip(texts, columns.T, strict=True)]
     )
@@ -99,7 +99,7 @@ def of_rows(texts: Sequence[str], t: Array, columns: Array) -> Array:
 def of_motion(
     motion: Motion, texts: Sequence[str], of: Sequence[str], reference: ReferenceTable | None
 ) -> Array:
-    """What the texts take of a motion's rows, (results,)."""
+    """Return the results of the texts from a motion's rows, (results,)."""
     mechanism, wanted = motion.mechanism, [parsed(text).column for text in texts]
     named, found = named_points(mechanism, of), []
     errors = column_names(mechanism, ["errors"] if reference else [])

@@ -151,7 +151,7 @@ def _rows(motion: Motion) -> Iterator[tuple[float, Array, Array, Mechanism]]:
 def _leave(
     ends: Ends, lane: int, motion: Motion, report: Report, inner: bool, link: int, angle: float
 ) -> None:
-    """What the run of this report left; `inner`: of a motion at the quarters of its steps."""
+    """Store the results of a run in `ends`; `inner`: of a motion at the quarters of its steps."""
     mechanism, t = motion.mechanism, motion.t
     states = np.concatenate([motion.q, motion.qd], axis=1)
     parts = motion.in_phases(motion.q, motion.qd)
@@ -317,7 +317,7 @@ def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: l
 
 @contextmanager
 def _misses() -> Iterator[list[str]]:
-    """What is said of change points that are just missed; other remarks are of single states."""
+    """Collect remarks on change points that are just missed; drop those on single states."""
     said: list[str] = []
     with warnings.catch_warnings(record=True) as remarks:
         warnings.simplefilter("always", RobodynWarning)

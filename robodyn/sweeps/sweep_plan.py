@@ -79,7 +79,7 @@ class Variation:
 
     @property
     def size(self) -> int:
-        """How many points there are."""
+        """The number of points."""
         if self.sample is not None:
             return self.sample
         return math.prod(len(axis.values) for axis in self.axes)
@@ -175,7 +175,7 @@ class Plan:
 
     @property
     def mechanism(self) -> Mechanism:
-        """That of the scene as it is."""
+        """The mechanism of the scene as it is."""
         return _mechanism(*self._scene)
 
     @property

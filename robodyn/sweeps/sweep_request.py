@@ -1,4 +1,4 @@
-"""What a sweep is asked for, in the words of its options, and the plan that it makes of them."""
+"""The options of a sweep, and the plan that follows from them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Kind = Literal["motion", "torque"]  # what is computed at each point
 
 @dataclass(frozen=True)
 class SweepRequest:
-    """What is computed, and at which points, as the options of `robodyn sweep` tell it."""
+    """What is computed and at which points, as options of `robodyn sweep`."""
 
     vary: list[str]  # NAME=VALUES
     sample: int | None = None
@@ -227,7 +227,7 @@ def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, .
 
 
 def _axes(scene: SceneValues, given: SweepRequest) -> tuple[Axis, ...]:
-    """What the --vary options say."""
+    """Return the axes of the --vary options."""
     sample = given.sample
     if sample is not None and not 1 <= sample <= MOST_POINTS:
         raise InputError("--sample", value=sample, limit=f"must be in [1, {MOST_POINTS}]")
@@ -276,7 +276,7 @@ def _unknown(mechanism: Mechanism, joints: list[str], scene: SceneValues, name: 
 
 
 def _count(text: str) -> int | None:
-    """How many values a grid has; None for a step, which has a unit or a decimal point."""
+    """Return the number of values of a grid; None for a step, which has a unit or decimal point."""
     try:
         found = read_value(text)
     except ValueError:

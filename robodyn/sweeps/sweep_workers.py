@@ -91,7 +91,7 @@ def without_remarks() -> Iterator[None]:
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -244,7 +244,7 @@ class _Watch:
         self.lost: float | None = None  # since when
 
     def threads(self) -> int:
-        """How many threads its workers have; none where the scheduler does not answer."""
+        """Return the number of threads of its workers; 0 if the scheduler does not answer."""
         answer = min(ANSWER, max(self._patience, POLL))
         try:
             found = self._client.sync(self._client.scheduler.ncores, callback_timeout=answer)

@@ -90,7 +90,7 @@ class Delimited:
         self._at_header = True
 
     def read1(self, size: int = READ_BYTES) -> bytes:
-        """What has arrived, in whole rows, or as it is where it has commas; empty at the end."""
+        """Return arrived data in whole rows, unchanged if it has commas; b"" at the end."""
         if self._mark == b",":
             return self._read(size)
         while data := self._read(size):
@@ -109,7 +109,7 @@ class Delimited:
         return self._with_commas(block) if block and self._ends_at(block) != b"," else block
 
     def _ends_at(self, block: bytes = b"") -> bytes:
-        """Where fields end, by the header, which is the first line of what was read."""
+        """Return the delimiter, found in the header, the first line read."""
         if not self._mark:
             head = (block or self._pending).partition(b"\n")[0]
             plain = re.sub(rb'"[^"]*"?', b"", head)

@@ -14,7 +14,7 @@ class Columns(dict[str, Any]):
 
     @property
     def rows(self) -> int:
-        """How many there are."""
+        """The number of rows."""
         return len(next(iter(self.values()), ()))
 
     def __repr__(self) -> str:

@@ -42,7 +42,7 @@ class SummaryWriter(Writer):
 
     @abstractmethod
     def tell(self) -> tuple[Sequence[str], Rows]:
-        """What is told of the rows: columns and rows."""
+        """Return the columns and rows of the summary."""
 
     @abstractmethod
     def write_columns(self, values: Array) -> None:
@@ -125,11 +125,11 @@ class KeptRows(SummaryWriter):
 
 
 class Extremes(SummaryWriter):
-    """Of each column but t: least and greatest, the t and q1 of that row, mean and rms.
+    """For each column but t: least and greatest value with their t and q1, mean and rms.
 
-    Mean and rms are integrals over t by the trapezoidal rule; where t is missing or falls, rows
-    count equally, which `note` is told.  A row in which a column has no value (NaN) does not count
-    in that column.  Of equal values the first is told.
+    Mean and rms are integrals over t by the trapezoidal rule; if t is missing or falls, rows count
+    equally, and `note` is called.  A row without a value (NaN) does not count in that column.  Of
+    equal values the first is given.
     """
 
     note: Callable[[str], object] = staticmethod(lambda text: None)
@@ -207,10 +207,10 @@ class Extremes(SummaryWriter):
 def correlations(
     header: Sequence[str], varied: int, parts: Sequence[Array]
 ) -> dict[str, list[float | None]]:
-    """Of each column after the first `varied` ones its rank correlations with each of these.
+    """Return the rank correlations of each column with the first `varied` ones.
 
-    It is 1 where the one never falls as the other grows, -1 where it never grows, and None where
-    one of them is constant.  Rows (T, columns) in which the column has no value do not count.
+    1 if one never falls as the other grows, -1 if it never grows, None if one is constant.  Rows
+    (T, columns) without a value in the column do not count.
     """
     columns = np.concatenate([np.zeros((0, len(header))), *parts]).T
     found = {}

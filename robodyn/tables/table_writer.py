@@ -103,7 +103,7 @@ class Writer:
         self._stream.flush()
 
     def title(self, name: str) -> str:
-        """How the name of a column is told."""
+        """Return the title of a column."""
         return name
 
     def _merged(
@@ -135,11 +135,11 @@ class Writer:
         return written(values)
 
     def _texts(self, values: Array) -> Iterable[Sequence[str]]:
-        """The same, each row by its fields."""
+        """Yield the fields of each row."""
         return [line.split(",") if self._places else () for line in self._lines(values)]
 
     def _text(self, value: float | str | None) -> str:
-        """How a computed value is written."""
+        """Return the text of a computed value."""
         if value is None:
             return ""
         # Not repr(value): that of a numpy float names its type.
@@ -148,7 +148,7 @@ class Writer:
         return self._field(quoted(str(value)))
 
     def _field(self, field: str) -> str:
-        """How a field of the input is written."""
+        """Return the text of an input field."""
         return field
 
     def _begin(self) -> None:
