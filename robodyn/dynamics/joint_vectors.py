@@ -121,6 +121,8 @@ def full(
     With zeros `missing` (T,), states need not close: it takes by how much each stays open, m, nan
     if its configuration is singular.  Such states (T, n) have any values.
     """
+    if not mechanism.rows and all(whole for _, whole in given.values()):
+        return {name: values for name, (values, _) in given.items()}
     driver = driver_of(mechanism)
     free = not mechanism.rows and len(driver.actuated) == mechanism.n  # a joint each
     if not free:
