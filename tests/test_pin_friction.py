@@ -641,7 +641,7 @@ def test_derivatives_of_runs_have_it() -> None:
         ("coefficient: 0.1,", "coefficient: -0.1,", "friction.coefficient = -0.1: must be >= 0"),
         ("radius: 0.02, speed: 0.1", "radius: 0.02", "friction.speed: is missing"),
         ("{coefficient: 0.15,", "{coefficient: 0.15, radius: 1,", "friction.radius: is an unknown"),
-        ("{coefficient: 0.15, speed: 0.1", "{coefficient: 0.15, speed: 0.1 rad/s", "must be in m/s"),
+        ("0.15, speed: 0.1", "0.15, speed: 0.1 rad/s", "must be in m/s"),
         ("{coefficient: 0.1, ", "{coefficient: 0.1, static: 1, ", "exclude each other"),
     ],
 )
