@@ -640,7 +640,8 @@ def test_derivatives_of_runs_have_it() -> None:
         ("radius: 0.02", "radius: 0", "friction.radius = 0: must be > 0"),
         ("coefficient: 0.1,", "coefficient: -0.1,", "friction.coefficient = -0.1: must be >= 0"),
         ("radius: 0.02, speed: 0.1", "radius: 0.02", "friction.speed: is missing"),
-        ("{coefficient: 0.15,", "{coefficient: 0.15, radius: 1,", "closures[0].friction: has no"),
+        ("{coefficient: 0.15,", "{coefficient: 0.15, radius: 1,", "friction.radius: is an unknown"),
+        ("0.15, speed: 0.1", "0.15, speed: 0.1 rad/s", "must be in m/s"),
         ("{coefficient: 0.1, ", "{coefficient: 0.1, static: 1, ", "exclude each other"),
     ],
 )
@@ -653,7 +654,7 @@ def test_faults_are_named(old: str, new: str, told: str) -> None:
 def test_a_pin_needs_its_radius_and_sticks_stand_not_beside() -> None:
     text = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 1}, {name: b, m: 1, l: 1, r: 0.5, I: 1}]\n"
     pin = "closures: [{pins: [b, [1.2, 0]], friction: {coefficient: 0.1, speed: 1}}]"
-    with pytest.raises(DescriptionError, match=r"closures\[0\]\.friction: needs the radius"):
+    with pytest.raises(DescriptionError, match=r"closures\[0\]\.friction\.radius: is missing"):
         scene(text + pin)
     own = "friction: {coefficient: 0.1, radius: 1, speed: 1}"
     stops = "limits: {min: 0, max: 1, restitution: 0.5}"

@@ -45,11 +45,10 @@ class PinFriction(Element):
             "closure_pin_friction",
             "closure_friction",
             f"Friction in the pin of a closure: {TORQUE}.",
-            ("radius",),
         ),
         Way(
             "line_friction",
-            "closure_friction",
+            "slide_closure_friction",
             f"Friction along the line of a closure: {FORCE}.",
             (),
             True,

@@ -10,7 +10,6 @@ from typing import Any
 
 from robodyn.elements.base import Element
 from robodyn.elements.keys import Declared, Key
-from robodyn.elements.pin_friction import PinFriction
 from robodyn.elements.values import FRAMES, Curve, Law, Point, Signal, Table, told
 from robodyn.scene.constants import Constants
 from robodyn.scene.grammar import FORMS, NUMBERS, Form
@@ -36,6 +35,8 @@ class _Writer:
         if isinstance(record, Element) and joint is None:
             joint = record.at
         slides = joint is not None and self.links[joint].slides
+        if isinstance(record, Closure):
+            slides = record.along is not None
         values = record.to_keys()
         form = _form_of(record, values, slides)
         return {
@@ -113,10 +114,6 @@ class _Writer:
 
     def points(self, points: tuple[tuple[str, Point], ...]) -> dict[str, Any]:
         return {name: self.point(point) for name, point in points}
-
-    def closure_friction(self, friction: PinFriction) -> dict[str, Any]:
-        each = {x: getattr(friction, x) for x in ("coefficient", "radius", "speed")}
-        return {name: x for name, x in each.items() if x is not None}
 
     def pair(self, points: tuple[Point, Point]) -> list[Any]:
         return [self.point(point) for point in points]

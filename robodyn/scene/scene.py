@@ -277,7 +277,7 @@ class Closure(Declared):
         ways=("slider",),
     )
     friction: PinFriction | None = key(
-        "closure_friction", "friction by the force there", default=None
+        ("closure_friction", "slide_closure_friction"), "friction by the force there", default=None
     )
 
     ways: ClassVar[tuple[Way, ...]] = (
@@ -286,6 +286,7 @@ class Closure(Declared):
             "slider",
             "closure",
             "A point that stays on a line: a slider, a pin in a slot, a block on the ground.",
+            slides=True,
         ),
     )
 
@@ -304,9 +305,6 @@ class Closure(Declared):
         return super().to_keys() | {"on": line}
 
     def misfits(self, names: Mapping[str, str]) -> Iterator[tuple[str, str, object]]:
-        if self.friction is not None and (self.friction.radius is None) != (self.along is not None):
-            told = "needs the radius of the pin" if self.along is None else "has no radius: a line"
-            yield "friction", told, None
         if self.along is None:
             return
         if self.second.link is not None and self.first.link == self.second.link:
