@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.dynamics.columns import of_joints, result_names
 from robodyn.dynamics.dynamics import motion_dynamics
 from robodyn.dynamics.joint_vectors import reclosed
 from robodyn.errors import InputError, RobodynError
@@ -73,8 +74,8 @@ class Sensitivities:
 
 def columns(n: int, names: Sequence[str]) -> list[str]:
     """The names of columns: dq1/NAME is d(q1)/d(NAME)."""
-    state = [f"d{kind}{i + 1}" for kind in ("q", "qd") for i in range(n)]
-    return [f"{x}/{name}" for name in names for x in state]
+    state = [x for family in ("q", "qd") for x in of_joints(family, range(n))]
+    return [x for name in names for x in result_names("slopes", state, name)]
 
 
 class Numbers:
