@@ -12,6 +12,7 @@ from conftest import RP_ARM, within
 from hypothesis import given
 from hypothesis import strategies as st
 
+import robodyn
 from robodyn.dynamics.columns import guide_table, scene_units, unit_of, with_unit
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import build
@@ -31,6 +32,7 @@ from robodyn.pictures.chart import (
     ticks,
 )
 from robodyn.scene.description import from_text
+from robodyn.sweeps.row_results import TAKEN
 
 MOTION = ("t", "q1", "q2", "qd1", "qd2", "qdd1", "qdd2", "tau1", "fx1", "fy1", "energy", "gap")
 
@@ -156,6 +158,25 @@ def test_columns_and_units_are_those_of_the_guide() -> None:
         for name in names.replace("`", "").replace(", ...", "").split(", "):
             assert unit_of(name) == unit
     assert unit_of("note") == ""
+
+
+def test_columns_of_results_are_those_of_the_guide() -> None:
+    from documents import PAGES, rows_below
+
+    rows = rows_below(PAGES["columns"], "| results | unit | family | what |")
+    assert [tuple(row) for row in rows] == guide_table(results=True)
+    units = {"tau1": "N m", "q2": "rad", "P_vx": "m/s", "q1_deg": "°"}
+    for names, unit, *_ in rows:
+        for name in names.replace("`", "").split(", "):
+            if unit == "X":
+                assert {x: unit_of(name.replace("X", x)) for x in units} == units
+                assert unit_of(name.replace("X", "note")) == ""
+    assert {unit_of(f"{x}(tau1)") for x in TAKEN} == {"N m"}
+    assert unit_of("shake_fx_phase") == "rad"
+    assert unit_of("note_phase") == ""
+    # a joint that slides
+    rails = scene_units(robodyn.load("rack-gripper"))
+    assert {unit_of(x, rails) for x in ("max(q1)", "q1_end", "q1_residual", "q1_amp")} == {"m"}
 
 
 # Thinning

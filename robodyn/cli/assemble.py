@@ -28,8 +28,14 @@ from robodyn.cli.states import (
     option_source,
     single_state,
 )
-from robodyn.dynamics.closed_form import point_motion
-from robodyn.dynamics.columns import OF_PARTS, column_names, in_degrees, scene_units, with_unit
+from robodyn.dynamics.columns import (
+    OF_PARTS,
+    column_names,
+    in_degrees,
+    result_names,
+    scene_units,
+    with_unit,
+)
 from robodyn.dynamics.joint_vectors import driver_of
 from robodyn.dynamics.named_points import named_point, named_points
 from robodyn.dynamics.state import State, find
@@ -44,6 +50,7 @@ from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.joint_ranges import joint_ranges
 from robodyn.trajectories.postures import postures
 
+(BRANCH,) = result_names("branch")
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
 VECTORS = ("q", "qd", "qdd")
 COMPONENTS = ("x", "y", "vx", "vy")
@@ -193,8 +200,7 @@ def _write_ranges(
     rows: RowOptions,
 ) -> None:
     """Write the range of each actuated joint, one per row, for each way to assemble."""
-    columns = ["branch", "joint", "low", "low_end", "high", "high_end"]
-    with rows.writer(columns) as writer:
+    with rows.writer([BRANCH, *result_names("range")]) as writer:
         for name, (q, *_) in found:
             try:
                 ranges = joint_ranges(mechanism, q, ways[name])
@@ -229,18 +235,18 @@ def _branches(mechanism: Mechanism, whole: bool) -> list[tuple[str, tuple[str, .
 
 def _content(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> dict[str, Any]:
     """One way to assemble: its name, q, qd, qdd, and the points of every link."""
-    points = [*mechanism.pivots, *mechanism.tips, *mechanism.centres]
+    names = column_names(mechanism, ["places"])
     with np.errstate(all="ignore"):
-        position, velocity, _ = point_motion(mechanism, points, motion[0], motion[1])
-    both = np.concatenate([position, velocity], axis=-1)
-    if not np.isfinite(both).all():
+        values = State(mechanism, *motion).columns(names)
+    if not np.isfinite(values).all():
         raise overflow()
-    values = both.reshape(len(PARTS), mechanism.n, 4).tolist()
-    links: list[dict[str, Any]] = [{"name": link} for link in mechanism.link_names]
-    for p, part in enumerate(PARTS):
-        for k, link in enumerate(links):
-            if part != "centre" or k not in mechanism.massless:
-                link[part] = dict(zip(COMPONENTS, values[p][k], strict=True))
+    places, links = dict(zip(names, values.tolist(), strict=True)), []
+    for k, name_of_link in enumerate(mechanism.link_names):
+        link: dict[str, Any] = {"name": name_of_link}
+        for part in PARTS:
+            own = {c: places[x] for c in COMPONENTS if (x := f"{part}_{c}{k + 1}") in places}
+            link |= {part: own} if own else {}
+        links.append(link)
     vectors = {vector: x.tolist() for vector, x in zip(VECTORS, motion, strict=True)}
     return {"branch": name, **vectors, "links": links}
 
@@ -248,10 +254,10 @@ def _content(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> dict[
 def _write_rows(mechanism: Mechanism, found: Found, rows: RowOptions, t: float) -> None:
     """One way to assemble a row: its name, and the columns of the state, or those of --columns."""
     points = named_points(mechanism)
-    columns = ["branch", *column_names(mechanism, ["q", "qd", "qdd", "places"])]
+    columns = [BRANCH, *column_names(mechanism, ["q", "qd", "qdd", "places"])]
     if rows.columns is not None:
         columns, _ = chosen_columns(mechanism, rows.columns, columns, [], points)
-    numeric = [name for name in columns if name != "branch"]
+    numeric = [name for name in columns if name != BRANCH]
     gaps = [family.gaps for name in numeric if (family := find(mechanism, name, points))]
     with rows.writer(columns, units=scene_units(mechanism), only=columns) as writer:
         for branch, motion in found:
@@ -262,7 +268,7 @@ def _write_rows(mechanism: Mechanism, found: Found, rows: RowOptions, t: float) 
                 raise overflow()
             row = [None if math.isnan(x) else x for x in values.tolist()]
             each: dict[str, float | str | None] = dict(zip(numeric, row, strict=True))
-            each["branch"] = branch
+            each[BRANCH] = branch
             writer.write_row([each[name] for name in columns])
 
 

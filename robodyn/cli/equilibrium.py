@@ -8,7 +8,7 @@ from robodyn.cli.options import Model, Q, Tau, option, switch
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, option_source, remarks, single_state
-from robodyn.dynamics.columns import column_names, of_joints, scene_units
+from robodyn.dynamics.columns import column_names, of_joints, result_names, scene_units
 from robodyn.errors import named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.rest.poses_at_rest import equilibria, searched_turns
@@ -56,7 +56,8 @@ def equilibrium(
     if turns:
         note(f"Note: springs at joints make turns differ: searched {_ranges(mechanism, turns)}")
     held = [k for k, name in enumerate(mechanism.link_names) if name in (hold or ())]
-    columns = [*column_names(mechanism, ["q"]), *of_joints("tau", held), "PE", "stable"]
+    columns = [*column_names(mechanism, ["q"]), *of_joints("tau", held), "PE"]
+    columns += result_names("stable")
     with rows.writer(columns, units=scene_units(mechanism)) as writer:
         for rest in rests:
             values = [*rest.q.tolist(), *rest.tau[held].tolist(), rest.potential_energy]

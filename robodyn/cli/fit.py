@@ -31,7 +31,7 @@ from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source, remarks, tell_unknown_contacts
-from robodyn.dynamics.columns import scene_units, unit_of
+from robodyn.dynamics.columns import result_names, scene_units, unit_of
 from robodyn.engines.expression import tangents
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.actuation import expressions
@@ -410,7 +410,7 @@ def _tables(
 
 
 def _write_rows(rows: FitRows, found: Fit, units: Mapping[str, str]) -> None:
-    names = [x for name in found.columns for x in (name, f"{name}_residual")]
+    names = [x for name in found.columns for x in (name, *result_names("missed", [name]))]
     both = np.stack([found.residuals + rows.target, found.residuals], axis=-1)
     with row_writer(None, None, [*rows.names, *names], units=units) as writer:
         for known, values in zip(rows.known.tolist(), both.tolist(), strict=True):

@@ -13,7 +13,7 @@ from robodyn.cli.motion_files import MotionFile, read_motion
 from robodyn.cli.options import Model, Number, OutputStructured, Text, Unwrap, option, switch
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.states import remarks
-from robodyn.dynamics.columns import column_names, scene_units
+from robodyn.dynamics.columns import column_names, of_joints, scene_units
 from robodyn.dynamics.free_joints import balanced_joints
 from robodyn.errors import InputError, RobodynError, at_place, named_options
 from robodyn.mechanics.mechanism import Mechanism
@@ -189,7 +189,7 @@ def _write_residuals(
     told = predicted(mechanism, found, motion.states, motion.t)
     joints = balanced_joints(mechanism)
     left = motion.tau - told[:, [joints.index(k) for k in mechanism.actuated]]
-    columns = [f"residual{k + 1}" for k in mechanism.actuated]
+    columns = of_joints("residual", mechanism.actuated)
     with row_writer("csv", file, columns, motion.header, scene_units(mechanism)) as writer:
         writer.write_rows(motion.lines, left)
 

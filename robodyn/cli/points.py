@@ -7,7 +7,7 @@ import numpy as np
 from robodyn.cli.options import Model, Qdd, Text, option, refuse
 from robodyn.cli.output import chosen_names
 from robodyn.cli.states import TableOptions, state_rows
-from robodyn.dynamics.columns import column_names
+from robodyn.dynamics.columns import column_names, of_joints, result_names
 from robodyn.dynamics.named_points import NamedPoint, named_points
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
@@ -75,19 +75,13 @@ def _write_profile(
     if not 2 <= count <= MOST_ROWS:
         raise InputError("--points", value=count, limit=f"must be from 2 to {MOST_ROWS}")
     theta, touch = outline(mechanism, cam, count - 1)
-    number = cam.coupling + 1
     with np.errstate(divide="ignore"):
         rho = np.where(touch.curvature == 0.0, np.nan, 1.0 / touch.curvature)
-    columns = {
-        f"q{cam.driver + 1}": theta,
-        "x": touch.profile.real,
-        "y": touch.profile.imag,
-        "pitch_x": touch.pitch.real,
-        "pitch_y": touch.pitch.imag,
-        f"pressure{number}": touch.pressure,
-        f"rho{number}": rho,
-    }
-    names = ["x", "y"] if given.columns is None else chosen_names(given.columns, list(columns))
+    along = [*of_joints("q", [cam.driver]), *result_names("profile")]
+    along += [x for family in ("pressure", "rho") for x in of_joints(family, [cam.coupling])]
+    parts = (x for curve in (touch.profile, touch.pitch) for x in (curve.real, curve.imag))
+    columns = dict(zip(along, (theta, *parts, touch.pressure, rho), strict=True))
+    names = along[1:3] if given.columns is None else chosen_names(given.columns, along)
     with given.writer(names) as writer:
         for row in zip(*(columns[name].tolist() for name in names), strict=True):
             writer.write_row([None if np.isnan(x) else x for x in row])

@@ -10,6 +10,7 @@ from robodyn.cli.motion_files import read_motion
 from robodyn.cli.options import Model, Qdd, switch
 from robodyn.cli.output import Grid, chosen_names, write_structure
 from robodyn.cli.states import Quantity, TableOptions, Task, evaluate, remarks
+from robodyn.dynamics.columns import result_names
 from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
 from robodyn.errors import InputError
 from robodyn.mechanics.driven import check_torques
@@ -62,10 +63,10 @@ def regressor(
         return
     names = [x.name for x in linear_parameters(mechanism.description)]
     chosen = structural(mechanism).kept if base else list(range(len(names)))
-    joints = [k + 1 for k in balanced_joints(mechanism)]
-    columns = [f"Y{j}_{names[k]}" for j in joints for k in chosen]
+    joints = [str(k + 1) for k in balanced_joints(mechanism)]
+    columns = [x for j in joints for k in chosen for x in result_names("regressor", [j], names[k])]
     loaded = bool(mechanism.description.loads or mechanism.signals or mechanism.ranges)
-    columns += [f"Y{j}_known" for j in joints if loaded]
+    columns += result_names("regressor", joints, "known") if loaded else []
 
     def compute(**motion: np.ndarray) -> np.ndarray:
         found = matrix(mechanism, **motion)

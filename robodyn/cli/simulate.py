@@ -46,7 +46,7 @@ from robodyn.cli.times import Points, output_times
 from robodyn.control.laws import controller
 from robodyn.control.state_feedback import StateFeedback, read_feedback
 from robodyn.control.tracking import ReferenceTable
-from robodyn.dynamics.columns import column_names, scene_units, unit_of
+from robodyn.dynamics.columns import column_names, result_names, scene_units, unit_of
 from robodyn.dynamics.joint_vectors import joint_values
 from robodyn.dynamics.named_points import named_points
 from robodyn.dynamics.state import State
@@ -669,7 +669,7 @@ def _write_events(stream: BinaryIO, mechanism: Mechanism, found: Sequence[Event]
     """Each event: its name, its time and the state there."""
     n = mechanism.n
     columns = column_names(mechanism, ["t", "q", "qd"])
-    writer = Writer(stream, columns, ["event"])
+    writer = Writer(stream, columns, result_names("event"))
     for i in range(0, len(found), EVENTS_AT_ONCE):
         some = found[i : i + EVENTS_AT_ONCE]
         t, y = np.array([x.t for x in some]), np.array([x.y[: 2 * n] for x in some])

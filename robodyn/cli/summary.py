@@ -12,7 +12,7 @@ from robodyn.cli.files import load_scene, model_file, rows_argument
 from robodyn.cli.options import Out, OutputFormat, Text, option
 from robodyn.cli.output import default_format, maker, names_in, note
 from robodyn.cli.row_files import open_input
-from robodyn.dynamics.columns import ANY_SCENE, declared, scene_units
+from robodyn.dynamics.columns import ANY_SCENE, declared, result_names, scene_units
 from robodyn.dynamics.flywheel import harmonics as orders_of
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.tables.arrays import Array
@@ -136,11 +136,14 @@ def _orders(
     with named_options((), orders="harmonics"), at_place("--harmonics", "the "):
         turned = np.radians(theta) if in_degrees else theta
         amplitudes, phases = orders_of(turned, rows[:, places], most)
-    phase = "phase_deg" if in_degrees else "phase"
     pairs = [amplitudes, np.degrees(phases) if in_degrees else phases]
     each = np.stack(pairs, axis=-1).reshape(len(amplitudes), -1)
-    columns = ["order", *(f"{header[k]}_{what}" for k in places for what in ("amp", phase))]
-    return columns, [[str(order), *row] for order, row in enumerate(each.tolist())]
+    columns = result_names("orders", [header[k] for k in places])
+    if in_degrees:
+        columns[1::2] = [x + IN_DEGREES for x in columns[1::2]]
+    return [*result_names("order"), *columns], [
+        [str(order), *row] for order, row in enumerate(each.tolist())
+    ]
 
 
 def _correlated(

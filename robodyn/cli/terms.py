@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from robodyn.cli.options import (
@@ -21,6 +23,7 @@ from robodyn.cli.states import StateOptions, remarks, single_state
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.columns import DEGREES, SLIDING, scene_units
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
+from robodyn.dynamics.state import State
 from robodyn.elements.contacts import COMPLIANT, HARD, STICKS
 from robodyn.errors import InputError, RobodynError, overflow
 from robodyn.loops.loop_rates import check_way_on
@@ -66,7 +69,9 @@ def terms(
     if not derivatives:
         refuse("is for --derivatives: give that too", by=by, qdd=qdd, tau=tau)
     t = time_from(at_time)
-    q_, qd_ = single_state(mechanism, state.quantities(), t=t)
+    more = {"qdd": qdd, "tau": tau} if derivatives else {}
+    q_, qd_, *acting = single_state(mechanism, state.quantities(**more), t=t)
+    at = State(mechanism, q_, qd_, t=t)
     if mechanism.rubbing:
         note("Note: Q is without the friction by forces in pins and slides: it depends on qdd")
     resting = [k for k in mechanism.sticks if not qd_[k]]
@@ -96,15 +101,11 @@ def terms(
         content["Psidot_qd"] = "m/s²", closed_form.closure_bias(mechanism, q_, qd_, t)
         content["gap"] = "m", closed_form.closure_gap(mechanism, q_, t)
     if derivatives:
-        qdd_ = single_state(mechanism, state.quantities(qdd=qdd), t=t)[2]
-        tau_ = single_state(mechanism, state.quantities(tau=tau), t=t)[2]
         with remarks():
             names = [name.strip() for each in by or () for name in each.split(",")]
-            content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, t, names)
-    energies = {}
-    if moves:
-        energies["KE"] = float(closed_form.kinetic_energy(mechanism, q_, qd_))
-        energies["PE"] = float(closed_form.potential_energy(mechanism, q_))
+            content |= _derivatives(mechanism, (q_, qd_), acting, t, names)
+    names = ["KE", "PE"] if moves else []
+    energies = dict(zip(names, at.columns(names).tolist(), strict=True))
     values = [*(value for _, value in content.values()), np.array(list(energies.values()))]
     if not all(np.isfinite(value).all() for value in values):
         raise overflow()
@@ -121,13 +122,13 @@ def terms(
 def _derivatives(
     mechanism: Mechanism,
     state: tuple[np.ndarray, np.ndarray],
-    qdd: np.ndarray,
-    tau: np.ndarray,
+    acting: Sequence[np.ndarray],
     t: float,
     numbers: list[str],
 ) -> dict[str, tuple[str, np.ndarray]]:
-    """The derivatives of torques and accelerations, each with its unit."""
+    """The derivatives of torques by qdd, and of accelerations by tau, which are `acting`."""
     content: dict[str, tuple[str, np.ndarray]] = {}
+    qdd, tau = acting
     torques = ("N m/rad", "N m s/rad", "kg m²", "SI units")
     rates = ("1/s²", "1/s", "1/(kg m²)", "SI units")
     for what, third, units in (("tau", "qdd", torques), ("qdd", "tau", rates)):

@@ -239,7 +239,8 @@ class Family:
     (T, columns) of states, NaN only if there are `gaps`; a family without it belongs to runs, or to
     results.  `needs` names what states must have but q: qdd (and qd), and tau, for what acts.
     If it `slides`, columns of joints that slide are in m and N, not in rad and N m.  `lacking` says
-    why a scene has no such column.
+    why a scene has no such column.  Names that are `common` stand in tables of others too: they
+    tell neither a unit nor that robodyn computed the column.
     """
 
     name: str
@@ -251,6 +252,7 @@ class Family:
     gaps: bool = False
     slides: bool = False
     lacking: str = "there is none"  # why a scene may have no such column
+    common: bool = False
 
     @property
     def each(self) -> Iterator[tuple[str, str]]:
@@ -408,12 +410,46 @@ _DECLARED = (
     Family("energy", "energy", "J", "their sum", lambda s: np.add(*s.energies)[:, None]),
     Family("gap", "gap", "m", "how far the loops are open", _gap),
     Family("places", _PARTS, _PART_UNITS, "the joint, tip and centre of each link", _places),
-    # of runs, and of results
+    # of runs
     Family("errors", "e{a}", "rad", "`simulate --control`: q_ref - q", slides=True),
-    Family("flip", "flip flip_time", "s", "`sweep`: when a link first turns over"),
-    Family("flywheel", _FLYWHEEL, "N m, J, rad/s, kg m²", "`torque --fluctuation`: of a turn"),
 )
-FAMILIES = {family.name: family for family in _DECLARED}
+
+# of results: {X} stands for another column, whose unit is X, {E} for an event, {N} for a number
+_RESULTS = (
+    Family("final", "{X}_end", "X", "`sweep`: where a motion ends"),
+    Family("extremes", "{X}_min {X}_max", "X", "`sweep`: the least and the largest of a motion"),
+    Family("drift", "drift", "", "`sweep`: how far the energy drifts, by that in motion"),
+    Family("flip", "flip", "s", "`sweep`: when a link first turns over"),
+    Family("events", "{E}_count {E}_first", ", s", "`sweep --event`: how often it is, and when"),
+    Family("ends", "min({X}) max({X}) range({X})", "X", "`sweep --result`: of rows, their extent"),
+    Family("taken", "mean({X}) rms({X}) first({X}) last({X})", "X", "or a mean, or one of them"),
+    Family("outcome", "outcome", "", "`sweep`: how a point ended", common=True),
+    Family("missed", "{X}_residual", "X", "`fit --residuals`: a column less the wanted"),
+    Family("slopes", "d{X}/{N}", "", "`simulate --sensitivity`: the derivative by a number"),
+    Family("event", "event", "", "`simulate --events`: its name", common=True),
+    Family("flywheel", _FLYWHEEL, "N m, J, rad/s, kg m²", "`torque --fluctuation`: of a turn"),
+    Family("at", "min_{X} max_{X}", "X", "`summary`: t and q1 of the row of an extreme"),
+    Family("order", "order", "", "`summary --harmonics`: k", common=True),
+    Family("orders", "{X}_amp {X}_phase", "X, rad", "`summary --harmonics`: of each order"),
+    Family("regressor", "Y{X}_{N}", "", "`regressor`: the torque of joint X by a parameter"),
+    Family("branch", "branch", "", "`assemble`: which way to close the loops", common=True),
+    Family(
+        "range",
+        "joint low low_end high high_end",
+        "",
+        "`assemble --range`: how far a joint goes",
+        common=True,
+    ),
+    Family("stable", "stable", "", "`equilibrium`: whether the pose is", common=True),
+    Family(
+        "profile",
+        "x y pitch_x pitch_y",
+        "m",
+        "`points --cam`: the profile and the pitch curve",
+        common=True,
+    ),
+)
+FAMILIES = {family.name: family for family in (*_DECLARED, *_RESULTS)}
 STATE = tuple(family.name for family in _DECLARED if family.values)  # which follow from a state
 LOOPS = ("pins", "kept", "couplings")
 MOTORS = ("motor", "motor_speed", "volt", "amp", "watt")
@@ -497,6 +533,9 @@ PLACES: dict[str, Callable[[Mechanism, Sequence[str]], Sequence[str]]] = {
     "P": lambda _, points: points,  # each point
     "A": lambda x, _: x.link_names,  # each link
     "B": lambda x, _: x.link_names,  # each other link
+    "X": lambda *_: (),  # a column that results are of: see `result_names`
+    "E": lambda *_: (),
+    "N": lambda *_: (),
 }
 
 
@@ -547,11 +586,34 @@ def of_joints(family: str, joints: Iterable[int]) -> list[str]:
     return [f"{stem}{number}" for number in _numbers(joints)]
 
 
+def result_names(family: str, of: Iterable[str] = ("",), by: str = "") -> list[str]:
+    """The columns of results `of` these columns, or events, one after the other; `by` a number."""
+    words = [x.replace("{E}", "{X}") for x in FAMILIES[family].columns.split(" ")]
+    return [word.replace("{N}", by).replace("{X}", x) for x in of for word in words]
+
+
 def declared(name: str) -> tuple[Family, str] | None:
     """The family of a column by its name alone, and its unit where nothing slides.
 
     A ratio has none here: what is on either side of a slash, only who has the scene knows.
     """
+    if found := _declared_itself(name):
+        return found
+    for family, unit, inner in _results_of(name):
+        if own := declared(inner):
+            return family, unit.replace("X", own[1])
+    return None
+
+
+def _results_of(name: str) -> Iterator[tuple[Family, str, str]]:
+    """The families of results that may have the column, its unit, and the column that it is of."""
+    for pattern, family, unit in _OF_COLUMN:
+        if match := pattern.fullmatch(name):
+            yield family, unit, match[1]
+
+
+def _declared_itself(name: str) -> tuple[Family, str] | None:
+    """The same of a column that is no result of another."""
     stem = name.rstrip("0123456789")
     if found := (_WHOLE if stem == name else _NUMBERED).get(stem):
         return found
@@ -577,11 +639,15 @@ def family_of(mechanism: Mechanism, name: str, points: Sequence[NamedPoint] = ()
 _WHOLE: dict[str, tuple[Family, str]] = {}
 _NUMBERED: dict[str, tuple[Family, str]] = {}  # less their numbers
 _SUFFIXES: dict[str, tuple[Family, str]] = {}  # of points, less theirs
+_OF_COLUMN: list[tuple[re.Pattern[str], Family, str]] = []  # results of others
 _ends = []
-for _family in _DECLARED:
+for _family in (x for x in FAMILIES.values() if not x.common):
     for _word, _unit in _family.each:
         _stem = re.sub(r"\{\w\}$", "", _word)
-        if _stem.startswith("{P}_"):
+        if "{X}" in _word and "{N}" not in _word:
+            _pattern = re.escape(_word).replace(re.escape("{X}"), "(.+)")
+            _OF_COLUMN.append((re.compile(_pattern), _family, _unit))
+        elif _stem.startswith("{P}_"):
             _stem = _stem.removeprefix("{P}_")
             _SUFFIXES[_stem] = _family, _unit
             _ends.append(_stem if _word.endswith(_stem) else f"{_stem}[0-9]+")
@@ -590,10 +656,13 @@ for _family in _DECLARED:
 _OF_POINT = re.compile(f"._({'|'.join(_ends)})$")
 
 
-def guide_table() -> list[tuple[str, str, str, str]]:
-    """The families as rows of the guide: columns of one unit, the unit, the family's name, text."""
+def guide_table(results: bool = False) -> list[tuple[str, str, str, str]]:
+    """The families as rows of the guide: columns of one unit, the unit, the family's name, text.
+
+    Or those of results, whose unit X is that of the column X.
+    """
     rows: list[tuple[str, str, str, str]] = []
-    for family in _DECLARED:
+    for family in _RESULTS if results else _DECLARED:
         first = len(rows)
         for unit, group in groupby(family.each, key=lambda pair: pair[1]):
             names = [re.sub(r"\{([a-z])\}", "1", word) for word, _ in group]
@@ -633,24 +702,28 @@ def scene_units(mechanism: Mechanism) -> Mapping[str, str]:
 
 
 def unit_of(name: str, units: Mapping[str, str] = TURNING) -> str:
-    """The unit of a column, also of its end, least or largest value; "" where none is known.
+    """The unit of a column, or of a result of columns, max(tau1); "" where none is known.
 
     `units` are those of the scene, or `ANY_SCENE`, by which q1 is in `rad or m`.
     """
     if known := _unit_by_name(name, units):
         return known
-    name = re.sub(r"^[a-z]+\((.*)\)$", r"\1", name)  # max(q1)
     if name.endswith(IN_DEGREES):  # no displacement is
         own = TURNING if units is ANY_SCENE else units
         return DEGREES.get(unit_of(name.removesuffix(IN_DEGREES), own), "")
-    return _unit_by_name(re.sub("^(min|max)_(?=t$|q1$)|_(end|min|max|residual)$", "", name), units)
+    told = (
+        unit_of(inner, units) if unit == "X" else unit
+        for _, unit, inner in _results_of(name)
+        if declared(inner.removesuffix(IN_DEGREES))
+    )
+    return next(filter(None, told), "")
 
 
 def _unit_by_name(name: str, units: Mapping[str, str]) -> str:
     """The unit of a name as it is, "" if no column of robodyn's has it."""
     if name in units:
         return units[name]
-    if name.endswith(IN_DEGREES) or not (found := declared(name)):
+    if name.endswith(IN_DEGREES) or not (found := _declared_itself(name)):
         return ""
     return units.get(f"{quantity_of(name)}0") or found[1]
 

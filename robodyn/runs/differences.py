@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.dynamics.columns import of_joints, result_names
 from robodyn.dynamics.dynamics import motion_dynamics
 from robodyn.dynamics.joint_vectors import reclosed
 from robodyn.errors import InputError, RobodynError
@@ -74,8 +75,8 @@ class Sensitivities:
 
 def columns(n: int, names: Sequence[str]) -> list[str]:
     """Return column names: dq1/NAME is d(q1)/d(NAME)."""
-    state = [f"d{kind}{i + 1}" for kind in ("q", "qd") for i in range(n)]
-    return [f"{x}/{name}" for name in names for x in state]
+    state = [x for family in ("q", "qd") for x in of_joints(family, range(n))]
+    return [x for name in names for x in result_names("slopes", state, name)]
 
 
 class Numbers:

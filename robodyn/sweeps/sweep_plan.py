@@ -25,7 +25,7 @@ import numpy as np
 
 from robodyn import __version__
 from robodyn.control.tracking import ReferenceTable
-from robodyn.dynamics.columns import TORQUE, column_names
+from robodyn.dynamics.columns import TORQUE, column_names, result_names
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import InputError
 from robodyn.loops.assembly_plan import assembly_plan, with_independent
@@ -124,9 +124,8 @@ def spaced(first: float, last: float, count: int) -> tuple[float, ...]:
 
 CHUNKS = {"DOP853": 64, "taylor": 512}  # points of a chunk of motions
 STATES = 2000  # of torques: many share the cost of a call
-RESULTS = ("final", "extremes", "drift", "flip")
-EVENTS = "events"  # a result that goes with events alone
-_ENDS = ("min", "max")
+RESULTS = ("final", "extremes", "drift", "flip")  # families of columns
+EVENTS = "events"  # one that goes with events alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,14 +193,13 @@ class Plan:
         joints = column_names(mechanism, ["q", "qd"])
         names = [axis.name for axis in self.variation.axes]
         if self.kind == "torque":
-            return [*names, *(self.told or column_names(mechanism, TORQUE)), "outcome"]
-        if "final" in self.results:
-            names += [f"{x}_end" for x in ("t", *joints)]
-        if "extremes" in self.results:
-            names += [f"{x}_{end}" for x in (*joints, "energy") for end in _ENDS]
-        names += [name for name in ("drift", "flip") if name in self.results]
-        names += [f"{name}_{what}" for name, _ in self.events for what in ("count", "first")]
-        return [*names, *self.told, "outcome"]
+            names += self.told or column_names(mechanism, TORQUE)
+            return names + result_names("outcome")
+        of = {"final": ["t", *joints], "extremes": [*joints, "energy"]}
+        for result in self.results:
+            names += result_names(result, of.get(result, [""]))
+        names += result_names(EVENTS, [name for name, _ in self.events])
+        return [*names, *self.told, *result_names("outcome")]
 
     def facts(self) -> dict[str, object]:
         """Everything that the rows depend on, as JSON has it."""
