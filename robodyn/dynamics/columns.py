@@ -437,7 +437,7 @@ _RESULTS = (
         "range",
         "joint low low_end high high_end",
         "",
-        "`assemble --range`: the way of a joint",
+        "`assemble --range`: range of a joint",
         common=True,
     ),
     Family("stable", "stable", "", "`equilibrium`: whether the pose is", common=True),
