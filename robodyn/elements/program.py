@@ -74,7 +74,7 @@ class Integral(NamedTuple):
 
 
 class Anchored(NamedTuple):
-    """Real: x, with its first coefficient replaced by the given value `start`, which is exact."""
+    """Real: x, but its first coefficient is the given value `start`, which is exact."""
 
     x: Slot
     start: str
