@@ -437,7 +437,7 @@ _RESULTS = (
         "range",
         "joint low low_end high high_end",
         "",
-        "`assemble --range`: how far a joint goes",
+        "`assemble --range`: ends of each",
         common=True,
     ),
     Family("stable", "stable", "", "`equilibrium`: whether the pose is", common=True),
