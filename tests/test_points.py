@@ -410,6 +410,30 @@ def test_everything_at_once(robodyn: Run) -> None:
     assert row["wd1"] == 2.0
 
 
+@pytest.mark.parametrize("command", ["torque", "accel", "reactions", "energy", "points"])
+def test_a_family_of_points_has_all_tips_in_every_command(robodyn: Run, command: str) -> None:
+    given = (command, BAR, "--q", 1, "--qd", 2, "--columns")
+    row = robodyn(*given, "jacobian,points").succeeds().row
+    mech = rd.load(ROOT / BAR)
+    names, places, *_ = rd.points(mech, rd.assemble(mech, [1.0]), np.zeros(3), np.zeros(3))
+    assert names == ("tip1", "tip2", "tip3")
+    for name, (x, y) in zip(names, places, strict=True):
+        assert (row[f"{name}_x"], row[f"{name}_y"]) == pytest.approx((x, y))
+        assert row[f"{name}_vx"] == pytest.approx(2 * row[f"{name}_Jx1"])
+    # one that is named besides changes nothing
+    other = robodyn(*given, "centre2_x,jacobian").succeeds().row
+    assert [x for x in other if "_J" in x] == [x for x in row if "_J" in x]
+
+
+def test_points_refuses_points_of_the_input_alone(robodyn: Run) -> None:
+    states = "q1,qd1,note\n1,2,a\n"
+    chosen = ("points", BAR, "-", "--columns", "tip2_x,q,note")
+    found = robodyn(*chosen, stdin=states).succeeds()
+    assert found.out.splitlines()[0] == "tip2_x,q1,q2,q3,note"
+    again = robodyn("points", BAR, "-", "--columns", "tip2_x", stdin="q1,tip2_x\n1,2\n")
+    assert (again.code, "name, --of NAME=POINT" in again.err) == (2, True)
+
+
 def test_units_on_a_terminal(robodyn: Run) -> None:
     out = robodyn(
         "points", BAR, "--q", 1, "--of", "P=tip1", "--columns", "points,links", "--format", "table"

@@ -187,6 +187,17 @@ def test_controllers_hold_a_set_point(robodyn: Run, law: tuple[str, ...]) -> Non
     assert abs(given.column("last(qd1)")[0]) < 1e-4
 
 
+def test_families_stand_for_the_columns_of_a_sweep(robodyn: Run) -> None:
+    grid = ("sweep", "2r", "--vary", "q1=0:1:2", "--quiet")
+    torque = (*grid, "--kind", "torque", "--columns")
+    assert robodyn(*torque, "tau,q").succeeds().out.startswith("tau1,tau2,q1\n")
+    motion = (*grid, "--time", "0.1", "--columns")
+    names = "t_end,q1_end,q2_end,qd1_end,qd2_end,q1_min,q1_max"
+    assert robodyn(*motion, "final,q1_min,q1_max").succeeds().out.startswith(f"{names}\n")
+    refused = robodyn(*torque, "pins")
+    assert (refused.code, "--columns = pins: is no column here" in refused.err) == (2, True)
+
+
 def test_one_state_has_columns_themselves(robodyn: Run) -> None:
     given = robodyn(
         "sweep", ARM, "--kind", "torque", "--vary", "q1=0,1", "--q", "0,0.5", "--qd", "1,2",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
 from robodyn.cli.options import Columns, Format, Out, OutputFormat
-from robodyn.dynamics.columns import TURNING, in_degrees, structure_in_degrees, with_unit
+from robodyn.dynamics.columns import TURNING, declared, in_degrees, structure_in_degrees, with_unit
 from robodyn.errors import InputError, printable, printable_lines
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.csv_fields import finite, shown, unquoted
@@ -104,13 +104,18 @@ class RowOptions:
 
 
 def chosen_names(text: str, among: Sequence[str]) -> list[str]:
-    """The names of --columns, each among those that there are; InputError for another."""
-    names = names_in(text)
-    for name in names:
-        if name not in among:
+    """The names of --columns, each among those that there are; InputError for another.
+
+    The name of a family stands for those of its columns that are there.
+    """
+    chosen: list[str] = []
+    for name in names_in(text):
+        of_family = [x for x in among if (known := declared(x)) and known[0].name == name]
+        if name not in among and not of_family:
             limit = f"is no column here{nearest(name, [*among])}"
             raise InputError("--columns", value=shown(name), limit=limit)
-    return names
+        chosen += [name] if name in among else of_family
+    return list(dict.fromkeys(chosen))
 
 
 def names_in(text: str, flag: str = "--columns") -> list[str]:

@@ -37,6 +37,7 @@ from robodyn.cli.output import (
 )
 from robodyn.dynamics.columns import FAMILIES, STATE, column_names, declared, names_of, scene_units
 from robodyn.dynamics.joint_vectors import driver_of, full, vector_of_joints
+from robodyn.dynamics.named_points import NamedPoint, named_points
 from robodyn.dynamics.state import State, find
 from robodyn.errors import (
     InputError,
@@ -53,7 +54,6 @@ from robodyn.scene.yaml_values import nearest
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
-    from robodyn.dynamics.named_points import NamedPoint
     from robodyn.tables.arrays import Array
     from robodyn.tables.table import Chunk
     from robodyn.tables.table_writer import Writer
@@ -282,7 +282,9 @@ def state_rows(
     def task(header: Sequence[str]) -> Task:
         points, computed, only, acting = list(of), list(columns), None, list(either)
         if options.columns is not None:
+            points = points or named_points(mechanism)
             only, computed = chosen_columns(mechanism, options.columns, columns, header, points)
+            points = [x for x in points if any(name.startswith(f"{x.name}_") for name in computed)]
         else:
             tell_unknown_contacts(mechanism, computed)
         families = [find(mechanism, name, points) for name in computed]
@@ -351,11 +353,12 @@ def chosen_columns(
     """The columns that --columns names, and those among them that are to be computed.
 
     A name is that of a column which the command computes, of the input, of any other that the
-    scene has, or of a family, which stands for its columns.  Points that are named so are added to
-    `points`.  Raises InputError with the nearest names for another.
+    scene has, or of a family, which stands for its columns, of the `points`.  Others that are named
+    so are added to these.  Raises InputError with the nearest names for another.
     """
     only: list[str] = []
     own: list[str] = []
+    of_families = tuple(points)
     for name in names_in(text):
         family = FAMILIES.get(name)
         if name in computed or (name not in header and find(mechanism, name, points)):
@@ -364,7 +367,7 @@ def chosen_columns(
             only.append(name)
             continue
         elif family is not None and family.values is not None:
-            names = column_names(mechanism, [name], points)
+            names = column_names(mechanism, [name], of_families)
             if not names:
                 where = mechanism.source
                 raise InputError("--columns", where=where, value=name, limit=family.lacking)
@@ -373,11 +376,8 @@ def chosen_columns(
             if likely and likely[0].values and not names_of(likely[0], mechanism, points):
                 limit = likely[0].lacking
                 raise InputError("--columns", where=mechanism.source, value=name, limit=limit)
-            from robodyn.dynamics.named_points import named_points  # only an error pays for it
-
-            near = points or named_points(mechanism, [])
-            known = [*header, *computed, *column_names(mechanism, STATE, near), *STATE]
-            there = [x for x in STATE if names_of(FAMILIES[x], mechanism, near)]
+            known = [*header, *computed, *column_names(mechanism, STATE, points), *STATE]
+            there = [x for x in STATE if names_of(FAMILIES[x], mechanism, points)]
             limit = f"is no column{nearest(name, list(dict.fromkeys(known)))}"
             limit += f" (this scene has the families {', '.join(there)})"
             raise InputError("--columns", value=shown(name), limit=limit)
@@ -426,7 +426,8 @@ def evaluate(
         with named_options(["read"]):
             reader = Reader(stream, name, units, renamed=options.renamed)
         work = task(reader.header)
-        there = next((x for x in work.columns if adds and x in reader.header), None)
+        of_points = (x for x in work.columns if (known := declared(x)) and "P" in known[0].kinds)
+        there = next((x for x in of_points if adds and x in reader.header), None)
         if there is not None:
             limit = "is in the table already; give the point another name, --of NAME=POINT"
             raise InputError(f"column {there}", where=name, limit=limit)

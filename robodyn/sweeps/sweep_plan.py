@@ -196,7 +196,7 @@ class Plan:
             names += self.told or column_names(mechanism, TORQUE)
             return names + result_names("outcome")
         of = {"final": ["t", *joints], "extremes": [*joints, "energy"]}
-        for result in self.results:
+        for result in (x for x in RESULTS if x in self.results):
             names += result_names(result, of.get(result, [""]))
         names += result_names(EVENTS, [name for name, _ in self.events])
         return [*names, *self.told, *result_names("outcome")]
