@@ -81,7 +81,7 @@ def with_variables(
         for row in mechanism.rows
         if row.arm and row.closure is not None
     }
-    made = with_kept(constants(without_welds(scene)), kept)
+    made = replace(with_kept(constants(without_welds(scene)), kept), numeric=mechanism)
     couplings = _coupling_rows(mechanism, base, scene)
     rows = (*made.rows, *couplings)
     if mode is None:

@@ -64,7 +64,7 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
 
     try:
         kept = {c: numbers(row) for c, row in parameters.kept.items()}
-        named = with_kept(constants(numbers(parameters.scene)), kept)
+        named = replace(with_kept(constants(numbers(parameters.scene)), kept), numeric=mechanism)
         ways = [Entries(named, couplings, partial(state, way)) for way in (False, True)]
         found = []
         known = list(heads(mechanism))

@@ -13,6 +13,7 @@ from __future__ import annotations
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from math import inf
 from typing import Any
@@ -103,7 +104,7 @@ def equations(
             raise too_large(mechanism.description)
         return written(entry, levels)
 
-    named = with_kept(constants(parameters.scene), parameters.kept)
+    named = replace(with_kept(constants(parameters.scene), parameters.kept), numeric=mechanism)
     places = places_of(parameters.scene, named.tree)
     contacts = list(contact_terms(mechanism, parameters.dry, parameters.stops))
     shared = _Shared(mechanism)

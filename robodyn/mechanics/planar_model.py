@@ -24,7 +24,6 @@ from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
 from robodyn.mechanics.model_parts import Inertias as Inertias
 from robodyn.mechanics.model_parts import OnDemand as OnDemand
 from robodyn.mechanics.model_parts import Terms as Terms
-from robodyn.mechanics.standing import Holds, standing, unknown_holds
 from robodyn.scene.scene import Description, Signal, Table
 from robodyn.scene.welds import Welded
 
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from robodyn.mechanics.link_tree import Tree
+    from robodyn.mechanics.standing import Holds
 
 
 Kind = TypeVar("Kind", bound=Element)
@@ -82,6 +82,7 @@ class Mechanism:
     slides: tuple[int, ...] = ()  # the joints that are prismatic
     frames: tuple[int | None, ...] = ()  # of each link whose E it has; None: the ground's, 1
     unit: float = 1.0  # length that displacements are compared with angles by, m
+    numeric: Mechanism | None = None  # of one with formulas for numbers: that with the numbers
     tree: Tree = field(kw_only=True)  # the links as the scene has them
 
     def to_dict(self) -> dict[str, object]:
@@ -312,11 +313,15 @@ class Mechanism:
     @cached_property
     def still(self) -> dict[int, Holds]:
         """The links that never move, each with what holds it."""
-        return standing(self.description)
+        from robodyn.mechanics.standing import standing  # numpy
+
+        return self.numeric.still if self.numeric else standing(self)
 
     @cached_property
     def unknown_holds(self) -> Holds:
         """The couplings and closures that carry the weight of links without a mass."""
+        from robodyn.mechanics.standing import Holds, unknown_holds  # numpy
+
         if not self.massless:
             return Holds()
         return unknown_holds(self.description, self.massless, self.still)

@@ -1,17 +1,33 @@
-"""Joints that cannot move, and what holds each: constant couplings, and loops that are trusses.
+"""Links that stand still whatever moves, and the couplings and closures that hold each.
 
-A link whose path has such joints alone stands still.  Its mass acts on nothing but what holds it.
+Its mass acts on nothing but what holds it.  A link stands still if neither its angle nor its tip
+has a rate in the null space of Psi, in any pose that closes.  Such poses are found from starts that
+are spread over all angles, so that those of every branch are among them.
+
+What is left out of Psi only lets more links move: laws of couplings that say more than a number.
+Few poses that close, or rows of Psi that are almost dependent, decide nothing: links move then.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from robodyn.mechanics.link_tree import Tree
-from robodyn.scene.scene import Closure, Description
+import numpy as np
 
-APART = 1e-9  # part of the lengths of a loop that is not rounding
+from robodyn.scene.expressions import NotLinearError, linear
+from robodyn.scene.scene import Coupling, Description, Law
+from robodyn.tables.arrays import Array
+
+if TYPE_CHECKING:
+    from robodyn.mechanics.planar_model import Mechanism
+
+STARTS, STEPS = 48, 60  # of Newton's method, damped
+CLOSED = 1e-12  # part of a length of the mechanism below which a gap is zero
+TINY = 1e-300  # beside which nothing is zero
+LEAST = 6  # poses that close, without which nothing is decided
+DEPENDENT = 1e-5  # part of the largest singular value below which rows count as dependent
+STILL = 1e-7  # part of the largest rate of a motion below which another is zero
 
 
 class Holds(NamedTuple):
@@ -28,71 +44,115 @@ class Holds(NamedTuple):
         )
 
 
-def held_joints(description: Description) -> dict[int, Holds]:
-    """Return the joints that cannot move, each with what holds it.
+def standing(mechanism: Mechanism) -> dict[int, Holds]:
+    """Return the links that stand still, each with what holds it.
 
-    Those are joints that couplings without the time give by joints that cannot move, and loops of
-    one or two joints that turn, unless both could turn about one point.  Joints that larger loops
-    hold are not found.
+    Each closure is tried alone before all of them together: what one loop holds is found too where
+    others cannot close.
     """
-    tree = Tree(description.links)
-    held: dict[int, Holds] = {}
-    loops = [_joints(tree, closure) for closure in description.closures]
-    grown = -1
-    while grown < len(held):
-        grown = len(held)
-        for c, coupling in enumerate(description.couplings):
-            new = [k for k in coupling.joints if k not in held]
-            given = new == [coupling.joint] or (len(new) == 1 and coupling.law is None)
-            if given and not coupling.timed and coupling.cam is None:
-                others = [held[k] for k in coupling.joints if k in held]
-                held[new[0]] = Holds(couplings=frozenset([c])).and_those_of(others)
-        for c, closure in enumerate(description.closures):
-            new = [k for k in loops[c] if k not in held]
-            if new and _is_truss(tree, closure, new):
-                others = [held[k] for k in loops[c] if k in held]
-                made = Holds(closures=frozenset([c])).and_those_of(others)
-                held |= dict.fromkeys(new, made)
-    return held
+    from robodyn.mechanics.mechanism import build
 
-
-def standing(description: Description) -> dict[int, Holds]:
-    """Return the links that stand still, each with what holds it."""
-    tree, held = Tree(description.links), held_joints(description)
+    scene = mechanism.description
+    steady = {c: x for c, y in enumerate(scene.couplings) if (x := _steady(y)) is not None}
+    if not (steady or scene.closures):
+        return {}
+    bare = tuple(
+        link._replace(m=0.0, r=0j, I=0.0, payload=0.0, damping=0.0, friction=None, motor=None)
+        for link in scene.links
+    )
+    none: dict[str, Any] = {"gravity": 0j, "field": None, "springs": (), "loads": ()}
+    alone = build(scene._replace(links=bare, couplings=tuple(steady.values()), **none))
+    numbers, closures = iter(steady), range(len(scene.closures))
+    each = [row.closure for row in alone.rows]
+    coupling = {r: next(numbers) for r, c in enumerate(each) if c is None}
+    parts = [set[int](), *({c} for c in closures), {*closures}]
     found: dict[int, Holds] = {}
-    for k in tree.order:
-        above = tree.parent[k]
-        if k in held and (above is None or above in found):
-            found[k] = held[k].and_those_of([] if above is None else [found[above]])
+    for part in parts:
+        rows = [r for r, c in enumerate(each) if c is None or c in part]
+        for k, loaded in _Rows(alone, rows).still() if rows else ():
+            bear = {rows[r] for r in loaded}
+            held = frozenset(c for r in bear if (c := each[r]) is not None)
+            found.setdefault(k, Holds(frozenset(coupling[r] for r in bear & {*coupling}), held))
     return found
 
 
-def _joints(tree: Tree, closure: Closure) -> set[int]:
-    """The joints on the path to one side of a closure only."""
-    common = tree.common(closure.first, closure.second)
-    return {
-        x.link
-        for point in (closure.first, closure.second)
-        for x in tree.leaves(point, common)
-        if x.link is not None and x.link != common
-    }
+def _steady(coupling: Coupling) -> Coupling | None:
+    """A coupling that is linear in joints and keeps to that; None for a law that is not."""
+    if coupling.law is None:
+        return coupling
+    if coupling.cam is not None or not isinstance(coupling.law, Law):
+        return None
+    try:
+        parts = linear(coupling.law.node)
+    except (NotLinearError, ArithmeticError):
+        return None
+    if parts.pop("t", 0.0):
+        return None
+    angle = parts.pop("", 0.0)
+    terms = tuple((int(name[1:]), x) for name, x in parts.items() if x)
+    return coupling._replace(terms=terms, angle=angle, law=None)
 
 
-def _is_truss(tree: Tree, closure: Closure, new: list[int]) -> bool:
-    """Whether a closure leaves its joints `new`, all others of its loop being held, no motion."""
-    if closure.aligned is not None or any(tree.links[k].slides for k in new):
-        return False
-    if closure.along is not None and (closure.second.link is not None or len(new) > 1):
-        return False
-    gap = tree.difference(closure.first, closure.second)
-    own = {k: abs(c) for k, c in gap.terms if k in new}
-    rest = [abs(gap.constant), *(abs(c) for k, c in gap.terms if k not in new)]
-    least = APART * (sum(own.values()) + sum(rest))
-    if len(own) != len(new) or min(own.values()) <= least:
-        return False
-    if len(new) == 1:
-        return closure.along is None or tree.common(closure.first, closure.second) is None
-    return len(new) == 2 and sum(x > least for x in rest) == 1
+class _Rows(NamedTuple):
+    """Some rows of a mechanism, in x = J q: lengths, displacements included, in its unit."""
+
+    mechanism: Mechanism
+    rows: list[int]
+
+    def still(self) -> Iterator[tuple[int, list[int]]]:
+        """Yield the links that stand still by these rows, and the rows that bear loads on them."""
+        n, unit = self.mechanism.n, self.mechanism.arrays.units
+        x = np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, n)) * unit
+        for _ in range(STEPS):
+            gap, Psi, _ = self.at(x)
+            U, s, V = np.linalg.svd(Psi, full_matrices=False)
+            damped = s / (s * s + (gap * gap).sum(axis=-1)[:, None] + TINY)
+            across = np.einsum("kri,kr->ki", U, gap) * damped
+            x = x - np.einsum("kij,ki->kj", V, across) * unit
+        gap, Psi, ways = self.at(x)
+        closed = np.abs(gap).max(axis=-1) < CLOSED
+        if closed.sum() < LEAST:
+            return
+        Psi, ways = Psi[closed], ways[closed]
+        U, s, V = np.linalg.svd(Psi)
+        s = np.pad(s, ((0, 0), (0, n - s.shape[-1])))
+        free = s <= DEPENDENT * s[:, :1]
+        moves = np.abs(np.einsum("kpij,kmj->kpim", ways, V * free[..., None]))
+        still = (moves <= STILL).all(axis=(0, 2, 3))
+        bearing = np.linalg.pinv(Psi.swapaxes(-1, -2), DEPENDENT)
+        load = np.abs(bearing[:, None] @ ways.swapaxes(-1, -2))
+        for k in np.flatnonzero(still).tolist():
+            bears = load[:, k].max(axis=(0, 2))
+            yield k, np.flatnonzero(bears > STILL * bears.max()).tolist()
+
+    def at(self, x: Array) -> tuple[Array, Array, Array]:
+        """The gap (s, r), Psi (s, r, n), rates of the links' tips and angles (s, n, 3, n)."""
+        mechanism, rows = self.mechanism, self.rows
+        arrays, unit, n = mechanism.arrays, mechanism.unit, mechanism.n
+        E, turned = np.ones(x.shape, complex), np.zeros((n, n))
+        for k, d in enumerate(mechanism.frames):
+            if d is not None:
+                E[:, k], turned[k, d] = np.exp(1j * x[:, d]), 1.0
+        slides = np.isin(np.arange(n), mechanism.slides)
+        X = np.where(slides, x, 1.0) * E
+        T = 1j * X[:, :, None] * turned + (slides * E)[:, :, None] * np.eye(n)
+        across, change = X @ arrays.P[rows].T, arrays.P[rows] @ T
+        for i, r in enumerate(rows):
+            if (line := mechanism.rows[r].line) is not None:
+                along = E[:, line].conj()
+                across[:, i] = along * (across[:, i] + arrays.ground[r])
+                change[:, i] *= along[:, None]
+                change[:, i, line] -= 1j * across[:, i]
+        gap = across.real + arrays.offset[rows] + x @ arrays.angles[rows].T
+        Psi = change.real + arrays.angles[rows]
+        tips = np.zeros((n, n), complex)
+        for k, tip in enumerate(mechanism.tips):
+            for j, c in tip.terms:
+                tips[k, j] = c
+        moved = tips @ T
+        turns = np.broadcast_to(turned * unit, moved.shape)
+        ways = np.stack([moved.real, moved.imag, turns], axis=-2)
+        return gap / unit, Psi * arrays.units / unit, ways * arrays.units / unit
 
 
 def unknown_holds(

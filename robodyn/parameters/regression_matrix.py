@@ -119,9 +119,7 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
 
     It serves for torques alone: its inertias and energies are not to be asked for.
     """
-    base = mechanism.description
-
-    links = []
+    base, links = mechanism.description, []
     for i, link in enumerate(base.links, start=1):
         friction, motor = link.friction, link.motor
         if friction is not None:
@@ -144,7 +142,7 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
     made = replace(made, elements=tuple(kept))
     if mechanism.mode is not None:
         made = in_mode(made, mechanism.mode)
-    return replace(made, actuated=mechanism.actuated, rows=mechanism.rows)
+    return replace(made, actuated=mechanism.actuated, rows=mechanism.rows, numeric=mechanism)
 
 
 def with_formulas(value: Any) -> Any:

@@ -248,13 +248,12 @@ def check(plan: Plan) -> Mechanism:
     that change too fast to be sampled.
     """
     mechanism = plan.mechanism
-    for k in plan.scene_axes:
-        axis = plan.variation.axes[k]
-        for value in axis.ends:
-            build(plan.values.replaced({axis.name: value}))
+    axes = [plan.variation.axes[k] for k in plan.scene_axes]
+    ends = [build(plan.values.replaced({x.name: value})) for x in axes for value in x.ends]
     assembly_plan(mechanism if plan.track else with_independent(mechanism))
     if plan.kind == "motion" or not plan.told:  # columns that are told may need none
-        mechanism.check_masses()
+        for each in (mechanism, *ends):
+            each.check_masses()
     if plan.kind == "motion" and mechanism.timed:
         with suppress(InputError):  # of a table that ends too early: motions tell it
             loads, at_rest = as_actuation(mechanism, None), np.zeros(2 * mechanism.n)
