@@ -202,3 +202,39 @@ def test_an_empty_name_is_a_usage_error(robodyn: Run) -> None:
                     given = [] if own else ["robots/2r.yaml"]
                     shown = robodyn(command, *given, *words(param, "")).err
                     assert "is empty: name a file" in shown, param.name
+
+
+LOG = ("t", "q1", "q2", "qd1", "qd2", "qdd1", "qdd2", "tau1", "tau2")
+READERS = {
+    "identify": ("2r", "{}"),
+    "regressor": ("2r", "{}", "--condition"),
+    "fit": ("2r", "--match", "{}", "--vary", "links.forearm.m=0.5:1.5", "--starts", "1", "--quiet"),
+    "draw": ("2r", "{}", "-o", "-", "--format", "svg"),
+    "simulate": ("2r", "--q", "0,0", "--tau-from", "{}", "--time", "0.1", "--quiet"),
+    "sweep": (
+        *("2r", "--vary", "links.forearm.m=1,2", "--kind", "torque", "--track", "{}"),
+        *("--result", "max(tau1)", "--quiet"),
+    ),
+    "trajectory": ("2r", "--via", "{}", "--points", "5"),
+    "summary": ("{}",),
+    "energy": ("2r", "{}", "--columns", "KE,PE"),
+}
+
+
+@pytest.mark.parametrize("command", READERS)
+def test_every_reader_takes_names_of_its_own(robodyn, tmp_path, command) -> None:
+    given = ("--q", "0,0.5", "--tau", "sin(t),1", "--time", "1", "--points", "41", "--quiet")
+    rows = robodyn("simulate", "2r", *given).succeeds().out
+    rows = "\n".join(",".join(line.split(",")[:9]) for line in rows.splitlines()) + "\n"
+    own, foreign = tmp_path / "own.csv", tmp_path / "foreign.csv"
+    own.write_text(rows)
+    names = [f"c{k}" for k in range(len(LOG))]
+    foreign.write_text(",".join(names) + rows[rows.index("\n") :])
+    read = ",".join(f"{new}={old}" for new, old in zip(LOG, names, strict=True))
+
+    def result(path, *more: str):
+        found = robodyn(command, *(x.format(path) for x in READERS[command]), *more)
+        assert found.code == 0, found.err
+        return found.out
+
+    assert result(foreign, "--read", read) == result(own)

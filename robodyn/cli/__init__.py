@@ -49,7 +49,9 @@ _OUTPUT = (
     "--every --points --sensitivity --event --events --differentiate --unwrap --columns --degrees "
     "--quiet --report --size --dpi --format --out"
 )
-_CONTROL = "--control --track --unwrap --hold --kp --kd --ki --gain --at --tau-max --control-rate "
+_CONTROL = (
+    "--control --track --read --unwrap --hold --kp --kd --ki --gain --at --tau-max --control-rate "
+)
 _CONTROL += "--control-model"
 _OPTIONS = {
     "simulate": {
@@ -70,7 +72,7 @@ _OPTIONS = {
         "Output": "--columns --degrees --quiet --out",
     },
     "trajectory": {
-        "Joints": "--from --to --via --unwrap --ends --speed --turns",
+        "Joints": "--from --to --via --read --unwrap --ends --speed --turns",
         "A point in the plane": "--of --to-xy --arc --path --posture",
         "Time": "--time --profile --acceleration",
         "Sine sweep": "--amplitude --frequencies",
@@ -78,7 +80,10 @@ _OPTIONS = {
         "Output": _OUTPUT,
     },
 }
-_OPTIONS["fit"] = {"State": "--q --qd --qdd --tau --force", "Output": "--degrees --format --out"}
+_OPTIONS["fit"] = {
+    "State": "--q --qd --qdd --tau --force --read",
+    "Output": "--degrees --format --out",
+}
 _OTHERS = {"State": "--q --qd --qdd --tau --force --read", "Output": _OUTPUT}
 OWN = "Options"  # of a command, which stand first; typer's word, too
 IMPLIED = {"--harmonics": "10"}  # whole numbers that may be left out behind their option

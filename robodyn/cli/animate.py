@@ -11,10 +11,10 @@ from robodyn.cli.equilibrium import joint_torques
 from robodyn.cli.figures import check_directory, parse_size
 from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.motion_files import whole_table, without_jumps
-from robodyn.cli.options import HoldingTau, Model, Q, Size, Text, Unwrap, option, refuse
+from robodyn.cli.options import HoldingTau, Model, Q, Read, Size, Text, Unwrap, option, refuse
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
-from robodyn.cli.row_files import open_input
+from robodyn.cli.row_files import open_rows
 from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
 from robodyn.dynamics.columns import scene_units
 from robodyn.errors import InputError, at_place, named_options
@@ -27,7 +27,6 @@ from robodyn.pictures.animation_files import (
     frames,
 )
 from robodyn.rest.linear_model import linearize, mode_motion
-from robodyn.tables.table import Reader
 
 SHOWN = 2.0  # s that a mode is watched at least
 _OUT = "Write here, all or nothing: .gif, .mp4 or .html."
@@ -41,6 +40,7 @@ def animate(
     out: Annotated[str, output_file("--out", "-o", help=_OUT)],
     mode: int | None = option(_MODE, "K"),
     unwrap: Unwrap = False,
+    read: Read = None,
     q: Q = None,
     tau: HoldingTau = None,
     of: list[str] | None = option(OF, POINTS),
@@ -75,13 +75,15 @@ def animate(
         raise InputError("CSV", value=states, limit=limit)
     if unwrap and states is None:
         raise InputError("--unwrap", limit="goes with rows: CSV")
+    if states is None:
+        refuse("goes with rows: CSV", read=read)
     mechanism = model.load()
     traced = points_given(mechanism, of, trace)
     check_directory(out)
     check_programs(out)
     with remarks():
         if states is not None:
-            shown_frames = _read(mechanism, states, fps, speed, unwrap)
+            shown_frames = _read(mechanism, states, read, fps, speed, unwrap)
         else:
             shown_frames = _of_mode(mechanism, mode or 0, q, tau, fps, speed)
     watched = partial(progress, "drawing", silent=0.0)
@@ -99,9 +101,11 @@ def _of_mode(
     return frames(mechanism, t, poses, None, fps, speed)
 
 
-def _read(mechanism: Mechanism, states: str, fps: float, speed: float, unwrap: bool) -> Frames:
-    with open_input(states) as (stream, name):
-        reader = Reader(stream, name, scene_units(mechanism))
+def _read(
+    mechanism: Mechanism, states: str, read: str | None, fps: float, speed: float, unwrap: bool
+) -> Frames:
+    with open_rows(states, scene_units(mechanism), read) as reader:
+        name = reader.source
         quantities = [Quantity("q", None, True), Quantity("qd", None)]
         sources = [table_source(mechanism, x, reader.names, name) for x in quantities]
         sources = [source for source in sources if source.columns]

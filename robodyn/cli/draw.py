@@ -14,6 +14,7 @@ from robodyn.cli.options import (
     Q,
     Qd,
     Qdd,
+    Read,
     States,
     Text,
     option,
@@ -53,6 +54,7 @@ _TAU = "Joint torques, N m, in place of --qdd, for --forces."
 def draw(
     model: Model,
     states: States = None,
+    read: Read = None,
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
@@ -85,6 +87,8 @@ def draw(
     """
     mechanism = model.load()
     picture.checked()
+    if states is None:
+        refuse("needs STATES", read=read)
     _check(states, q, {"qd": qd, "qdd": qdd, "tau": tau}, forces, poses)
     marked, t = points_given(mechanism, of), time_from(at_time)
     texts = _texts(mechanism, labels)
@@ -104,7 +108,7 @@ def draw(
     traces: list[Trace] = []
     with remarks():
         if states is not None:
-            rows, chosen_rows = _rows(mechanism, states, poses, bool(marked), t)
+            rows, chosen_rows = _rows(mechanism, states, read, poses, bool(marked), t)
             drawn = drawing(mechanism, rows[chosen_rows], marked)
             traces = traced(mechanism, marked, rows)
         elif forces:
@@ -178,7 +182,7 @@ def _check(
 
 
 def _rows(
-    mechanism: Mechanism, states: str, poses: int, whole: bool, t: float
+    mechanism: Mechanism, states: str, read: str | None, poses: int, whole: bool, t: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Closed configurations (T, n) of a table, and which of them are drawn.
 
@@ -192,7 +196,7 @@ def _rows(
         return [*sources[0].columns, *(["t"] if timed else [])]
 
     sources: list[Source] = []
-    values, *_ = read_columns(states, columns, scene_units(mechanism))
+    values, *_ = read_columns(states, columns, scene_units(mechanism), read)
     wanted = even_rows(len(values), poses)
     if not whole:
         values, wanted = values[wanted], np.arange(len(wanted))

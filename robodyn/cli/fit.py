@@ -20,6 +20,7 @@ from robodyn.cli.options import (
     Qd,
     Qdd,
     Quiet,
+    Read,
     Text,
     Unwrap,
     option,
@@ -78,7 +79,7 @@ class FitTable:
 
     def __init__(self, mechanism: Mechanism, options: FitOptions) -> None:
         self.mechanism, self.moving = mechanism, options.simulate
-        self.unwrap = options.unwrap
+        self.unwrap, self.read = options.unwrap, options.read
         self.match, named = options.match is not None, options.columns
         self.columns = [x for text in options.minimize or () for x in _names(text, "--minimize")]
         self.chosen = None if named is None else _names(named, "--columns")
@@ -96,7 +97,7 @@ class FitTable:
         values, name, lines = np.zeros((1, 0)), "", [0]
         if table is not None:
             values, names, name, lines = read_columns(
-                table, self._choose, scene_units(self.mechanism)
+                table, self._choose, scene_units(self.mechanism), self.read
             )
         elif self.options["q"] is None:
             raise InputError("--minimize", limit="needs STATES, or --q: where columns are taken")
@@ -225,6 +226,7 @@ class FitOptions:
     qdd: Qdd = None
     simulate: bool = switch(_SIMULATE)
     unwrap: Unwrap = False
+    read: Read = None
     tau: Text = option(_TAU, "TORQUES")
     starts: int | None = option(_STARTS, "N")
     seed: int = option("Of the random starts.", "S", default=0)
@@ -239,6 +241,8 @@ class FitOptions:
             raise InputError("STATES", value=states, limit=limit)
         if self.match is None:
             refuse("is for --match", columns=self.columns)
+            if states is None:
+                refuse("needs STATES or --match", read=self.read)
         if self.simulate and self.match is None and states is None:
             raise InputError("--simulate", limit="needs --match or STATES, for its times")
         if not self.simulate:

@@ -10,7 +10,7 @@ import numpy as np
 
 from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.motion_files import MotionFile, read_motion
-from robodyn.cli.options import Model, Number, OutputStructured, Text, Unwrap, option, switch
+from robodyn.cli.options import Model, Number, OutputStructured, Read, Text, Unwrap, option, switch
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.states import remarks
 from robodyn.dynamics.columns import column_names, of_joints, scene_units
@@ -49,6 +49,7 @@ def identify(
     physical: bool = switch(_PHYSICAL),
     cutoff: Number = option(_CUTOFF, "HZ"),
     unwrap: Unwrap = False,
+    read: Read = None,
     rest: Number = option(_REST, "RATE"),
     fitted: Annotated[Text, output_file("--out", "-o", help=_SCENE)] = None,
     residuals: Annotated[Text, output_file("--residuals", help=_RESIDUALS)] = None,
@@ -88,7 +89,7 @@ def identify(
             limit += f"; find it by {way} --columns {torques} (the file needs qd and qdd)"
             raise InputError("--of", value=name, limit=limit)
     with remarks(), named_options(["cutoff", "rest"]):
-        motion = read_motion(mechanism, data, torques=True, cutoff=cutoff, unwrap=unwrap)
+        motion = read_motion(mechanism, data, True, cutoff, unwrap, read)
         q, qd, qdd = motion.states
         with at_place(motion.source, "rows", "tau"), at_place("--of", *names or "-"):
             measured = motion.tau, motion.t

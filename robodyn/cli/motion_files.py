@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robodyn.cli.output import note
-from robodyn.cli.row_files import open_input
+from robodyn.cli.row_files import open_rows
 from robodyn.cli.states import Quantity, Source, complete, table_source
 from robodyn.dynamics.columns import scene_units
 from robodyn.dynamics.free_joints import balanced_mechanism
@@ -227,8 +227,9 @@ def read_motion(
     torques: bool,
     cutoff: float | None = None,
     unwrap: bool = False,
+    read: str | None = None,
 ) -> MotionFile:
-    """The motion in a file; rates that it lacks are found, which is told.
+    """The motion in a file, `read` as by --read; rates that it lacks are found, which is told.
 
     Raises InputError for gaps, for columns of another mechanism, for times that do not rise, for
     angles that jump unless `unwrap`, and for a cutoff where no rates are to be found.
@@ -236,8 +237,8 @@ def read_motion(
     moving = balanced_mechanism(mechanism) if mechanism.rows else mechanism
     wanted = [Quantity("q", None, True), Quantity("qd", None), Quantity("qdd", None)]
     wanted += [Quantity("tau", None, True)] if torques else []
-    with open_input(file) as (stream, name):
-        reader = Reader(stream, name, scene_units(mechanism))
+    with open_rows(file, scene_units(mechanism), read) as reader:
+        name = reader.source
         _check_joints(mechanism, reader.names, name)
         sources = [table_source(moving, x, reader.names, name) for x in wanted[:3]]
         sources += [table_source(mechanism, x, reader.names, name) for x in wanted[3:]]

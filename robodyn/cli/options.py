@@ -151,7 +151,7 @@ _DIFFERENTIATE = (
     "see --unwrap."
 )
 Differentiate = Annotated[bool, Option("--differentiate", help=_DIFFERENTIATE)]
-_READ = "Columns of STATES get other names: q1=pos1,qd1=vel1 reads pos1 as q1."
+_READ = "Columns that are read get other names: q1=pos1,qd1=vel1 reads pos1 as q1."
 Read = Annotated[Text, Option("--read", metavar="NEW=OLD,..", help=_READ)]
 _UNWRAP = (
     "Take whole turns off angles that jump by more than half a turn between rows, as logs within "

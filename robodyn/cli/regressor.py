@@ -94,7 +94,7 @@ def _tell_condition(mechanism: Mechanism, rows: TableOptions, quantities: list[Q
     told = next((f"--{x.name}" for x in quantities if x.option is not None), None)
     if rows.states is None or told:
         raise InputError(told or "--condition", limit="--condition takes a motion from STATES")
-    motion = read_motion(mechanism, rows.states, torques=False, unwrap=rows.unwrap)
+    motion = read_motion(mechanism, rows.states, torques=False, unwrap=rows.unwrap, read=rows.read)
     with remarks():
         base, kept = base_parameters(mechanism), structural(mechanism).kept
         q, qd, qdd = motion.states

@@ -9,8 +9,8 @@ from itertools import chain
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 from robodyn.cli.output import note
-from robodyn.errors import InputError
-from robodyn.tables.csv_fields import Delimited
+from robodyn.errors import InputError, named_options
+from robodyn.tables.csv_fields import Delimited, shown
 from robodyn.tables.input_file import read_bounded, read_regular
 from robodyn.tables.table import Reader
 
@@ -22,22 +22,47 @@ def read_columns(
     file: str,
     choose: Callable[[Sequence[str], str], Sequence[str]],
     lengths: Container[str] = (),
+    read: str | None = None,
 ) -> tuple[Array, Sequence[str], str, list[int]]:
     """Return columns (T, k) of a CSV file, their names, the file's name, and its lines (T,).
 
-    `choose` tells the columns by the header and the file's name.  `lengths` are columns that are no
-    angles in degrees.  A file without rows is an InputError.
+    `choose` tells the columns by the header and the file's name, the others are as of `open_rows`.
+    A file without rows is an InputError.
     """
     import numpy as np
 
-    with open_input(file) as (stream, name):
-        reader = Reader(stream, name, lengths)
+    with open_rows(file, lengths, read) as reader:
+        name = reader.source
         names = choose(reader.names, name)
         chunks = list(reader.chunks(names))
     if not chunks:
         raise InputError("no rows", where=name, limit="the header is followed by no row")
     lines = list(chain(*(chunk.line_numbers for chunk in chunks)))
     return np.concatenate([chunk.values for chunk in chunks]), names, name, lines
+
+
+@contextmanager
+def open_rows(file: str, lengths: Container[str] = (), read: str | None = None) -> Iterator[Reader]:
+    """The reader of a CSV file, `-` for stdin, with the names that --read (`read`) gives.
+
+    `lengths` are columns that are no angles in degrees.
+    """
+    with open_input(file) as (stream, name):
+        with named_options(["read"]):
+            reader = Reader(stream, name, lengths, renamed=_renamed(read))
+        yield reader
+
+
+def _renamed(read: str | None) -> dict[str, str]:
+    """The names that --read gives to columns, by the names that they have."""
+    found: dict[str, str] = {}
+    for pair in [] if read is None else read.split(","):
+        new, equals, old = (part.strip() for part in pair.partition("="))
+        if not (new and equals and old) or old in found or new in found.values():
+            limit = "write NEW=OLD, each name once, such as q1=pos1,qd1=vel1"
+            raise InputError("read", value=shown(pair) or "''", limit=limit)
+        found[old] = new
+    return found
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from robodyn.cli.options import (
     Number,
     Out,
     Quiet,
+    Read,
     Text,
     Unwrap,
     load_with,
@@ -109,6 +110,7 @@ class ControlOptions:
     control: Law | None = option("Makes the torques track a reference, or keep to a pose.")
     track: Annotated[Text, input_file("--track", _TRACK)] = None
     unwrap: Unwrap = False
+    read: Read = None
     hold: Text = option(_HOLD, "VECTOR")
     kp: Text = option(f"Gain of the error, N m/rad (computed torque 1/s^2): {EACH}.", "VECTOR")
     kd: Text = option(f"Gain of its rate, N m s/rad (computed torque 1/s): {EACH}.", "VECTOR")
@@ -129,7 +131,7 @@ def given_of(options: object, *names: str) -> list[str]:
 def check_no_control(options: ControlOptions, *but: str) -> None:
     """Raise InputError for an option of a controller where there is none."""
     _check_unwrap(options)
-    names = {x.name for x in fields(options)} - {"unwrap", *but}
+    names = {x.name for x in fields(options)} - {"unwrap", "read", *but}
     given = {x.name: getattr(options, x.name) for x in fields(options) if x.name in names}
     refuse(f"needs --control: one of {', '.join(get_args(Law))}", **given)
 
@@ -225,6 +227,8 @@ def torque_source(
     """The torques, and the end time: that of the reference where none is given."""
     if options.tau_hold and options.tau_from is None:
         raise InputError("--tau-hold", limit="is for --tau-from")
+    if options.tau_from is None and control.track is None:
+        refuse("is for --track and --tau-from", read=control.read)
     sources = [*given_of(options, "tau", "tau_from", "volt"), *given_of(control, "control")]
     if len(sources) > 1:
         raise InputError(" and ".join(sources), limit="exclude each other")
@@ -241,7 +245,7 @@ def torque_source(
     if options.tau_from is None:
         return Actuation((0.0,) * mechanism.n), end
     names = column_names(mechanism, ["t", "tau"])
-    values, _, name, _ = read_columns(options.tau_from, lambda *_: names)
+    values, _, name, _ = read_columns(options.tau_from, lambda *_: names, read=control.read)
     times, torques = values[:, 0].tolist(), values[:, 1:].tolist()
     made = actuation.table(mechanism, times, torques, where=name, until=end, hold=options.tau_hold)
     return made, end
@@ -279,7 +283,7 @@ def controlled(
         rate = value_from(options.control_rate, "Hz", "--control-rate")
     end = DEFAULT_DURATION if duration is None else duration
     if options.track is not None:
-        reference = reference_from(mechanism, options.track, options.unwrap)
+        reference = reference_from(mechanism, options)
         end = reference.times[-1] if duration is None else duration
         reference = reference.until(end)
     else:
@@ -332,11 +336,12 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
     return replace(found, q=pose.tolist(), tau=tau)
 
 
-def reference_from(mechanism: Mechanism, file: str, unwrap: bool) -> ReferenceTable:
-    """Return the reference of the actuated joints in a file; InputError for jumps of angles.
+def reference_from(mechanism: Mechanism, options: ControlOptions) -> ReferenceTable:
+    """Return the reference of the actuated joints in --track; InputError for jumps of angles.
 
-    With `unwrap` whole turns are taken off these.
+    With --unwrap whole turns are taken off these.
     """
+    assert options.track is not None
     joints = len(mechanism.actuated)
 
     def columns(header: Sequence[str], where: str) -> list[str]:
@@ -350,9 +355,11 @@ def reference_from(mechanism: Mechanism, file: str, unwrap: bool) -> ReferenceTa
                 raise InputError(f"column {wanted[0]} is missing", where=where, limit=limit)
         return found
 
-    values, names, name, lines = read_columns(file, columns, scene_units(mechanism))
+    values, names, name, lines = read_columns(
+        options.track, columns, scene_units(mechanism), options.read
+    )
     column = dict(zip(names, values.T, strict=True))
-    column = without_jumps(mechanism, column, lines, name, unwrap, names)
+    column = without_jumps(mechanism, column, lines, name, options.unwrap, names)
     t, *rest = column.values()
     parts = [np.array(rest[k : k + joints]).T for k in range(0, len(rest), joints)]
     given = dict(zip(("q", "qd", "qdd"), parts, strict=False))  # the last may not be there

@@ -46,7 +46,6 @@ from robodyn.errors import (
     SignalError,
     SingularPoseError,
     at_place,
-    named_options,
     overflow,
 )
 from robodyn.mechanics.mechanism import Mechanism
@@ -99,18 +98,6 @@ class TableOptions(StateOptions, RowOptions):
     def time(self) -> float:
         """The time of rows that do not tell theirs, s."""
         return time_from(self.at_time)
-
-    @property
-    def renamed(self) -> dict[str, str]:
-        """The names that --read gives to columns of the table, by the names that they have."""
-        found: dict[str, str] = {}
-        for pair in [] if self.read is None else self.read.split(","):
-            new, equals, old = (part.strip() for part in pair.partition("="))
-            if not (new and equals and old) or old in found or new in found.values():
-                limit = "write NEW=OLD, each name once, such as q1=pos1,qd1=vel1"
-                raise InputError("--read", value=shown(pair) or "''", limit=limit)
-            found[old] = new
-        return found
 
     def write_one(
         self,
@@ -418,13 +405,11 @@ def evaluate(
         return
 
     from robodyn.cli.motion_files import found_rates, taken_at_rest
-    from robodyn.cli.row_files import open_input
-    from robodyn.tables.table import Reader
+    from robodyn.cli.row_files import open_rows
 
     units = scene_units(mechanism)
-    with open_input(options.states) as (stream, name):
-        with named_options(["read"]):
-            reader = Reader(stream, name, units, renamed=options.renamed)
+    with open_rows(options.states, units, options.read) as reader:
+        name = reader.source
         work = task(reader.header)
         of_points = (x for x in work.columns if (known := declared(x)) and "P" in known[0].kinds)
         there = next((x for x in of_points if adds and x in reader.header), None)

@@ -9,9 +9,9 @@ from typing import Annotated
 import numpy as np
 
 from robodyn.cli.files import load_scene, model_file, rows_argument
-from robodyn.cli.options import Out, OutputFormat, Text, option
+from robodyn.cli.options import Out, OutputFormat, Read, Text, option
 from robodyn.cli.output import default_format, maker, names_in, note
-from robodyn.cli.row_files import open_input
+from robodyn.cli.row_files import open_rows
 from robodyn.dynamics.columns import ANY_SCENE, declared, result_names, scene_units
 from robodyn.dynamics.flywheel import harmonics as orders_of
 from robodyn.errors import InputError, at_place, named_options
@@ -20,7 +20,6 @@ from robodyn.tables.csv_fields import IN_DEGREES, columns_told, shown
 from robodyn.tables.output_file import open_output
 from robodyn.tables.summaries import Extremes, KeptRows, Rows, SummaryWriter
 from robodyn.tables.summaries import correlations as rank_correlations
-from robodyn.tables.table import Reader
 
 _ROWS = "CSV file, or - for stdin, which is the default."
 _MODEL = "Scene that the rows are of: tells the units of joints that slide."
@@ -36,6 +35,7 @@ def summary(
     harmonics: int | None = option(_HARMONICS, "[N]"),
     by: Text = option(_BY, "NAME"),
     correlations: Text = option(_CORRELATIONS, "NAMES"),
+    read: Read = None,
     model: Annotated[Text, model_file("--model", _MODEL)] = None,
     format: OutputFormat = None,
     out: Out = None,
@@ -74,9 +74,8 @@ def summary(
         raise InputError("--harmonics", value=harmonics, limit=f"must be in [0, {MOST}]")
     units = ANY_SCENE if model is None else scene_units(load_scene(model))
     chosen = default_format(format, out)
-    with open_input(rows) as (stream, name):
-        reader = Reader(stream, name)
-        header = reader.header
+    with open_rows(rows, read=read) as reader:
+        name, header = reader.source, reader.header
         kept = None
         if harmonics is not None:
             angle = by or ("q1" if "q1" in header else "q1" + IN_DEGREES)

@@ -101,6 +101,8 @@ def _acting(
     given: SweepRequest, options: ControlOptions, mechanism: Mechanism, axes: tuple[Axis, ...]
 ) -> Acting:
     """The reference of torques, or the controller of motions, and the end time."""
+    if options.track is None:
+        refuse("is for --track", read=options.read)
     if options.control is None:
         check_no_control(options, "track")
         if options.track is None:
@@ -112,7 +114,7 @@ def _acting(
         joints = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
         for axis in (axis for axis in axes if axis.name in joints):
             raise InputError("--vary", value=axis.name, limit="is told by --track")
-        track = reference_from(mechanism, options.track, options.unwrap)
+        track = reference_from(mechanism, options)
         return Acting(given.duration, track, follows=True)
     if given.kind == "torque":
         raise InputError("--control", limit="is for --kind motion")

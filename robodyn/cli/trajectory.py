@@ -13,7 +13,7 @@ import numpy as np
 
 from robodyn.cli.files import input_file
 from robodyn.cli.motion_files import unwrapped, without_jumps
-from robodyn.cli.options import EACH, Model, Number, Text, Unwrap, option, refuse
+from robodyn.cli.options import EACH, Model, Number, Read, Text, Unwrap, option, refuse
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
@@ -99,6 +99,7 @@ class TrajectoryOptions:
     to: Text = option(f"Angles at the end: {_WHICH}.", "VECTOR")
     via: Annotated[Text, input_file("--via", _VIA)] = None
     unwrap: Unwrap = False
+    read: Read = None
     time: Text = option("Duration, s, 2s or 500ms; min: the shortest within the limits.", "S|min")
     profile: ProfileName | None = option("Default: quintic.")
     acceleration: Number = option(
@@ -170,7 +171,9 @@ def _points_from(mechanism: Mechanism, given: TrajectoryOptions) -> _Through:
                 limit = "missing: give --from and --to, or --via, --speed, --of, --profile sweep"
                 raise InputError(f"--{name}", limit=limit)
     else:
-        values, names, source, lines = read_columns(given.via, columns, scene_units(mechanism))
+        values, names, source, lines = read_columns(
+            given.via, columns, scene_units(mechanism), given.read
+        )
         timed = names[-1] == "t"
         column = dict(zip(names, values.T, strict=True))
         driven = of_joints("q", mechanism.actuated)
@@ -318,7 +321,7 @@ def task_motion(
             which = "the point that is led" if name == "of" else "the pose that it begins from"
             raise InputError(f"--{name.strip('_')}", limit=f"missing: give {which}")
     point = named_point(mechanism, given.of or "", "--of")
-    file = None if given.path is None else _read(given.path, given.unwrap)
+    file = None if given.path is None else _read(given.path, given.read, given.unwrap)
     if file is None or file.times is None:
         refuse("does not go with paths without times", ends=given.ends)
     task = task_of(mechanism, point, file is not None and file.points.shape[1] == 3)
@@ -403,11 +406,11 @@ def _vector(text: str, flag: str, whole: str, form: str) -> Array:
     return np.array(values)
 
 
-def _read(file: str, unwrap: bool) -> _Through:
+def _read(file: str, read: str | None, unwrap: bool) -> _Through:
     def columns(header: Sequence[str], _: str) -> list[str]:
         return ["x", "y", *(x for x in ("angle", "t") if x in header)]
 
-    values, names, source, lines = read_columns(file, columns)
+    values, names, source, lines = read_columns(file, columns, read=read)
     if "angle" in names:
         smooth, fault = unwrapped("angle", values[:, 2], lines, source)
         if fault and not unwrap:
@@ -477,6 +480,8 @@ def trajectory(
         refuse("is for --profile trapezoidal", acceleration=given.acceleration)
     if given.unwrap and given.via is None and given.path is None:
         raise InputError("--unwrap", limit="goes with --via or --path")
+    if given.via is None and given.path is None:
+        refuse("goes with --via or --path", read=given.read)
     if given.profile == "sweep":
         others = {"to": given.to, "via": given.via, "speed": given.speed, "turns": given.turns}
         refuse("does not go with a sweep", **others, ends=given.ends, **given.task)
