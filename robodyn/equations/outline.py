@@ -114,8 +114,13 @@ def _units(mechanism: Mechanism, *units: str) -> str:
 
 
 def heads(mechanism: Mechanism) -> Iterator[Head]:
-    """The blocks that the scene has; those of closures alone if links have no mass."""
+    """The blocks that the scene has; those of closures alone if links have no mass.
+
+    Raises MassError if there are no closures then.
+    """
     unit = partial(_units, mechanism)
+    if not mechanism.rows:
+        mechanism.check_masses()
     if not mechanism.massless:
         yield from _heads_of_motion(mechanism)
     if mechanism.rows:
