@@ -397,7 +397,15 @@ def test_chains_with_more_closures_than_joints(robodyn, scene):
         assert given.code == (1 if n == 30 else 0)
 
 
-@pytest.mark.parametrize(("right", "told"), [("0.5", True), ("0.5 + q1", False)])
+@pytest.mark.parametrize(
+    ("right", "told"),
+    [
+        ("0.5", True),
+        ("0.5 + q1", False),
+        ("0.5 rad + 0 rad/s t", True),
+        ("0.5 rad + 0.1 rad/s t", False),
+    ],
+)
 def test_a_coupling_that_is_constant_is_told_of_welds(
     robodyn: Run, scene: Callable[[str], Path], right: str, told: bool
 ) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import Outcome
 
+import robodyn
 from robodyn.dynamics.closed_form import (
     closure_gap,
     closure_jacobian,
@@ -657,6 +658,47 @@ slots: [{pin: C, on: lever, along: [1, 3]}]
     mechanism = built(text)
     q = assemble(mechanism, [math.radians(80)], t=0.0)
     assert q[1] == pytest.approx(0.45 / math.tan(math.radians(80)) - 0.15, rel=1e-12)
+
+
+SWINGING = """\
+gravity: 9.81
+pins: {O: [0, 0], A: [0.1, 0.02], B: [0.6, 0.25], G: [0.3, 0.15]}
+links:
+  - {name: crank, pins: [O, A], m: 0.5, r: 0.05, I: 0.001}
+  - {name: rod, pins: [A, B], m: 1, r: 0.3, I: 0.03}
+ground: [O, G]
+slots: [{pin: G, on: rod, along: [2, 1]}]
+"""
+
+
+def test_a_slot_over_a_pin_of_the_ground() -> None:
+    """A swinging block: by the right triangle of A, the slot and G, and by the centres' heights."""
+    mechanism = built(SWINGING)
+    A, B, G = 0.1 + 0.02j, 0.6 + 0.25j, 0.3 + 0.15j
+    off = ((G - A) * (2 - 1j)).imag / math.sqrt(5)  # of the slot's line from A, as drawn
+    own = cmath.phase(2 + 1j) - cmath.phase(B - A)
+
+    def pose(theta: float) -> tuple[float, float]:
+        way = G - cmath.rect(abs(A), theta)
+        turn = cmath.phase(way / complex(math.sqrt(abs(way) ** 2 - off**2), off)) - own
+        height = 0.5 * 0.05 * math.sin(theta) + abs(A) * math.sin(theta) + 0.3 * math.sin(turn)
+        return turn - theta, 9.81 * height
+
+    assert start_of(mechanism) == pytest.approx([cmath.phase(A), pose(cmath.phase(A))[0]])
+    for theta in np.linspace(0.0, 6.0, 9):
+        q = assemble(mechanism, [theta], t=0.0)
+        assert np.exp(1j * q[1]) == pytest.approx(np.exp(1j * pose(theta)[0]), abs=1e-12)
+        h = 1e-6
+        slope = (pose(theta + h)[1] - pose(theta - h)[1]) / (2 * h)
+        tau = robodyn.inverse_dynamics(mechanism, q, np.zeros(2), np.zeros(2))
+        assert tau[0] == pytest.approx(slope, abs=1e-6)
+
+
+def test_a_slot_over_a_pin_that_nothing_has() -> None:
+    text = SWINGING.replace("ground: [O, G]", "ground: [O]")
+    with pytest.raises(DescriptionError) as caught:
+        from_text(text, "x.yaml")
+    assert "must be a pin of a link, or of the ground" in str(caught.value)
 
 
 def test_a_moment_of_inertia_about_the_own_joint() -> None:

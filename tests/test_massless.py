@@ -128,6 +128,29 @@ def test_commands_that_need_none(robodyn, tmp_path: Path) -> None:
     assert "which link 2 has not: it has no mass m" in refused.err
 
 
+@pytest.mark.parametrize("format", ["text", "latex", "python", "c", "json"])
+def test_equations_are_those_of_closures(robodyn, tmp_path: Path, format: str) -> None:
+    file = tmp_path / "light.yaml"
+    file.write_text(without("3r"), encoding="utf-8")
+    refused = robodyn("equations", str(file), "--format", format)
+    assert refused.code == 2
+    assert "links[0] (upper arm): has no mass m, which equations needs" in refused.err
+    file.write_text(without("four-bar"), encoding="utf-8")
+    code = robodyn("equations", str(file), "--format", format)
+    assert code.code == 0, code.err
+    if format == "python":
+        written: dict = {}
+        exec(code.out, written)
+        assert not {"M", "C", "G", "joint_torques"} & {*written}
+        mech = api.load(file)
+        q, qd = np.random.default_rng(2).uniform(-1, 1, (2, 3))
+        assert written["Psi"](q) == pytest.approx(api.closure_jacobian(mech, q), rel=1e-13)
+        assert written["gap"](q) == pytest.approx(api.closure_gap(mech, q), rel=1e-13)
+        h = 1e-6
+        two = [np.array(written["Psi"](q + s * h * qd)) @ qd for s in (1, -1)]
+        assert written["Psidot_qd"](q, qd) == pytest.approx((two[0] - two[1]) / (2 * h), rel=1e-8)
+
+
 def test_some_of_the_three_are_not_enough(robodyn, tmp_path: Path) -> None:
     file = tmp_path / "light.yaml"
     file.write_text("links: [{name: a, l: 1, m: 1}]\n", encoding="utf-8")

@@ -30,6 +30,7 @@ from robodyn.loops.branches import scene_start
 from robodyn.mechanics.loop_rows import loop_class
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
+from robodyn.mechanics.standing import steady
 
 STATES = 200
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains
@@ -54,7 +55,8 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
     """
     mechanism = model.load()
     for coupling in mechanism.description.couplings:
-        if coupling.law is None and not coupling.terms:
+        kept = steady(coupling)
+        if kept is not None and not kept.terms:
             name = mechanism.link_names[coupling.joint]
             told = f"Note: a coupling keeps q{coupling.joint + 1} ({name}) constant"
             note(f"{told}: `joint: fixed` with an `angle` says that of a joint which turns")

@@ -114,8 +114,13 @@ def _units(mechanism: Mechanism, *units: str) -> str:
 
 
 def heads(mechanism: Mechanism) -> Iterator[Head]:
-    """Yield the blocks that the scene has; only those of closures if links have no masses."""
+    """Yield the blocks that the scene has; only those of closures if links have no masses.
+
+    Raises MassError if there are no closures then.
+    """
     unit = partial(_units, mechanism)
+    if not mechanism.rows:
+        mechanism.check_masses()
     if not mechanism.massless:
         yield from _heads_of_motion(mechanism)
     if mechanism.rows:

@@ -64,11 +64,13 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
 
     try:
         kept = {c: numbers(row) for c, row in parameters.kept.items()}
-        named = replace(with_kept(constants(numbers(parameters.scene)), kept), numeric=mechanism)
+        scene = numbers(parameters.scene)  # without masses its closures are asked for alone
+        scene = scene._replace(links=tuple(x._replace(has_mass=True) for x in scene.links))
+        named = with_kept(constants(scene), kept)
         ways = [Entries(named, couplings, partial(state, way)) for way in (False, True)]
         found = []
         known = list(heads(mechanism))
-        for head in (*known, _summed(mechanism, known)):
+        for head in known if mechanism.massless else (*known, _summed(mechanism, known)):
             written = [way.of(head.name) for way in ways]
             for way in written if head.name == "Q" or head.side == "sum" else ():
                 sign = 1 if head.name == "Q" else -1

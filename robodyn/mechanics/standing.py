@@ -53,16 +53,16 @@ def standing(mechanism: Mechanism) -> dict[int, Holds]:
     from robodyn.mechanics.mechanism import build
 
     scene = mechanism.description
-    steady = {c: x for c, y in enumerate(scene.couplings) if (x := _steady(y)) is not None}
-    if not (steady or scene.closures):
+    kept = {c: x for c, y in enumerate(scene.couplings) if (x := steady(y)) is not None}
+    if not (kept or scene.closures):
         return {}
     bare = tuple(
         link._replace(m=0.0, r=0j, I=0.0, payload=0.0, damping=0.0, friction=None, motor=None)
         for link in scene.links
     )
     none: dict[str, Any] = {"gravity": 0j, "field": None, "springs": (), "loads": ()}
-    alone = build(scene._replace(links=bare, couplings=tuple(steady.values()), **none))
-    numbers, closures = iter(steady), range(len(scene.closures))
+    alone = build(scene._replace(links=bare, couplings=tuple(kept.values()), **none))
+    numbers, closures = iter(kept), range(len(scene.closures))
     each = [row.closure for row in alone.rows]
     coupling = {r: next(numbers) for r, c in enumerate(each) if c is None}
     parts = [set[int](), *({c} for c in closures), {*closures}]
@@ -76,7 +76,7 @@ def standing(mechanism: Mechanism) -> dict[int, Holds]:
     return found
 
 
-def _steady(coupling: Coupling) -> Coupling | None:
+def steady(coupling: Coupling) -> Coupling | None:
     """A coupling that is linear in joints and keeps to that; None for a law that is not."""
     if coupling.law is None:
         return coupling

@@ -70,9 +70,9 @@ class Bar:
 
 
 class Joined(NamedTuple):
-    """A loop: a pin of link `first` is one of `second` (None: the ground), or on a line of it."""
+    """A loop: a pin of link `first` is one of `second`, or on a line of it; None is the ground."""
 
-    first: int
+    first: int | None
     second: int | None
     pin: str
     along: complex | None = None
@@ -283,8 +283,8 @@ class Drawing:
             elif link is not None and name in self.bars[link].pins:
                 limit = f"is a pin of {on} itself: a slot holds a pin of another link"
                 reader.fault(f"{place}.pin", found["pin"], limit, name)
-            elif name in self.z and not (self.holders[name] and self._moves(name)):
-                limit = "must be a pin of a link that moves"
+            elif name in self.z and not (self.holders[name] or name in self.fixed):
+                limit = "must be a pin of a link, or of the ground"
                 reader.fault(f"{place}.pin", found["pin"], limit, name)
         return Line(name, along, link) if len(reader.faults) == faults else None
 
@@ -393,8 +393,9 @@ class Drawing:
                     line = self.on_line[pin]
                     self.joined.append(Joined(k, None, pin, line.along))
         for line in self.slots:
-            self.joined.append(Joined(self._pinned(line.pin)[0], line.on, line.pin, line.along))
-        anchors = set(self._ends())
+            own = self._pinned(line.pin)[0] if self._moves(line.pin) else None
+            self.joined.append(Joined(own, line.on, line.pin, line.along))
+        anchors = {*self._ends(), *(line.pin for line in self.slots)}
         for pin in self.z:
             if not self.holders[pin] and not (pin in self.fixed and pin in anchors):
                 limit = "is on no link: name it in the pins of one, or leave it out"
@@ -467,7 +468,7 @@ class Drawing:
                 pairs.append((Scalar(pin, False, line), place))
         for key, value in given.pairs if given is not None else []:
             if key.text in self.z:
-                self.reader.fault(f"points.{key.text}", key, "is the name of a pin")
+                self.reader.fault(f"points.{key.text}", key, "is the name of a pin: take another")
             else:
                 pairs.append((key, self._named(value, moving=True)))
         return Mapping(pairs, 1) if pairs else None
@@ -542,15 +543,10 @@ class Drawing:
     def _closures(self) -> Node | None:
         items: list[Node] = []
         for first, second, pin, along in self.joined:
-            bar, z, line = (
-                self.bars[first],
-                self.z[pin],
-                self.bars[max(first, second or 0)].node.line,
-            )
-            own = _place(bar, z, line)
+            z, line = self.z[pin], self.bars[max(first or 0, second or 0)].node.line
+            own, side = (self._side(k, z, line) for k in (first, second))
             other = None if second is None else self.bars[second]
             if along is None:
-                side = _vector(z, line) if other is None else _place(other, z, line)
                 items.append(Sequence([own, side], line))
                 continue
             on: dict[str, Node] = {}
@@ -560,6 +556,10 @@ class Drawing:
             on |= {"through": _vector(z, line), "along": _vector(along, line)}
             items.append(_mapping({"point": own, "on": _mapping(on, line)}, line))
         return Sequence(items, self.root.line) if items else None
+
+    def _side(self, k: int | None, z: complex, line: int) -> Node:
+        """A place of the drawing on a link, or on the ground."""
+        return _vector(z, line) if k is None else _place(self.bars[k], z, line)
 
     def _start(self) -> Node:
         """The pose of the drawing: an angle, rad, or a displacement, m, of each joint."""

@@ -117,7 +117,7 @@ class GroundLine(Declared):
 class Slot(Declared):
     """A line of a link in a drawing."""
 
-    pin: ClassVar[Any] = key("name", "a pin of another link")
+    pin: ClassVar[Any] = key("name", "a pin of another link, or of the ground")
     on: ClassVar[Any] = key("name", "the link that has the slot")
     along: ClassVar[Any] = key("direction", "the slot's direction in the drawing, not [0, 0]")
 

@@ -72,8 +72,8 @@ class Places:
         if not re.fullmatch(_NAME, name, re.ASCII):
             return "must be a letter, then letters, digits, _ or -"
         if name in self.links:
-            return "is the name of a link"
-        return "is the name of a part of a link" if re.fullmatch(_PART, name) else ""
+            return "is the name of a link: take another"
+        return "is the name of a part of a link: take another" if re.fullmatch(_PART, name) else ""
 
 
 def places_of(description: Description) -> Places:
