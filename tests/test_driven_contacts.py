@@ -26,6 +26,16 @@ from robodyn.dynamics.closed_form import (
 from robodyn.runs.report import Outcome
 
 METHODS = ["DOP853", "taylor"]
+COMES_TO_REST = """
+gravity: 9.81
+links:
+  - {name: crank,   m: 0.6, l: 0.35, r: 0.15, I: 0.008}
+  - {name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102, friction: {torque: 0.3, static: 0.4}}
+  - {name: rocker,  m: 1.0, l: 0.80, r: 0.36, I: 0.061, from: [1.1, 0.0],
+     friction: {torque: 0.1, static: 0.4}}
+closures: [[coupler, rocker]]
+couplings: "q1 = 1 - exp(-20 t)"
+"""
 BEAD = """
 links:
   - {name: rod, m: 1.0, l: 1, r: 0.5, I: 0.1}
@@ -381,6 +391,19 @@ class TestFriction:
         motion = simulate(mech, q, loop_velocities(mech, q, []), 1.0, method=method)
         assert motion.outcome is Outcome.FINISHED
         assert motion.report.energy_drift < 1e-7
+
+    @pytest.mark.parametrize("method", METHODS)
+    def test_rates_below_rounding_are_quiet(self, method, recwarn):
+        """A crank comes to rest as exp(-20 t): no noise of slips is followed."""
+        mech = mechanism(COMES_TO_REST)
+        q = assemble(mech, [])
+        motion = simulate(mech, q, loop_velocities(mech, q, []), 10.0, method=method)
+        assert motion.outcome is Outcome.FINISHED
+        assert motion.report.steps < 100
+        assert motion.report.events.get("coupler stops", 0) == 0
+        assert not [x for x in recwarn if "too often" in str(x.message)]
+        assert motion.q[-1, 0] == pytest.approx(1.0, abs=1e-15)
+        assert motion.report.energy_drift < 1e-8
 
     def test_a_joint_beside_one_that_sticks_follows_the_law(self):
         """q1 sticks, and the law moves q2 from rest: it starts, and q1 keeps its place."""

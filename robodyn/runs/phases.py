@@ -212,9 +212,11 @@ class Phases:
             offset = min(here, 0.0)
             if self.idle or self.doubts:  # what is below the tolerance ended a phase at once
                 missed = max(least + offset, 0.0)
+        # along a law that comes to rest ever more slowly the sign of a rate is noise in the end
+        least_slip = SLOW * self.small if guard.kind == "slips" else 0.0
         return EventFunction(
             lambda t, y: self._but_for(missed, guard, values(t, y) - offset, y),
-            lambda t, y, _: ROUNDING * self._flat_size(guard, t, y),
+            lambda t, y, _: ROUNDING * self._flat_size(guard, t, y) + least_slip,
             f"{guard.kind} {guard.joint} {guard.side}",
             way=-1,
             strict=True,

@@ -409,6 +409,7 @@ class SeriesEngine:
             block[place["base_t"]] = t
             block[base : base + 2 * n] = [*values, *slopes]
         if code.close is not None and status == RUNNING:  # where another engine leads across
+            block[place["t_there"]] = t
             code.close(address)
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
