@@ -150,3 +150,20 @@ def test_rates_that_are_missing(robodyn: Run) -> None:
         line = ("fit", PENDULUM, "--match", "-", "--columns", columns, "--vary", "links.rod.r=0:1")
         line = (*line, "--vary", "links.rod.l=0.1:1") if columns == "rod_x" else line
         assert (told in robodyn(*line, *more, stdin=table).err) == warned
+
+
+def test_energies_are_fitted_if_they_are_named(robodyn, tmp_path) -> None:
+    """A link's mass and its centre, of the energies alone; --match by itself skips them."""
+    run = tmp_path / "run.csv"
+    given = ("--q", "0,0.5", "--tau", "2*sin(3*t),1", "--time", "1", "--points", "21", "--quiet")
+    states = robodyn("simulate", "2r", *given).succeeds().out
+    rows = robodyn("energy", "2r", "-", "--columns", "q,qd,KE,PE", stdin=states).succeeds().out
+    run.write_text(rows)
+    vary = ("--vary", "links.forearm.m=0.5:1.5", "--vary", "links.forearm.r=0.1:0.4")
+    fit = ("fit", "2r", "--set", "links.forearm.m=1.2", "--match", str(run), *vary, "--quiet")
+    found = robodyn(*fit, "--columns", "KE,PE").json
+    assert found["numbers"]["links.forearm.m"] == pytest.approx(0.9, rel=1e-6)
+    assert found["numbers"]["links.forearm.r"] == pytest.approx(0.25, rel=1e-6)
+    refused = robodyn(*fit)
+    assert refused.code == 2
+    assert "has no column that can be fitted besides" in refused.err

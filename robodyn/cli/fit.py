@@ -32,7 +32,7 @@ from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source, remarks, tell_unknown_contacts
-from robodyn.dynamics.columns import result_names, scene_units, unit_of
+from robodyn.dynamics.columns import column_names, result_names, scene_units, unit_of
 from robodyn.engines.expression import tangents
 from robodyn.errors import InputError, at_place, named_options
 from robodyn.mechanics.actuation import expressions
@@ -68,6 +68,9 @@ class FitRows(NamedTuple):
     names: list[str]
     known: Array
     source: str = ""
+
+
+ENERGIES = ("KE", "PE", "energy")  # which are computed, of masses that may be those to find
 
 
 class FitTable:
@@ -168,14 +171,17 @@ class FitTable:
             whole = {f"{kind}{k + 1}" for k in range(self.mechanism.n)}
             # what follows in a table of whole states is the old scene's
             given |= whole if self.moving or whole <= set(header) else set()
-        found = [x for x in header if x not in given and self.formulas.serves(x)]
+        energies = set(column_names(self.mechanism, ENERGIES)) - given
+        found = [x for x in header if x not in given | energies and self.formulas.serves(x)]
         if not found:
             limit = "has no column that can be fitted besides; "
             limit += f"the header has {columns_told(header)}"
             raise InputError("--match", where=name, limit=limit)
-        left = [x for x in header if x not in given and x not in found]
+        left = [x for x in header if x not in given | energies and x not in found]
         if left:
             note(f"{name}: {', '.join(left)}: not fitted, as these are no columns of a state")
+        if told := [x for x in header if x in energies]:
+            note(f"{name}: {', '.join(told)}: not fitted, unless --columns names them")
         return found
 
 

@@ -17,7 +17,7 @@ from robodyn.cli.files import named as not_empty
 from robodyn.cli.files import output_file
 from robodyn.cli.large_angles import tell_large_angles
 from robodyn.cli.options import Model, Number, Quiet, Text, option, refuse
-from robodyn.cli.output import chosen_names, note, told
+from robodyn.cli.output import chosen_names, names_in, note, told
 from robodyn.cli.progress import progress
 from robodyn.cli.simulate import (
     EVENT,
@@ -30,7 +30,8 @@ from robodyn.cli.simulate import (
 )
 from robodyn.cli.states import remarks, tell_unknown_contacts
 from robodyn.control.laws import controller
-from robodyn.dynamics.columns import scene_units
+from robodyn.dynamics.columns import declared, scene_units
+from robodyn.dynamics.state import find
 from robodyn.errors import InputError, named_options
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs.motion_columns import check_span
@@ -42,6 +43,7 @@ from robodyn.sweeps.sweep_chunks import Rows
 from robodyn.sweeps.sweep_plan import EVENTS, RESULTS, Axis, Plan, check
 from robodyn.sweeps.sweep_request import Acting, Kind, SweepRequest, lacks_machine_code
 from robodyn.sweeps.sweep_workers import PATIENCE, results, without_remarks
+from robodyn.tables.csv_fields import shown
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.summaries import correlations
 from robodyn.tables.table_writer import Writer
@@ -211,7 +213,7 @@ def sweep(
         note("Note: the extra `fast` (pip install '.[fast]') makes this hundreds of times faster")
     units, values = dict(scene_units(plan.mechanism)), model.values()
     units |= {x.name: values.unit(x.name) for x in plan.variation.axes if x.name in values}
-    only = None if columns is None else chosen_names(columns, plan.columns())
+    only = None if columns is None else _chosen(plan, columns)
     tell_unknown_contacts(plan.mechanism, plan.columns())
     lines = _Lines(plan.columns(), units, only)
     outcomes: Counter[str] = Counter()
@@ -247,6 +249,17 @@ def sweep(
         _summary(plan, outcomes, time.perf_counter() - begun)
     if seen and outcomes.total() == size:
         _tell_what_matters(plan, seen)
+
+
+def _chosen(plan: Plan, text: str) -> list[str]:
+    """The names of --columns among the sweep's own; one of a state must be a result first."""
+    own = plan.columns()
+    for name in (x for x in names_in(text) if x not in own and declared(x)):
+        if find(plan.mechanism, name, []):
+            result = f"max({name})" if plan.rows or plan.kind == "motion" else name
+            limit = f"is a column of states: compute it, --result {result}"
+            raise InputError("--columns", value=shown(name), limit=limit)
+    return chosen_names(text, own)
 
 
 def _tell_what_matters(plan: Plan, seen: list[Any]) -> None:

@@ -607,9 +607,11 @@ def declared(name: str) -> tuple[Family, str] | None:
 
 def _results_of(name: str) -> Iterator[tuple[Family, str, str]]:
     """The families of results that may have the column, its unit, and the column that it is of."""
-    for pattern, family, unit in _OF_COLUMN:
-        if match := pattern.fullmatch(name):
-            yield family, unit, match[1]
+    for (before, behind), family, unit in _OF_COLUMN:
+        if name.startswith(before) and name.endswith(behind):
+            inner = name[len(before) : len(name) - len(behind)]
+            if before + inner + behind == name:  # the two do not overlap
+                yield family, unit, inner
 
 
 def _declared_itself(name: str) -> tuple[Family, str] | None:
@@ -639,14 +641,13 @@ def family_of(mechanism: Mechanism, name: str, points: Sequence[NamedPoint] = ()
 _WHOLE: dict[str, tuple[Family, str]] = {}
 _NUMBERED: dict[str, tuple[Family, str]] = {}  # less their numbers
 _SUFFIXES: dict[str, tuple[Family, str]] = {}  # of points, less theirs
-_OF_COLUMN: list[tuple[re.Pattern[str], Family, str]] = []  # results of others
+_OF_COLUMN: list[tuple[list[str], Family, str]] = []  # results of others: what is beside X
 _ends = []
 for _family in (x for x in FAMILIES.values() if not x.common):
     for _word, _unit in _family.each:
         _stem = re.sub(r"\{\w\}$", "", _word)
         if "{X}" in _word and "{N}" not in _word:
-            _pattern = re.escape(_word).replace(re.escape("{X}"), "(.+)")
-            _OF_COLUMN.append((re.compile(_pattern), _family, _unit))
+            _OF_COLUMN.append((_word.split("{X}"), _family, _unit))
         elif _stem.startswith("{P}_"):
             _stem = _stem.removeprefix("{P}_")
             _SUFFIXES[_stem] = _family, _unit

@@ -1,4 +1,4 @@
-"""Columns of `points`, `torque` and `reactions` as formulas of a state and of a scene's numbers.
+"""Columns of states as formulas of a state and of a scene's numbers.
 
 Inputs are q, qd, qdd, the forces f = (tau of actuated joints, lambda), the time, and the changes
 p of named numbers.
@@ -21,7 +21,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import chain, pairwise
+from itertools import chain, combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -40,7 +40,7 @@ from robodyn.engines import expression
 from robodyn.engines.array_blocks import ArrayFormula
 from robodyn.engines.expression import Expression, Graph, Value, slopes_by, substituted, tangents
 from robodyn.engines.factors import Factors
-from robodyn.engines.formulas import Recorded, balance, evaluated, joint_jacobian
+from robodyn.engines.formulas import Recorded, balance, energies, evaluated, joint_jacobian
 from robodyn.errors import InputError
 from robodyn.loops.assembly import assemble
 from robodyn.loops.assembly_plan import Plan, Step, assembly_plan
@@ -58,9 +58,18 @@ from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 
-PARTS = [word.removeprefix("{P}_") for word, _ in FAMILIES["points"].each]
+PARTS = [
+    word.removeprefix("{P}_")
+    for family in ("points", "manipulability", "kappa")
+    for word, _ in FAMILIES[family].each
+]
 _SLOPE = re.compile("J([xy])([1-9][0-9]*)", re.ASCII)
 _RELATION = re.compile(r"<=|>=|==|<|>")
+
+
+def _zero(value: Any) -> bool:
+    """Whether a formula is zero in all states."""
+    return not isinstance(value, Expression) and not value
 
 
 class ColumnFormulas:
@@ -185,6 +194,11 @@ class ColumnFormulas:
             "shaking": [taken("shaking", i, "real") for i in range(3)],
             "transmission": [partial(self._transmission, c) for c in transmission_loops(mechanism)],
             "contacts": [partial(self._pressed, k) for k in range(len(cams_of(mechanism)))],
+            "centres": [partial(self._centre, k, part) for k in range(n) for part in (0, 1)],
+            "places": [*self._places()],
+            "KE": [lambda: self._energies[0]],
+            "PE": [lambda: self._energies[1]],
+            "energy": [lambda: self._energies[0] + self._energies[1]],
         }
         found = {
             name: make
@@ -222,9 +236,18 @@ class ColumnFormulas:
             units, moved = self._units.get(int(slope[2]) - 1), self.moved(point.point, 1)
             along = moved.real if slope[1] == "x" else moved.imag
             return None if units is None else substituted([along], units)[0]
-        moved = self.moved(
-            point.point, (len(part) - 1) if part in "xy" else "va".index(part[0]) + 1
-        )
+        if part == "manipulability":
+            moved = self.moved(point.point, 1)
+            ways = [substituted([moved.real, moved.imag], x) for x in self._units.values()]
+            minors = ((a[0] * b[1] - a[1] * b[0]) ** 2 for a, b in combinations(ways, 2))
+            squares = sum(minors, 0.0)
+            return None if _zero(squares) else expression.call("sqrt", squares)
+        if part == "kappa":
+            v, a = (self.moved(point.point, order) for order in (1, 2))
+            vx, vy, ax, ay = substituted([v.real, v.imag, a.real, a.imag], self._along)
+            speed = expression.power(vx**2 + vy**2, 1.5)
+            return None if _zero(speed) else expression.divide(vx * ay - vy * ax, speed)
+        moved = self.moved(point.point, 0 if part in "xy" else "va".index(part[0]) + 1)
         return moved.real if part[-1] == "x" else moved.imag  # type: ignore[no-any-return]
 
     @cached_property
@@ -233,7 +256,25 @@ class ColumnFormulas:
 
         The others' v, of least length, follow from Psi v = -Psi_k.
         """
-        rates, driven = self.state.inputs[self.mechanism.n :], self.mechanism.actuated
+        driven = self.mechanism.actuated
+        return {k: self._following({k: 1.0}, [-row[k] for row in self.Psi]) for k in driven}
+
+    def _following(self, given: Mapping[int, float], right: Sequence[Value]) -> dict[str, Value]:
+        """The rates v of all joints, by their names: actuated ones are given, else zero.
+
+        The passive ones', of least length, follow from Psi v = right.
+        """
+        rates = self.state.inputs[self.mechanism.n :]
+        factors, passive = self._factors
+        values: dict[int, Value] = dict.fromkeys(range(self.mechanism.n), 0.0)
+        values |= given
+        values |= dict(zip(passive, factors.solve([0.0] * len(passive) + [*right]), strict=False))
+        return {rates[j]: values[j] for j in values}
+
+    @cached_property
+    def _factors(self) -> tuple[Factors, list[int]]:
+        """The factors for `_following`, and the passive joints."""
+        driven = self.mechanism.actuated
         passive = [k for k in range(self.mechanism.n) if k not in driven]
         count = len(passive)
         matrix: list[dict[int, Value]] = [{i: 1.0} for i in range(count)]
@@ -242,12 +283,7 @@ class ColumnFormulas:
             for i, k in enumerate(passive):
                 if isinstance(row[k], Expression) or row[k]:
                     matrix[i][r] = matrix[r][i] = row[k]
-        factors, found = Factors(matrix, count), {}
-        for k in driven:
-            each = factors.solve([0.0] * count + [-row[k] for row in self.Psi])
-            values = {k: 1.0, **dict(zip(passive, each, strict=False))}
-            found[k] = {rates[j]: values.get(j, 0.0) for j in range(self.mechanism.n)}
-        return found
+        return Factors(matrix, count), passive
 
     def _ratio(self, name: str) -> Value | None:
         """The rate of a link over that of another; of one freedom, at any rate."""
@@ -257,9 +293,50 @@ class ColumnFormulas:
             return None
         slides, qd = self.mechanism.slides, self.state.relative["qd"]
         both = [qd[k] if k in slides else self._turn(k, 1) for k in (ratio.of, ratio.over)]
-        if len(self._units) == 1 and not self.mechanism.driven:
-            both = substituted(both, next(iter(self._units.values())))
+        both = substituted(both, self._along)
         return expression.multiply(both[0], 1.0 / both[1])
+
+    @cached_property
+    def _along(self) -> dict[str, Value]:
+        """Rates and accelerations of the path, by name: of one freedom those at its rate 1."""
+        if len(self._units) != 1 or self.mechanism.driven:
+            return {}
+        ((joint, rates),) = self._units.items()
+        still = rates | {name.replace("qd", "qdd"): 0.0 for name in rates}
+        bend = substituted(self.gap_bend, still)
+        found = self._following({joint: 0.0}, [-x for x in bend])
+        return rates | {name.replace("qd", "qdd"): x for name, x in found.items()}
+
+    def _centre(self, k: int, part: int) -> Value | None:
+        """The instant centre of a link: c = p + i v/w, of its tip p."""
+        tip, w = self.named.tips[k], self._turn(k, 1)
+        p, v = self.moved(tip, 0), self.moved(tip, 1)
+        w, vx, vy = substituted([w, v.real, v.imag], self._along)
+        if _zero(w):
+            return None
+        place: Value = p.imag if part else p.real
+        return place + expression.divide(vx if part else -vy, w)
+
+    def _places(self) -> Iterator[Callable[[], Value]]:
+        """What makes the columns of the joint, tip and centre of each link."""
+
+        def made(point: PlanarPoint, order: int, part: str) -> Value:
+            found: Value = getattr(self.moved(point, order), part)
+            return found
+
+        named = self.named
+        for k, points in enumerate(zip(named.pivots, named.tips, named.centres, strict=True)):
+            there = points[: 2 if k in self.mechanism.massless else 3]
+            for point in there:
+                yield from (
+                    partial(made, point, order, x) for order in (0, 1) for x in ("real", "imag")
+                )
+
+    @cached_property
+    def _energies(self) -> tuple[Value, Value]:
+        relative = self.state.relative
+        KE, PE = energies(self.named, lambda x: x, relative["q"], relative["qd"])
+        return KE, PE + self.named.energy_offset
 
     def _pressed(self, k: int) -> Value:
         found: Value = self._felt.contacts[k].pressed

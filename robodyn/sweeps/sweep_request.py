@@ -8,9 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
 from robodyn.control.tracking import ReferenceTable
 from robodyn.dynamics.columns import scene_units, unit_of
-from robodyn.dynamics.joint_vectors import vector_of_joints
+from robodyn.dynamics.joint_vectors import driver_of, full, vector_of_joints
 from robodyn.engines import machine
 from robodyn.errors import InputError, named_options, nearest_first
 from robodyn.loops.assembly_plan import with_independent
@@ -34,6 +36,7 @@ from robodyn.sweeps.sweep_plan import (
     spaced,
     stepped,
 )
+from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 
 MOST_VALUES = 10_000_000  # of one --vary
@@ -114,6 +117,7 @@ def plan_of(
     vectors: dict[str, Any] = {
         name: _values(mechanism, name, getattr(given, name)) for name in ("q", "qd", "qdd", "tau")
     }
+    _check_whole(mechanism, given)
     acting = Acting(given.duration) if acts is None else acts(mechanism, axes)
     reference = acting.track or dict(acting.control).get("reference")
     if reference is not None and acting.follows:
@@ -205,6 +209,18 @@ def _events(mechanism: Mechanism, given: SweepRequest, wanted: bool) -> tuple[tu
         option = "--result" if wanted else "--event"
         raise InputError(option, value=EVENTS if wanted else None, limit=f"needs {missing}")
     return events
+
+
+def _check_whole(mechanism: Mechanism, given: SweepRequest) -> None:
+    """Raise InputError for q, qd and qdd of all joints that do not keep the closures."""
+    known: dict[str, tuple[Array, bool]] = {}
+    for name in ("q", "qd", "qdd"):
+        if (text := getattr(given, name)) is None:
+            break
+        values = np.array(vector_of_joints(driver_of(mechanism, name), text, name, f"--{name}"))
+        known[name] = values, len(values) == mechanism.n
+    if mechanism.rows and any(whole for _, whole in known.values()):
+        full(mechanism, known, place="--q", t=0.0)
 
 
 def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, ...]:
