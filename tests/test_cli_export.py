@@ -49,6 +49,9 @@ def test_mjcf_of_every_scene(robodyn: Run, name: str) -> None:
     if any(place.startswith("loads") for place, _ in signals_of(mechanism.description)):
         given.fails(2, f"robots/{name}.yaml: loads[0]", "MJCF has constant loads alone")
         return
+    if mechanism.description.field is not None:
+        given.fails(2, f"robots/{name}.yaml: gravity[1]", "MJCF has constant gravity alone")
+        return
     model = read_mjcf(given.out)
     if not mechanism.rows:
         assert (given.code, given.err, model.keys) == (0, "", {})

@@ -694,6 +694,26 @@ def test_a_slot_over_a_pin_of_the_ground() -> None:
         assert tau[0] == pytest.approx(slope, abs=1e-6)
 
 
+def test_a_direction_along_a_link_has_no_rounding() -> None:
+    """Slots and slides along a link: what is rounding would be terms of the equations."""
+    for seed in range(20):
+        rng = random.Random(seed)
+        Q, B, A = (complex(rng.uniform(-9, 9), rng.uniform(-9, 9)) for _ in range(3))
+        way, turn = B - Q, 1j * (B - Q)
+        text = f"""\
+pins: {{Q: [{Q.real}, {Q.imag}], B: [{B.real}, {B.imag}], A: [{A.real}, {A.imag}], O: [0, 0]}}
+links:
+  - {{name: lever, pins: [Q, B]}}
+  - {{name: rod, pins: [B], along: [{way.real}, {way.imag}]}}
+  - {{name: crank, pins: [O, A]}}
+ground: [Q, O]
+slots: [{{pin: A, on: lever, along: [{turn.real}, {turn.imag}]}}]
+"""
+        scene = built(text).description
+        assert scene.links[1].axis == 1
+        assert scene.closures[0].along == 1j
+
+
 def test_a_slot_over_a_pin_that_nothing_has() -> None:
     text = SWINGING.replace("ground: [O, G]", "ground: [O]")
     with pytest.raises(DescriptionError) as caught:

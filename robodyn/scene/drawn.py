@@ -68,6 +68,14 @@ class Bar:
         x, y = (0.0 if abs(part) <= rounding else part for part in (own.real, own.imag))
         return complex(x, y)
 
+    def way(self, along: complex) -> complex:
+        """A unit vector of the drawing in the link's frame; what is rounding is zero."""
+        far = 0.0 if self.tip is None else (abs(self.tip) + abs(self.origin)) / self.length
+        own, rounding = along * self.turn.conjugate(), ROUNDING * (1.0 + far)
+        if abs(own.imag) <= rounding:
+            return complex(math.copysign(1.0, own.real))
+        return 1j * math.copysign(1.0, own.imag) if abs(own.real) <= rounding else own
+
 
 class Joined(NamedTuple):
     """A loop: a pin of link `first` is one of `second`, or on a line of it; None is the ground."""
@@ -528,12 +536,10 @@ class Drawing:
             _vector(bar.origin, line) if above is None else _place(above, bar.origin, line)
         )
         if bar.welded:
-            own = 1.0 if above is None else above.turn
-            found["angle"] = _number(cmath.phase(bar.turn * own.conjugate()), line)
+            found["angle"] = _number(cmath.phase(above.way(bar.turn) if above else bar.turn), line)
         elif bar.along is not None:
             found["joint"] = Scalar("prismatic", False, line)
-            axis = bar.along if above is None else bar.along * above.turn.conjugate()
-            found["axis"] = _vector(axis, line)
+            found["axis"] = _vector(above.way(bar.along) if above else bar.along, line)
         if "centre" in bar.given:
             node = bar.given["centre"]
             centre = self.reader.vector(node, f"{bar.place}.centre", "m")
@@ -552,7 +558,7 @@ class Drawing:
             on: dict[str, Node] = {}
             if other is not None:
                 on["link"] = Scalar(other.name, True, line)
-                z, along = other.at(z), along * other.turn.conjugate()
+                z, along = other.at(z), other.way(along)
             on |= {"through": _vector(z, line), "along": _vector(along, line)}
             items.append(_mapping({"point": own, "on": _mapping(on, line)}, line))
         return Sequence(items, self.root.line) if items else None
@@ -565,8 +571,8 @@ class Drawing:
         """The pose of the drawing: an angle, rad, or a displacement, m, of each joint."""
         found: dict[str, Node] = {}
         for bar in (x for x in self.bars if not x.welded):
-            above = 1.0 if bar.above is None else self.bars[bar.above].turn
-            q = 0.0 if bar.along else cmath.phase(bar.turn * above.conjugate())
+            above = None if bar.above is None else self.bars[bar.above]
+            q = 0.0 if bar.along else cmath.phase(above.way(bar.turn) if above else bar.turn)
             found[bar.name] = _number(q, bar.node.line)
         return _mapping(found, self.root.line)
 
