@@ -152,7 +152,7 @@ class TestClosedForms:
         known = [0.04934557842754028, 0.4969894602301711, 1.041742524885421, 0.3739110272653612]
         assert np.ravel(place) == pytest.approx(known, abs=1e-11)
         known = [-0.0770583684040972, 0.0074468665872377, 0.0175568157537232, 0.770341043779252]
-        assert np.ravel(speed) == pytest.approx(known, abs=1e-9)
+        assert np.ravel(speed) == pytest.approx(known, abs=1e-11)
 
     def test_an_arm_on_a_floating_base(self):
         """Nothing acts from without: momentum and moment of momentum stay what they are."""
