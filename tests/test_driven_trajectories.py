@@ -84,13 +84,25 @@ def test_a_limit_on_torque_is_told_at_its_time(robodyn, scene):
 
 def test_what_is_refused_names_the_law(robodyn, scene):
     path, trip = scene(ROD), ["--from", "0.1", "--to", "0.3"]
-    for rest in (
-        [*trip, "--time", "min", "--max-qd", "1"],
-        ["--from", "0.1", "--of", "bead", "--to-xy", "0.2,0.1", "--time", "1"],
+    led = ["--from", "0.1", "--of", "bead"]
+    aims, kept = ["--track", "-"], ["--q", "0.1", "--kp", "1", "--kd", "1"]
+    for option, command, *rest in (
+        ("--time min", "trajectory", *trip, "--time", "min", "--max-qd", "1"),
+        ("--to-xy", "trajectory", *led, "--to-xy", "0.2,0.1", "--time", "1"),
+        ("--arc", "trajectory", *led, "--arc", "0,0:30deg", "--time", "min", "--max-qd", "1"),
+        ("--path", "trajectory", *led, "--path", "-", "--time", "1"),
+        ("--control pd", "simulate", "--control", "pd", *aims, *kept),
+        ("--control pid", "simulate", "--control", "pid", "--hold", "1", *kept),
+        ("--control pd", "sweep", "--vary", "q2=1,2", "--control", "pd", *aims, *kept[2:]),
+        ("linearize", "linearize", "--q", "0.1"),
+        ("equilibrium", "equilibrium"),
+        ("--range and --to-xy", "assemble", "--range"),
+        ("--range and --to-xy", "assemble", "--of", "bead", "--to-xy", "0.2,0.1"),
     ):
-        given = robodyn("trajectory", path, *rest)
+        given = robodyn(command, path, *rest, stdin="t,q2\n0,0.1\n1,0.2\n")
         assert given.code == 2
-        assert "couplings[0] = 3 rad/s t + 0.2 sin(t)" in given.err
+        told = "couplings[0] = 3 rad/s t + 0.2 sin(t): is a law of the time"
+        assert f"{told}, which {option} cannot take" in given.err
     with pytest.raises(InputError, match="law of the time"):
         shortest_motion(mechanism(ROD), [[0.1], [0.3]], max_qd=1.0)
     with pytest.raises(InputError, match="law of the time"):

@@ -2,12 +2,21 @@
 
 import json
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from robodyn import assemble, load, loop_velocities, simulate
+from robodyn import (
+    assemble,
+    coupling_torques,
+    forward_dynamics_and_forces,
+    load,
+    loop_velocities,
+    simulate,
+)
 from robodyn.dynamics import identities
 from robodyn.engines.coupling_laws import law_derivatives
 from robodyn.errors import InputError, LawError
@@ -112,13 +121,31 @@ def test_a_cart_follows_a_table(cart, method):
     t = np.linspace(0, 4, 41)
     spline = CubicSpline(t, 0.3 * np.sin(2 * t), bc_type="not-a-knot")
     np.testing.assert_allclose(motion.q[:, 0], spline(motion.t), atol=1e-13)
+    # the pole, I a'' = m r (x'' sin a - g cos a), from row to row
+    m, r, inertia, y = 0.5, 0.3, 0.015 + 0.5 * 0.3**2, np.array([q[1], 0.0])
+
+    def turned(at, y):
+        return m * r * (spline(at, 2) * np.sin(y[0]) - 9.81 * np.cos(y[0])) / inertia
+
+    for begin, end in pairwise(t.tolist()):
+        step = solve_ivp(
+            lambda at, y: [y[1], turned(at, y)], (begin, end), y, "DOP853", rtol=1e-12, atol=1e-12
+        )
+        y = step.y[:, -1]
+    near = 1e-6 if method == "Radau" else 1e-7
+    np.testing.assert_allclose([motion.q[-1, 1], motion.qd[-1, 1]], y, atol=near)
+    _, lam, _ = forward_dynamics_and_forces(mech, motion.q, motion.qd, 0 * motion.q, motion.t)
+    a, w = motion.q[:, 1], motion.qd[:, 1]
+    pull = (turned(motion.t, [a]) * np.sin(a) + w * w * np.cos(a)) * m * r
+    force = 2.5 * spline(motion.t, 2) - pull
+    np.testing.assert_allclose(coupling_torques(mech, lam)[:, 0], force, atol=1e-8)
     assert np.isin(np.round(t, 12), np.round(motion.t, 12)).all()
     with pytest.raises(InputError, match=r"rows of cart\.csv must cover the simulation, 0 to 5 s"):
         simulate(mech, q, qd, 5.0)
 
 
 def test_the_identities_hold(cam, cart):
-    for path in (cam(lambda x: 0.02 * (1 - np.cos(x))),):
+    for path in (cam(lambda x: 0.02 * (1 - np.cos(x))), cart):
         mech = load(path)
         for x in identities.identities(mech, identities.sample_states(mech, 20)):
             assert x.residual is not None, x

@@ -55,6 +55,7 @@ from robodyn.errors import AssemblyError, InputError, RobodynError, at_place, na
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.voltages import voltages
 from robodyn.runs.event_functions import named_events
@@ -267,9 +268,11 @@ def controlled(
     if not given:
         limit = f"missing: --control {law} needs it"
         raise InputError(" or ".join(f"--{aim}" for aim in aims), limit=limit)
+    believed = None if options.control_model is None else load_scene(options.control_model)
+    for x in (mechanism, believed or mechanism):
+        refuse_driven(x, f"--control {law}")
     if not mechanism.actuated:
         raise InputError("--control", where=mechanism.source, limit="no joint is actuated")
-    believed = None if options.control_model is None else load_scene(options.control_model)
     gains: dict[str, Any] = {
         name: (
             joint_values(mechanism, text, "tau", "--tau-max")

@@ -32,7 +32,7 @@ from robodyn.dynamics.state import State, find
 from robodyn.dynamics.sticking import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError, at_place, named_options, overflow
 from robodyn.mechanics.actuation import for_each_actuated
-from robodyn.mechanics.driven import check_torques
+from robodyn.mechanics.driven import check_torques, refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs.settings import EvenTimes
 from robodyn.scene.quantities import parse_vector, value_from
@@ -316,6 +316,7 @@ def task_motion(
     others = (*named[1:], "to", "via", "speed", "turns")
     flag = "--" + named[0].replace("_", "-")
     refuse(f"does not go with {flag}", **{x: getattr(given, x) for x in others})
+    refuse_driven(mechanism, flag)
     for name in ("of", "from_"):
         if getattr(given, name) is None:
             which = "the point that is led" if name == "of" else "the pose that it begins from"
@@ -505,6 +506,8 @@ def _motion(
 ) -> ReferenceMotion:
     """The motion that the options describe, in `duration` (s; NaN: in the shortest)."""
     minimal = duration is not None and math.isnan(duration)
+    if minimal and not given.task:
+        refuse_driven(mechanism, "--time min")
 
     def along(path: JointPath, q: Array, duration: float, begin: float = 0.0) -> ReferenceMotion:
         if minimal:

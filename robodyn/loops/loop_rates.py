@@ -168,7 +168,7 @@ def check_closed(
         check_laws(mechanism, q, None, np.broadcast_to(np.asarray(t, float), q.shape[:-1]))
     sizes, at = _sizes(mechanism), placed(mechanism, q)
     opening = gap_at(mechanism, mechanism.arrays, at, t) + _turned_over(mechanism, at)
-    fault = _first_open(mechanism, "position", "m", opening, loop_size(mechanism), q, t)
+    fault = _first_open(mechanism, "position", "m", opening, loop_size(mechanism), q, q, t)
     if fault is not None or qd is None:
         return fault
     rates, Psi = absolute_rates(mechanism, qd), absolute_jacobian(mechanism, at, t)
@@ -177,7 +177,7 @@ def check_closed(
     if mechanism.driven:
         drift = drift_at(mechanism, at, t)
         opening, size = opening + drift, size + np.abs(drift)
-    fault = _first_open(mechanism, "velocity", "m/s", opening, size, q, t)
+    fault = _first_open(mechanism, "velocity", "m/s", opening, size, q, qd, t)
     if not mechanism.driven:
         fault = fault or _first_impossible(mechanism, q, np.asarray(qd, float), Psi)
     if fault is not None or qdd is None:
@@ -188,7 +188,7 @@ def check_closed(
     if mechanism.laws:
         size = size + np.abs(bias)
     bending = matvec(Psi, turning) + bias
-    return _first_open(mechanism, "acceleration", "m/s^2", bending, size, q, t)
+    return _first_open(mechanism, "acceleration", "m/s^2", bending, size, q, qdd, t)
 
 
 def _first_open(
@@ -198,18 +198,23 @@ def _first_open(
     gap: Array,
     size: Array | float,
     q: Array,
+    given: Array,
     t: ArrayLike,
 ) -> tuple[int, InputError] | None:
-    """Return index and error of the first state with a gap (..., r) beyond tolerance."""
+    """Return index and error of the first state with a gap (..., r) beyond tolerance.
+
+    `given` (..., n) are the joint values that cause the gap.
+    """
     wrong = np.abs(gap) > GAP_ALLOWED * size
     if not wrong.any():
         return None
     state = int(np.flatnonzero(wrong.any(axis=-1))[0])
     most = np.broadcast_to(GAP_ALLOWED * size, gap.shape).reshape(-1, gap.shape[-1])[state]
     open = gap.reshape(-1, gap.shape[-1])[state]
-    at = np.broadcast_to(q, (*gap.shape[:-1], mechanism.n)).reshape(-1, mechanism.n)[state]
+    each = np.broadcast_arrays(q, given, np.empty((*gap.shape[:-1], mechanism.n)))
+    at, own = (x.reshape(-1, mechanism.n)[state] for x in each[:2])
     now = float(np.broadcast_to(np.asarray(t, float), gap.shape[:-1]).ravel()[state])
-    return state, _open(mechanism, open, what, unit, float(most.min()), at, now)
+    return state, _open(mechanism, open, what, unit, float(most.min()), (at, own, now))
 
 
 def _first_impossible(
@@ -274,9 +279,18 @@ def _turned_over(mechanism: Mechanism, at: Placed) -> Array | float:
 
 
 def _open(
-    mechanism: Mechanism, gap: Array, what: str, unit: str, most: float, q: Array, t: float
+    mechanism: Mechanism,
+    gap: Array,
+    what: str,
+    unit: str,
+    most: float,
+    state: tuple[Array, Array, float],
 ) -> InputError:
-    """Return the error for a state q (n,) whose closures or couplings are open by `gap` (r,)."""
+    """Return the error for a state whose closures or couplings are open by `gap` (r,).
+
+    `state` is q (n,), the joint values (n,) that cause the gap, and t.
+    """
+    q, given, t = state
     limit = "give a closed motion of this mechanism, or the actuated joints only "
     limit += "(the rest is assembled)"
     pins = [k for k, row in enumerate(mechanism.rows) if row.closure is not None]
@@ -292,10 +306,13 @@ def _open(
     joint = mechanism.description.couplings[worst].joint
     own = unit if joint in mechanism.slides else unit.replace("m", "rad", 1)
     law = mechanism.description.couplings[worst].law
-    if law is not None and what == "position":
-        wanted = float(law_values(mechanism, worst, q, t))
+    if law is not None:
+        wanted = float(given[joint] - (gap / arms)[worst + len(pins)])
+        if what == "position":  # but for what rounding takes of the difference
+            wanted = float(law_values(mechanism, worst, q, t))
+        by = "" if what == "position" else f"{what} by its "
         when = f" at t = {t:.9g} s" if "t" in law.names else ""
-        limit = f"its law {law.text} is {wanted:.9g} {own}{when}; {limit}"
+        limit = f"its {by}law {law.text} is {wanted:.9g} {own}{when}; {limit}"
     return InputError(
         f"coupling {worst + 1} does not hold: q{joint + 1} is off in {what}",
         value=f"{turns.max():.6g} {own}",

@@ -356,7 +356,7 @@ def task_of(mechanism: Mechanism, of: NamedPoint, angle: bool = False) -> Task:
     Raises InputError if fewer freedoms than coordinates move the point, or if joints are not
     actuated.
     """
-    refuse_driven(mechanism, "a trajectory")
+    refuse_driven(mechanism, "a path of a point")
     check_driven(mechanism)
     described, n = mechanism.description, mechanism.n
     # the second is turned so that its frame is X's
