@@ -714,6 +714,23 @@ slots: [{{pin: A, on: lever, along: [{turn.real}, {turn.imag}]}}]
         assert scene.closures[0].along == 1j
 
 
+def test_a_pin_that_goes_along_with_a_link_further_down() -> None:
+    text = """\
+pins: {Q: [0, 0], C: [0.3, -0.2], B: [0.6, 0.18]}
+links:
+  - {name: boom, pins: [Q, B]}
+  - {name: tube, pins: [C, B]}
+  - {name: rod, pins: [C, B], along: [0.3, 0.38]}
+ground: [Q, C]
+"""
+    with pytest.raises(DescriptionError) as caught:
+        from_text(text, "x.yaml")
+    told = (
+        "links[1] (tube).pins: begins with C, which goes along with rod, though the ground has it"
+    )
+    assert told in str(caught.value)
+
+
 def test_a_slot_over_a_pin_that_nothing_has() -> None:
     text = SWINGING.replace("ground: [O, G]", "ground: [O]")
     with pytest.raises(DescriptionError) as caught:

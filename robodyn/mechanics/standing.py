@@ -17,7 +17,7 @@ import numpy as np
 
 from robodyn.scene.expressions import NotLinearError, linear
 from robodyn.scene.scene import Coupling, Description, Law
-from robodyn.tables.arrays import Array
+from robodyn.tables.arrays import Array, Complex
 
 if TYPE_CHECKING:
     from robodyn.mechanics.planar_model import Mechanism
@@ -47,8 +47,8 @@ class Holds(NamedTuple):
 def standing(mechanism: Mechanism) -> dict[int, Holds]:
     """Return the links that stand still, each with what holds it.
 
-    Each closure is tried alone before all of them together: what one loop holds is found too where
-    others cannot close.
+    Each closure is tried alone before those that share links with it: what one loop holds is found
+    too where others cannot close.
     """
     from robodyn.mechanics.mechanism import build
 
@@ -65,7 +65,7 @@ def standing(mechanism: Mechanism) -> dict[int, Holds]:
     numbers, closures = iter(kept), range(len(scene.closures))
     each = [row.closure for row in alone.rows]
     coupling = {r: next(numbers) for r, c in enumerate(each) if c is None}
-    parts = [set[int](), *({c} for c in closures), {*closures}]
+    parts = [set[int](), *({c} for c in closures), *_groups(alone)]
     found: dict[int, Holds] = {}
     for part in parts:
         rows = [r for r, c in enumerate(each) if c is None or c in part]
@@ -93,6 +93,20 @@ def steady(coupling: Coupling) -> Coupling | None:
     return coupling._replace(terms=terms, angle=angle, law=None)
 
 
+def _groups(mechanism: Mechanism) -> list[set[int]]:
+    """Closures that share coordinates, also by couplings, by groups of two or more."""
+    found: list[tuple[set[int], set[int | None]]] = []  # closures, coordinates
+    for row in mechanism.rows:
+        own = {k for k, _ in (*row.P, *row.angles)} | ({row.line} - {None})
+        shared = [x for x in found if row.closure in x[0] or x[1] & own]
+        apart = [x for x in found if x not in shared]
+        closures = set() if row.closure is None else {row.closure}
+        for x in shared:
+            closures, own = closures | x[0], own | x[1]
+        found = [*apart, (closures, own)]
+    return [closures for closures, _ in found if len(closures) > 1]
+
+
 class _Rows(NamedTuple):
     """Some rows of a mechanism, in x = J q: lengths, displacements included, in its unit."""
 
@@ -103,18 +117,23 @@ class _Rows(NamedTuple):
         """Yield the links that stand still by these rows, and the rows that bear loads on them."""
         n, unit = self.mechanism.n, self.mechanism.arrays.units
         x = np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, n)) * unit
+        open_ = np.arange(STARTS)
         for _ in range(STEPS):
-            gap, Psi, _ = self.at(x)
+            gap, Psi, _ = self.at(x[open_])
+            left = np.abs(gap).max(axis=-1) > CLOSED
+            open_, gap, Psi = open_[left], gap[left], Psi[left]
+            if not len(open_):
+                break
             U, s, V = np.linalg.svd(Psi, full_matrices=False)
             damped = s / (s * s + (gap * gap).sum(axis=-1)[:, None] + TINY)
             across = np.einsum("kri,kr->ki", U, gap) * damped
-            x = x - np.einsum("kij,ki->kj", V, across) * unit
-        gap, Psi, ways = self.at(x)
-        closed = np.abs(gap).max(axis=-1) < CLOSED
-        if closed.sum() < LEAST:
+            x[open_] -= np.einsum("kij,ki->kj", V, across) * unit
+        closed = np.delete(x, open_, axis=0)
+        if len(closed) < LEAST:
             return
-        Psi, ways = Psi[closed], ways[closed]
-        U, s, V = np.linalg.svd(Psi)
+        _, Psi, T = self.at(closed)
+        ways = self.ways(T)
+        _, s, V = np.linalg.svd(Psi)
         s = np.pad(s, ((0, 0), (0, n - s.shape[-1])))
         free = s <= DEPENDENT * s[:, :1]
         moves = np.abs(np.einsum("kpij,kmj->kpim", ways, V * free[..., None]))
@@ -125,14 +144,14 @@ class _Rows(NamedTuple):
             bears = load[:, k].max(axis=(0, 2))
             yield k, np.flatnonzero(bears > STILL * bears.max()).tolist()
 
-    def at(self, x: Array) -> tuple[Array, Array, Array]:
-        """The gap (s, r), Psi (s, r, n), rates of the links' tips and angles (s, n, 3, n)."""
+    def at(self, x: Array) -> tuple[Array, Array, Complex]:
+        """The gap (s, r), Psi (s, r, n), and dX/dx (s, n, n)."""
         mechanism, rows = self.mechanism, self.rows
         arrays, unit, n = mechanism.arrays, mechanism.unit, mechanism.n
-        E, turned = np.ones(x.shape, complex), np.zeros((n, n))
+        E, turned = np.ones(x.shape, complex), self.turned()
         for k, d in enumerate(mechanism.frames):
             if d is not None:
-                E[:, k], turned[k, d] = np.exp(1j * x[:, d]), 1.0
+                E[:, k] = np.exp(1j * x[:, d])
         slides = np.isin(np.arange(n), mechanism.slides)
         X = np.where(slides, x, 1.0) * E
         T = 1j * X[:, :, None] * turned + (slides * E)[:, :, None] * np.eye(n)
@@ -145,14 +164,27 @@ class _Rows(NamedTuple):
                 change[:, i, line] -= 1j * across[:, i]
         gap = across.real + arrays.offset[rows] + x @ arrays.angles[rows].T
         Psi = change.real + arrays.angles[rows]
+        return gap / unit, Psi * arrays.units / unit, T
+
+    def turned(self) -> Array:
+        """Which coordinate turns the frame of each, (n, n) of ones and zeros."""
+        found = np.zeros((self.mechanism.n, self.mechanism.n))
+        for k, d in enumerate(self.mechanism.frames):
+            if d is not None:
+                found[k, d] = 1.0
+        return found
+
+    def ways(self, T: Complex) -> Array:
+        """The rates of the links' tips, and of their angles times the unit, (s, n, 3, n)."""
+        mechanism, n = self.mechanism, self.mechanism.n
         tips = np.zeros((n, n), complex)
         for k, tip in enumerate(mechanism.tips):
             for j, c in tip.terms:
                 tips[k, j] = c
-        moved = tips @ T
-        turns = np.broadcast_to(turned * unit, moved.shape)
+        moved, unit = tips @ T, mechanism.unit
+        turns = np.broadcast_to(self.turned() * unit, moved.shape)
         ways = np.stack([moved.real, moved.imag, turns], axis=-2)
-        return gap / unit, Psi * arrays.units / unit, ways * arrays.units / unit
+        return ways * mechanism.arrays.units / unit
 
 
 def unknown_holds(

@@ -376,6 +376,10 @@ class Drawing:
         elif any(line.pin == pin for line in self.slots):
             limit = f"{begins}which runs in a slot: write the block as a link, "
             limit += f"{{name: block, pins: [{pin}], along: [dx, dy], ...}}, above it"
+        elif pin in self.fixed and pin in self.slide_of:
+            slide = self.bars[self.slide_of[pin]].name
+            limit = f"{begins}which goes along with {slide}, though the ground has it: put it "
+            limit += f"below {slide}, or give {slide} another pin"
         elif below:
             limit = f"{begins}which is on nothing above it, but on {', '.join(below)} below: "
             limit += "put it further down, or begin with another of its pins"
