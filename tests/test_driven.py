@@ -284,6 +284,7 @@ class TestStates:
         given = robodyn("torque", path, "--q", "0.3,0.2", "--qd", "2,1", "--at-time", "0.1")
         assert given.code == 2
         assert "q1 is off in velocity = 1 rad/s: its velocity by its law" in given.err
+        assert given.err.startswith("Error: --qd: ")
         assert "3 rad/s t is 3 rad/s at t = 0.1 s" in given.err
         rates = ["--qd", "3,1", "--qdd", "0.5,0", "--at-time", "0.1"]
         given = robodyn("torque", path, "--q", "0.3,0.2", *rates)

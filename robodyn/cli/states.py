@@ -192,13 +192,13 @@ def complete(
     t: ArrayLike,
 ) -> list[Array]:
     """q, qd and what else there is for all joints (..., n), at times t (...): see `full`."""
-    first = sources[0].quantity
     given = {
         source.quantity.name: (each, source.whole)
         for source, each in zip(sources, values, strict=True)
     }
-    place = "" if first.option is None else f"--{first.name}"
-    return list(full(mechanism, given, branches, place, t=t).values())
+    told = [x.quantity.name for x in sources if x.quantity.option is not None]
+    places = {name: f"--{name}" for name in told}
+    return list(full(mechanism, given, branches, places, t=t).values())
 
 
 def single_state(

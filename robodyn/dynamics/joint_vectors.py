@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,7 +107,7 @@ def full(
     mechanism: Mechanism,
     given: Mapping[str, tuple[Array, bool]],
     branches: Sequence[str] | None = None,
-    place: str = "",
+    places: Mapping[str, str] = MappingProxyType({}),
     *,
     t: ArrayLike,
     missing: Array | None = None,
@@ -115,8 +116,8 @@ def full(
 
     `given` has the values of each, and whether they are of all joints; else they are of those of
     `driver_of`, and the rest is assembled, in these branches, and follows.  Torques of other joints
-    are zero.  Raises InputError, with its place, if values of all joints do not close the loops;
-    RobodynError if a result is not finite.
+    are zero.  Raises InputError if values of all joints do not close the loops, with the place of
+    the first of q, qd, qdd that does not; RobodynError if a result is not finite.
 
     With zeros `missing` (T,), states need not close: it takes by how much each stays open, m, nan
     if its configuration is singular.  Such states (T, n) have any values.
@@ -130,12 +131,15 @@ def full(
     motion: dict[str, Array] = {}
 
     def check() -> None:
-        moving = (motion.get(name) for name in ("qd", "qdd"))
-        fault = loop_rates.check_closed(mechanism, motion["q"], *moving, t=t)
-        if fault is not None:
-            if place:
-                fault[1].add_place(place)
-            raise fault[1]
+        moving = [motion.get(name) for name in ("qd", "qdd")]
+        if loop_rates.check_closed(mechanism, motion["q"], *moving, t=t) is None:
+            return
+        for count, name in enumerate(("q", "qd", "qdd")):
+            fault = loop_rates.check_closed(mechanism, motion["q"], *moving[:count], t=t)
+            if fault is not None:
+                if place := places.get(name, places.get("q")):
+                    fault[1].add_place(place)
+                raise fault[1]
 
     def follow(rates: Callable[..., Array], *known: Array) -> Array:
         if missing is None:

@@ -220,7 +220,7 @@ def _check_whole(mechanism: Mechanism, given: SweepRequest) -> None:
         values = np.array(vector_of_joints(driver_of(mechanism, name), text, name, f"--{name}"))
         known[name] = values, len(values) == mechanism.n
     if mechanism.rows and any(whole for _, whole in known.values()):
-        full(mechanism, known, place="--q", t=0.0)
+        full(mechanism, known, places={"q": "--q", "qd": "--qd"}, t=0.0)
 
 
 def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, ...]:
