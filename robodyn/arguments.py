@@ -53,12 +53,16 @@ def argument_check(function: FunctionType) -> Callable[[Sequence[Any], Mapping[s
             if is_array and type(value) is list and _plain(value):
                 shapes[name] = (len(value),)
                 continue
-            array = _as_array(value) if is_array and value is not None else None
-            if not test(value if array is None else array):
+            floats = is_array and type(value) is np.ndarray and value.dtype == float
+            array = value if floats else None
+            if not floats and is_array and value is not None:
+                array = _as_array(value)
+            if not floats and not test(value if array is None else array):
                 told = shown(repr(value)) if isinstance(value, _PLAIN) else type(value).__name__
                 raise InputError(name, where=where, value=told, limit=f"must be {words}")
-            own = type(value) in _WHOLE or type(value).__module__.startswith("robodyn.")
-            if own and not is_array:
+            if not is_array and (
+                type(value) in _WHOLE or type(value).__module__.startswith("robodyn.")
+            ):
                 right.add((name, type(value)))  # what it is tells all
             if array is not None:
                 if not (of_states and name in STATE):  # which such functions look at themselves

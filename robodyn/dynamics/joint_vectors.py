@@ -87,14 +87,16 @@ def vector(mechanism: Mechanism, name: str, values: ArrayLike) -> tuple[Array, b
     InputError for another width.
     """
     each, n = numbers(name, values), mechanism.n
-    few = driver_of(mechanism, name if name in STATE else "q").actuated
     width = each.shape[-1] if each.ndim else None
-    if width not in (n, len(few)):
+    if width == n:
+        return each, True
+    few = driver_of(mechanism, name if name in STATE else "q").actuated
+    if width != len(few):
         limit = f"must have {n} values along the last axis, one a joint"
         if 0 < len(few) < n:
             limit += f", or {len(few)} ({', '.join(mechanism.link_names[k] for k in few)})"
         raise InputError(f"{name}.shape", value=each.shape, limit=limit)
-    return each, width == n
+    return each, False
 
 
 def vectors(mechanism: Mechanism, **given: ArrayLike | None) -> dict[str, tuple[Array, bool]]:
