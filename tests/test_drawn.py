@@ -572,6 +572,9 @@ def test_a_pin_that_moves_takes_its_links_along() -> None:
     assert moved[2].l == abs(0.1 + 0.798j)
     whole = read_numbers(FOUR_BAR, "x.yaml", (("pins.B", "[1.2, 0.798]"),)).base
     assert whole.links == moved
+    both = values.replaced({"links.coupler.centre[0]": 0.5, "links.coupler.centre[1]": 0.7}).links
+    whole = read_numbers(FOUR_BAR, "x.yaml", (("links.coupler.centre", "[0.5, 0.7]"),)).base
+    assert whole.links == both
 
 
 def test_three_pins_on_a_line_are_no_fault() -> None:

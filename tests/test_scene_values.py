@@ -8,7 +8,7 @@ from unwritten import MASSLESS
 
 from robodyn.errors import DescriptionError, InputError
 from robodyn.scene.description import from_text
-from robodyn.scene.scene_values import SceneValues
+from robodyn.scene.scene_values import SceneValues, read_numbers
 
 TEXT = """
 gravity: 9.81
@@ -47,6 +47,29 @@ def scene() -> SceneValues:
 def test_replaced_is_as_written(name: str, old: str, new: str) -> None:
     assert old in TEXT
     assert scene().replaced({name: 2.5}) == from_text(TEXT.replace(old, new), "x")
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("links.fore.r", "r: [0.25, 0.1]", "r: [0.3, 0.2]"),
+        ("links.side.from.at", "at: [0.4, 0.1]", "at: [0.3, 0.2]"),
+        ("loads[0].at", "at: [0.3, 0]", "at: [0.3, 0.2]"),
+        ("loads[0].force", "force: [1, 2]", "force: [0.3, 0.2]"),
+    ],
+)
+def test_a_pair_is_replaced_as_a_whole(name: str, old: str, new: str) -> None:
+    assert old in TEXT
+    given = ((name, "[0.3, 0.2]"),)
+    assert read_numbers(TEXT, "x", given).base == from_text(TEXT.replace(old, new), "x")
+
+
+def test_a_pair_is_no_number() -> None:
+    """What varies is one of its numbers."""
+    assert "loads[0].force" not in scene()
+    assert "loads[0].force" not in scene().names
+    with pytest.raises(InputError, match=r"is a pair, \[x, y\]: name one .* loads\[0\].force\[0\]"):
+        scene().check(["loads[0].force"])
 
 
 def test_the_tip_moves_with_the_length() -> None:

@@ -81,7 +81,7 @@ class Model:
         if not (names := [name for name, _ in self.given]):
             return values
         try:
-            values.check(names)
+            values.check(names, pairs=True)
         except InputError as error:
             error.what = f"--set {error.what}"
             raise

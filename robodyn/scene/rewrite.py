@@ -45,7 +45,7 @@ def rewritten(text: str, source: str, values: Mapping[str, float | Sequence[floa
     place that cannot be written; DescriptionError for numbers that no scene may have.
     """
     old = SceneValues(text, source)
-    old.check(values)
+    old.check(values, pairs=True)
     values = {old.own_name(name): value for name, value in values.items()}
     if clash := old.clash(values):
         raise InputError(" and ".join(clash), where=source, limit="are one number: give it once")

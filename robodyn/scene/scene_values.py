@@ -35,6 +35,8 @@ _INNER: dict[str, str | None] = {
     "varying_place": "varying",
     "gravity": "varying",
 } | dict.fromkeys(("joints", "assembly", "pin_names", "two_pins"))
+# What [x, y] alone may take the place of, as a whole.
+_PLACES = ("pin", "vector", "direction", "point", "moving_point", "varying_vector", "varying_place")
 # mappings by names, and what they hold
 _BY_NAME = {
     "start": Key("angle", "", BY_JOINT),
@@ -51,7 +53,7 @@ class _Place:
     around: yaml_tree.Mapping | Sequence
     at: str | int
     unit: str = ""
-    pair: bool = False  # whether [x, y] alone may stand there, as where a pin is
+    pair: bool = False  # whether [x, y] alone may stand there, as where a place is
 
     @property
     def held(self) -> list[Any]:
@@ -128,7 +130,7 @@ class SceneValues:
         return sorted(x for x, place in places if not (x.startswith("links[") or place.pair))
 
     def __contains__(self, name: str) -> bool:
-        return name in self._places
+        return name in self._places and not self._places[name].pair
 
     def place(self, name: str) -> tuple[yaml_tree.Mapping | Sequence, Node | None, str | int]:
         """The collection that holds the number, what stands there, if anything, and where."""
@@ -174,12 +176,15 @@ class SceneValues:
                     return first, second
         return None
 
-    def check(self, names: Iterable[str]) -> None:
-        """Raise InputError for a name that is none."""
+    def check(self, names: Iterable[str], *, pairs: bool = False) -> None:
+        """Raise InputError for a name that is none, or that of a pair unless `pairs` may stand."""
         for name in names:
-            if name not in self._places:
-                limit = f"is no number of the scene{nearest(name, self.names)}"
-                raise InputError(name, where=self.source, limit=limit)
+            if name in self or (pairs and name in self._places):
+                continue
+            limit = f"is no number of the scene{nearest(name, self.names)}"
+            if name in self._places:
+                limit = f"is a pair, [x, y]: name one of its numbers, {name}[0] or {name}[1]"
+            raise InputError(name, where=self.source, limit=limit)
 
     def replaced(self, values: Mapping[str, float | Node]) -> Description:
         """The scene with these numbers in place of its own; not for two threads at once.
@@ -187,7 +192,7 @@ class SceneValues:
         A node is read as if the file had it there.  Raises InputError for an unknown name,
         DescriptionError for values that no scene may have.
         """
-        self.check(values)
+        self.check(values, pairs=True)
         undo = [(held, list(held)) for held in (self._places[name].held for name in values)]
         try:
             self._put(values)
@@ -200,7 +205,7 @@ class SceneValues:
         return found._replace(written=written)
 
     def _put(self, values: Mapping[str, float | Node]) -> None:
-        self.check(values)
+        self.check(values, pairs=True)
         for name, value in values.items():
             new = _unshared(value) if isinstance(value, Node) else value
             self._places[name].put(new, self.untold_unit(name))
@@ -261,7 +266,7 @@ def _numbers(
     wide |= kind == "gravity" and (isinstance(node, Sequence) or _varies("varying", node, named))
     if wide or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node, named):
         yield name, place
-    if kind == "pin":
+    if kind in _PLACES and isinstance(node, Sequence):
         yield name, replace(place, pair=True)
     if kind in ("coupling", "couplings") and not isinstance(node, Sequence):
         if not isinstance(node, yaml_tree.Mapping):
