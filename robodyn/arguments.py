@@ -53,17 +53,18 @@ def argument_check(function: FunctionType) -> Callable[[Sequence[Any], Mapping[s
             if is_array and type(value) is list and _plain(value):
                 shapes[name] = (len(value),)
                 continue
-            floats = is_array and type(value) is np.ndarray and value.dtype == float
-            array = value if floats else None
-            if not floats and is_array and value is not None:
-                array = _as_array(value)
-            if not floats and not test(value if array is None else array):
-                told = shown(repr(value)) if isinstance(value, _PLAIN) else type(value).__name__
-                raise InputError(name, where=where, value=told, limit=f"must be {words}")
-            if not is_array and (
-                type(value) in _WHOLE or type(value).__module__.startswith("robodyn.")
-            ):
-                right.add((name, type(value)))  # what it is tells all
+            array: np.ndarray | None = None
+            if is_array and type(value) is np.ndarray and value.dtype == float:
+                array = value  # an array of floats needs no test
+            else:
+                if is_array and value is not None:
+                    array = _as_array(value)
+                if not test(value if array is None else array):
+                    told = shown(repr(value)) if isinstance(value, _PLAIN) else type(value).__name__
+                    raise InputError(name, where=where, value=told, limit=f"must be {words}")
+                own = type(value) in _WHOLE or type(value).__module__.startswith("robodyn.")
+                if own and not is_array:
+                    right.add((name, type(value)))  # what it is tells all
             if array is not None:
                 if not (of_states and name in STATE):  # which such functions look at themselves
                     _check_finite(name, array)

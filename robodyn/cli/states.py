@@ -323,11 +323,19 @@ def _of_states(
 
 def tell_unknown_contacts(mechanism: Mechanism, columns: Iterable[str]) -> None:
     """Note which laws between links lack the place of their contact, if columns are reactions."""
-    if any(re.search(r"\br[xym][0-9]+\b", name) for name in columns):
-        for c, coupling in enumerate(mechanism.description.couplings):
-            if coupling.law is not None and coupling.others and coupling.cam is None:
-                told = f"couplings[{c}] = {coupling.law.text} has no `cam`, so that the force of"
-                note(f"Note: {told} its contact on bearings is not known: reactions lack it")
+    lacking = [
+        (c, coupling.law)
+        for c, coupling in enumerate(mechanism.description.couplings)
+        if coupling.law is not None and coupling.others and coupling.cam is None
+    ]
+    if not lacking:
+        return
+    words = re.findall(r"\w+", " ".join(columns))  # as a target is an expression of columns
+    if {*column_names(mechanism, ["reactions", "slide_moments"])}.isdisjoint(words):
+        return
+    for c, law in lacking:
+        told = f"couplings[{c}] = {law.text} has no `cam`, so that the force of its contact on"
+        note(f"Note: {told} bearings is not known: reactions lack it")
 
 
 def chosen_columns(

@@ -36,7 +36,7 @@ _INNER: dict[str, str | None] = {
     "gravity": "varying",
 } | dict.fromkeys(("joints", "assembly", "pin_names", "two_pins"))
 # What [x, y] alone may take the place of, as a whole.
-_PLACES = ("pin", "vector", "direction", "point", "moving_point", "varying_vector", "varying_place")
+_PAIRS = ("pin", "vector", "direction", "point", "moving_point", "varying_vector", "varying_place")
 # mappings by names, and what they hold
 _BY_NAME = {
     "start": Key("angle", "", BY_JOINT),
@@ -266,7 +266,7 @@ def _numbers(
     wide |= kind == "gravity" and (isinstance(node, Sequence) or _varies("varying", node, named))
     if wide or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node, named):
         yield name, place
-    if kind in _PLACES and isinstance(node, Sequence):
+    if kind in _PAIRS and isinstance(node, Sequence):
         yield name, replace(place, pair=True)
     if kind in ("coupling", "couplings") and not isinstance(node, Sequence):
         if not isinstance(node, yaml_tree.Mapping):
