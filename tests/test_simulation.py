@@ -43,6 +43,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.runs.march import run
 from robodyn.runs.report import Outcome
 from robodyn.runs.right_hand_side import right_hand_side
+from robodyn.runs.segments import KeptStep, solver_segment
 from robodyn.runs.settings import Settings
 from robodyn.runs.solvers import METHODS, projected
 
@@ -313,9 +314,11 @@ def four_bar_errors(method, projection, fraction=1.0):
             atol=1e6,  # every step is accepted
         )
         for _ in range(count):
+            before = solver.y
             solver.step()
         assert solver.t == pytest.approx(t + (1 - fraction) * h, rel=1e-12)
-        y = solver.y if fraction == 1.0 else solver.dense_output()(t)
+        segment = solver_segment(before, [KeptStep(solver)])
+        y = solver.y if fraction == 1.0 else segment.at(np.array([t]))[0]
         sizes.append(h)
         errors.append(np.linalg.norm(y - exact))
     return np.array(sizes), np.array(errors)
@@ -363,7 +366,7 @@ class TestDenseOutput:
         while solver.status == "running":
             before = solver.y.copy()
             assert solver.step() is None
-            yield before, solver.y, solver.dense_output()
+            yield solver_segment(before, [KeptStep(solver)])
 
     @EACH_METHOD
     @pytest.mark.parametrize("name", ["four-bar", "slider-crank", "five-bar"])
@@ -371,23 +374,26 @@ class TestDenseOutput:
     def test_closes(self, name, method):
         mech = reference(name).mechanism
         n = mech.n
-        for _, _, dense in self.steps(method, name):
-            times = np.linspace(dense.t_old, dense.t, 5)
-            y = dense(times).T
+        for segment in self.steps(method, name):
+            times = np.linspace(segment.begin, segment.end, 5)
+            y = segment.at(times)
             assert np.abs(closure_gap(mech, y[:, :n])).max() < 1e-14
             rates = np.einsum("tij,tj->ti", closure_jacobian(mech, y[:, :n]), y[:, n:])
             assert np.abs(rates).max() < 1e-12
-            assert dense(times[2]) == pytest.approx(y[2], abs=1e-12)  # one time or many
+            one = segment.at(times[2:3])
+            assert one[0] == pytest.approx(y[2], abs=1e-12)  # one time or many
 
     @EACH_METHOD
     def test_meets_the_state_at_the_end_of_its_step(self, method):
-        for _, after, dense in self.steps(method):
-            assert dense(dense.t) == pytest.approx(after, abs=1e-11)
+        for segment in self.steps(method):
+            almost = np.nextafter(segment.t[1:], segment.begin)
+            assert segment.at(almost)[0] == pytest.approx(segment.y[1], abs=1e-11)
 
     @pytest.mark.parametrize("method", EXPLICIT)
     def test_meets_the_state_at_the_beginning_of_its_step(self, method):
-        for before, _, dense in self.steps(method):
-            assert dense(dense.t_old) == pytest.approx(before, abs=1e-11)
+        for segment in self.steps(method):
+            almost = np.nextafter(segment.t[:1], segment.end)
+            assert segment.at(almost)[0] == pytest.approx(segment.y[0], abs=1e-11)
 
 
 # ---------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import pytest
 from each_case import each
 from scipy.integrate import solve_ivp
 
+from robodyn.runs.segments import KeptStep, solver_segment
 from robodyn.runs.solvers import EXPLICIT, METHODS, STIFF_STEPS, StiffError, projected
 
 EACH_METHOD = each("method", METHODS)
@@ -134,14 +135,26 @@ class TestProjection:
             exact(0.0),
             method=projected(method),
             projection=onto_circle,
-            dense_output=True,
             **OPTIONS,
         )
         assert np.array_equal(found.t[1:], t)
         assert np.array_equal(found.y.T[1:], y)
+
+    @EACH_METHOD
+    def test_states_between_steps_are_projected(self, method):
+        steps = []
+        integrate(
+            method,
+            oscillator,
+            3.0,
+            exact(0.0),
+            projection=onto_circle,
+            look=lambda solver: steps.append(KeptStep(solver)),
+        )
         between = np.linspace(0.0, 3.0, 500)
-        assert np.hypot(*found.sol(between)) == pytest.approx(np.ones(500), abs=3e-16)
-        assert found.sol(between) == pytest.approx(exact(between), abs=1e-5)
+        found = solver_segment(exact(0.0), steps).at(between).T
+        assert np.hypot(*found) == pytest.approx(np.ones(500), abs=3e-16)
+        assert found == pytest.approx(exact(between), abs=1e-5)
 
 
 class Once:
@@ -164,16 +177,19 @@ class TestDenseOutput:
             oscillator, 0.0, exact(0.0), 50.0, projection=onto_circle, **OPTIONS
         )
         for _ in range(12):
+            begun = solver.y
             assert solver.step() is None
-        dense = solver.dense_output()
+        segment = solver_segment(begun, [KeptStep(solver)])
         times = np.linspace(solver.t_old, solver.t, 7)
-        many = dense(times)
-        assert many.shape == (2, 7)
-        assert np.hypot(*many) == pytest.approx(np.ones(7), abs=3e-16)
-        for k, t in enumerate(times):
-            assert dense(t).shape == (2,)
-            assert dense(t) == pytest.approx(many[:, k], abs=1e-14)
-        assert dense(solver.t) == pytest.approx(solver.y, abs=1e-14)
+        many = segment.at(times)
+        assert many.shape == (7, 2)
+        assert np.hypot(*many.T) == pytest.approx(np.ones(7), abs=3e-16)
+        for k in range(len(times)):
+            one = segment.at(times[k : k + 1])
+            assert one.shape == (1, 2)
+            assert one[0] == pytest.approx(many[k], abs=1e-14)
+        almost = np.nextafter(times[-1:], 0.0)
+        assert segment.at(almost)[0] == pytest.approx(solver.y, abs=1e-14)
 
     @EACH_METHOD
     def test_without_projection_is_scipys(self, method):

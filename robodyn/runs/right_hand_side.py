@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -43,37 +43,26 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
 Rates = Callable[[float, Array], Any]
-Moved = Callable[[Array, Array, Array, float], tuple[Array, Any, Any]]
 
 SINGULAR = 1e-4  # relative pivot below which the written-out solve loses digits to the dense one
 NEAR = 0.1  # relative pivot of a closure below which a state is projected before evaluation
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(eq=False, slots=True)
 class RightHandSide:
-    """The rates dy/dt as a function of t and y, and the projection (None without closures)."""
+    """The rates dy/dt as a function of t and y, and the projection (None without closures).
 
-    rates: Rates
-    projection: Projection | None
+    If `rates` project near-singular states only, `careful` are rates that project every state, and
+    `met` tells whether a near-singular state occurred.  `refused` is the time and error of the last
+    state at which friction by forces had no solution.
+    """
+
     kind: str  # straight-line or dense
-    near: NearSingular | None = None
-    refused: Refused | None = None
-
-
-@dataclass(slots=True)
-class Refused:
-    """Time and error of the last state at which friction by forces had no solution."""
-
-    t: float = math.nan
-    error: NotSettledError | None = None
-
-
-@dataclass(slots=True)
-class NearSingular:
-    """Rates that project each state first; `met` tells if a near-singular state occurred."""
-
-    rates: Rates
+    rates: Rates = field(init=False)
+    projection: Projection | None = None
+    careful: Rates | None = None
     met: bool = False
+    refused: tuple[float, NotSettledError] | None = None
 
 
 def right_hand_side(
@@ -89,38 +78,35 @@ def right_hand_side(
 
     `misses` holds the change points met so far by the run.
     """
-    kind = kind or _best_kind(mechanism)
+    side = RightHandSide(kind or _best_kind(mechanism))
+    dense = side.kind == "dense"
     straight = partial(straightline.compile_rates, mechanism, work=work, baumgarte=baumgarte)
     if mechanism.rubbing:
         straight = partial(straight, write=rubbed_formula)
 
-    refused = Refused() if mechanism.rubbing else None
-
     def solving(torques: Actuation) -> Rates:
         """Return the rates of a state as it is, without projection."""
-        fallback = _dense_rates(mechanism, torques, work, baumgarte, refused)
-        if kind == "dense":
-            return fallback
-        return straight(torques, least_pivot=SINGULAR, otherwise=fallback)
+        fallback = _dense_rates(mechanism, torques, work, baumgarte, side)
+        return fallback if dense else straight(torques, least_pivot=SINGULAR, otherwise=fallback)
 
-    solved = solving(actuation)
+    side.rates = solving(actuation)
     if not mechanism.rows:
-        return RightHandSide(solved, None, kind, refused=refused)
-    closing = (dense_closing if kind == "dense" else best_closing)(mechanism)
-    project = Projection(mechanism, closing, misses)
+        return side
+    closing = (dense_closing if dense else best_closing)(mechanism)
+    side.projection = Projection(mechanism, closing, misses)
     if baumgarte:  # its restoring terms need the gap: no state is projected
-        return RightHandSide(solved, project, kind, refused=refused)
-    careful = _projecting(project, actuation, solving, solved, kind == "dense")
-    if kind == "dense":  # a projection costs little beside them
-        return RightHandSide(careful, project, kind, refused=refused)
+        return side
+    careful = _projecting(side.projection, actuation, solving, side.rates, dense)
+    if dense:  # a projection costs little beside them
+        side.rates = careful
+        return side
 
     def watched(t: float, y: Array) -> Any:
-        near.met = True
+        side.met = True
         return careful(t, y)
 
-    rates = straight(actuation, least_pivot=NEAR, otherwise=watched)
-    near = NearSingular(watched)
-    return RightHandSide(rates, project, kind, near, refused)
+    side.careful, side.rates = watched, straight(actuation, least_pivot=NEAR, otherwise=watched)
+    return side
 
 
 def _projecting(
@@ -130,8 +116,11 @@ def _projecting(
     solved: Rates,
     dense: bool,
 ) -> Rates:
-    """Return rates that project a state first, and lead across nearby change points."""
-    mechanism, closing = project.mechanism, project.closing
+    """Return rates that project a state first, and lead across nearby change points.
+
+    They are nan beyond the range of a coupling's law.
+    """
+    mechanism, closing, misses = project.mechanism, project.closing, project.misses
     # across a change point the state's own torque is kept: beside it it may bend
     held = [0.0] * (mechanism.n + actuation.states)
     beside, torques = solved, None
@@ -160,27 +149,24 @@ def _projecting(
         q = y[: mechanism.n]
         if not np.isfinite(q).all():  # after a stage whose rates are not
             return np.full(len(y), np.nan)
-        if project.misses.near(q):  # a stage that were closed here would bend the step
-            return solved(t, y)
-        if dense:  # whose closing is the cheapest test
-            closed, quality = closing(t, y)
-            if quality > SUSPECT:
-                return solved(t, closed)
-        near = project.misses.nearest(q)
-        if near is not None:
-            led = across(t, y, near) if near.crosses else solved(t, y)
-            if led is not None:
-                return led
-        return solved(t, closing(t, y)[0])
-
-    def within_laws(t: float, y: Array) -> Any:
-        """Return projected rates, or nan beyond the range of a coupling's law."""
         try:
-            return careful(t, y)
+            if misses.near(q):  # a stage that were closed here would bend the step
+                return solved(t, y)
+            if dense:  # whose closing is the cheapest test
+                closed, quality = closing(t, y)
+                if quality > SUSPECT:
+                    return solved(t, closed)
+            near = misses.nearest(q)
+            led = None
+            if near is not None:
+                led = across(t, y, near) if near.crosses else solved(t, y)
+            return solved(t, closing(t, y)[0]) if led is None else led
         except ValueError:
+            if not mechanism.laws:
+                raise
             return np.full(len(y), np.nan)
 
-    return within_laws if mechanism.laws else careful
+    return careful
 
 
 def _best_kind(mechanism: Mechanism) -> str:
@@ -191,47 +177,11 @@ def _best_kind(mechanism: Mechanism) -> str:
     return "straight-line" if written_out(mechanism) else "dense"
 
 
-def _rubbed(mechanism: Mechanism, baumgarte: float) -> Moved:
-    """Return a function that gives qdd (n,), the friction load (n,) and multipliers (r,)."""
-
-    def moved(q: Array, qd: Array, tau: Array, t: float) -> tuple[Array, Array, Array]:
-        found = forward_of_one(mechanism, q, qd, tau, baumgarte, t)
-        return found.joints, found.load, found.multipliers
-
-    return moved
-
-
-def _moved(mechanism: Mechanism, baumgarte: float, drives: bool) -> Moved:
-    """Return a function that gives qdd (n,), the load of friction by forces, and multipliers (r,).
-
-    Multipliers are computed only if laws of time do work (`drives`).
-    """
-    if mechanism.rubbing:
-        return _rubbed(mechanism, baumgarte)
-    if not drives:
-        return lambda q, qd, tau, t: (
-            dense_dynamics.accelerations(mechanism, q, qd, tau, baumgarte, t),
-            0.0,
-            None,
-        )
-
-    def moved(q: Array, qd: Array, tau: Array, t: float) -> tuple[Array, float, Array]:
-        solved = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte, t)
-        return solved.qdd, 0.0, solved.multipliers
-
-    return moved
-
-
 def _dense_rates(
-    mechanism: Mechanism,
-    actuation: Actuation,
-    work: bool,
-    baumgarte: float,
-    refused: Refused | None,
+    mechanism: Mechanism, actuation: Actuation, work: bool, baumgarte: float, side: RightHandSide
 ) -> Rates:
-    """Return dy/dt by dense algebra; `refused` records states where friction has no solution."""
+    """Return dy/dt by dense algebra; `side` is told of states where friction has no solution."""
     drives = bool(work and mechanism.driven)
-    moved = _moved(mechanism, baumgarte, drives)
     n = mechanism.n
     torques = actuation.function(n)
     damping = np.array(mechanism.damping)
@@ -246,8 +196,15 @@ def _dense_rates(
         if not (all(map(math.isfinite, values)) and all(map(math.isfinite, found[:n]))):
             return np.full(len(y), np.nan)
         q, qd, tau = y[:n], y[n : 2 * n], np.array(found[:n])
+        given = mechanism, q, qd, tau, baumgarte, t
+        rubbed: Array | float = 0.0  # load of friction by forces
         try:
-            qdd, rubbed, multipliers = moved(q, qd, tau, t)
+            if mechanism.rubbing:
+                qdd, multipliers, rubbed = forward_of_one(*given)
+            elif drives:
+                qdd, multipliers = dense_dynamics.forward(*given)[:2]
+            else:
+                qdd = dense_dynamics.accelerations(*given)
             driving = 0.0  # of laws of the time, W
             if drives:
                 driving = -float(closure_drift(mechanism, q, t) @ multipliers)
@@ -257,8 +214,7 @@ def _dense_rates(
         except SignalError:  # a shorter step may not
             return np.full(len(y), np.nan)
         except NotSettledError as error:
-            if refused is not None:
-                refused.t, refused.error = t, error
+            side.refused = t, error
             return np.full(len(y), np.nan)
         power = [float(tau @ qd - damping @ qd**2) + driving] if work else []
         return [*values[n : 2 * n], *qdd.tolist(), *found[n:], *power]

@@ -165,7 +165,6 @@ def solver_segment(begun: Array, steps: Sequence[KeptStep]) -> Segment:
         """Return states of the method's polynomial, not projected onto closures."""
         asked, which = np.unique(places, return_inverse=True)
         each = [steps[j].dense_output() for j in asked.tolist()]
-        each = [getattr(one, "_dense", one) for one in each]
         if type(each[0]).__name__ != "Dop853DenseOutput":
             pairs = zip(which.tolist(), times.tolist(), strict=True)
             return np.array([each[k](at) for k, at in pairs])

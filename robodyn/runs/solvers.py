@@ -10,8 +10,7 @@ Near a change point that the loops miss, steps are bounded.  A step that leapt a
 rejected and taken again.
 
 The projection changes the state by the order of the local error, so the order of the method stays.
-Dense output is projected as well, so that states between steps close.  At the ends of a step it
-meets the projected states up to the square of that change.
+Dense output is that of the method; `segments.py` projects states between steps.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.integrate import DOP853, RK45, DenseOutput, OdeSolver, Radau
+from scipy.integrate import DOP853, RK45, OdeSolver, Radau
 
 from robodyn.dynamics.closed_form import energies, mass_matrix
 from robodyn.loops.projection import Projection
@@ -34,7 +33,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.run_control import Steps
 from robodyn.runs.report import Outcome
-from robodyn.runs.right_hand_side import NearSingular, RightHandSide
+from robodyn.runs.right_hand_side import RightHandSide
 from robodyn.runs.segments import KeptStep, Segment, solver_segment
 from robodyn.tables.arrays import Array
 
@@ -55,10 +54,20 @@ _Solver: Any = OdeSolver  # one of its kinds, with what those have
 
 
 class Projecting(_Solver):  # type: ignore[misc]
-    """Mixin in front of a solver of scipy that adds projection, kinks and stability checks."""
+    """Mixin in front of a solver of scipy that adds projection, kinks and stability checks.
+
+    `near` has rates for steps that meet near-singular states.  `mechanism` tells which peaks of
+    friction a step may leap over, and which laws of the time do work.
+    """
 
     explicit = True
     edge = np.inf  # |h lambda| near the limit of stability, where it is watched
+    t: float
+    t_bound: float
+    y: Array
+    f: Any
+    h_abs: float
+    nfev: int
 
     def __init__(
         self,
@@ -72,9 +81,8 @@ class Projecting(_Solver):  # type: ignore[misc]
         jumps: Sequence[float] = (),
         leaves: Sequence[float] = (),
         told: Steps | None = None,
-        near: NearSingular | None = None,
-        slipping: Mechanism | None = None,
-        driven: Mechanism | None = None,
+        near: RightHandSide | None = None,
+        mechanism: Mechanism | None = None,
         **options: Any,
     ) -> None:
         self._ahead = Ahead(jumps)
@@ -82,36 +90,31 @@ class Projecting(_Solver):  # type: ignore[misc]
             self._ahead.begin(t0, t_bound >= t0)
             fun = self._within(fun)
         super().__init__(fun, t0, y0, t_bound, **options)
-        self.t: float
-        self.t_bound: float
-        self.y: Array
-        self.f: Any
-        self.h_abs: float
-        self.nfev: int
         self.projection = projection
         self.misses = projection.misses if isinstance(projection, Projection) else None
         self.kinks = sorted(kinks)
         self.stops = sorted({*kinks, *jumps})
         self.leaves = leaves
         self.told = told
-        self._slipping = slipping  # whose bells a step may leap over
-        self._driven = driven  # whose laws of the time do work
+        self._bells = mechanism if mechanism is not None and mechanism.bells else None
+        self._driven = mechanism if mechanism is not None and mechanism.driven else None
         self._lowest, self._highest, self._fastest = math.inf, -math.inf, 0.0  # energies, J
         self._inertia = 0.0
-        if driven is not None:
-            self._inertia = float(np.trace(mass_matrix(driven, self.y[: driven.n])))
+        if self._driven is not None:
+            self._inertia = float(np.trace(mass_matrix(self._driven, self.y[: self._driven.n])))
         self._jumped = False  # whether the torque may have, at self.t
         self._options = options
         self.steps = 0
         self._longest = math.inf  # s, of the next step
-        self._tolerances: tuple[Any, Array] | None = None  # as they were given
+        self._held = False  # whether tolerances are others than were given
         self._stiff_steps = 0
         self._rates = fun  # not counted
         self.near = near if self.explicit else None
         if self.explicit:
             self._plain = self.fun = self._counted(fun)
         if self.near is not None:
-            careful = self._within(self.near.rates) if jumps else self.near.rates
+            assert self.near.careful is not None
+            careful = self._within(self.near.careful) if jumps else self.near.careful
             self._careful = self._counted(careful)
             self.near.met = False
 
@@ -134,14 +137,13 @@ class Projecting(_Solver):  # type: ignore[misc]
             self._ahead.begin(self.t, self.direction > 0.0)
         if self._jumped:
             self._restart()
-        end = self.t_bound
         begun = self.t, self.y, self.f if self.explicit else None
-        stop = next_stop(self.stops, self.leaves, self.t, end, NEAR)
-        self.t_bound = stop
-        self._hold()
+        end = self.t_bound
+        self.t_bound = next_stop(self.stops, self.leaves, self.t, end, NEAR)
+        longest = min(self._longest, self._hold())
+        if longest < abs(self.t_bound - self.t):
+            self.t_bound = self.t + self.direction * longest
         self._weigh()
-        if self._longest < abs(self.t_bound - self.t):
-            self.t_bound = self.t + self.direction * self._longest
         try:
             success, message = self._take_step()
         except ValueError as error:  # an implicit method met a rate that is not finite
@@ -173,28 +175,28 @@ class Projecting(_Solver):  # type: ignore[misc]
                 return True
             if closed is not self.y:
                 self.y, self.f = closed, self.fun(self.t, closed)
-        if self._slipping is None:
+        if self._bells is None:
             return False
-        over = falls_over(self._slipping, y.tolist(), self.y.tolist(), self.t - t)
+        over = falls_over(self._bells, y.tolist(), self.y.tolist(), self.t - t)
         self._longest = 0.5 * abs(self.t - t) if over else math.inf
         return over
 
-    def _hold(self) -> None:
-        """Bound the next step and its tolerances near a change point that the loops miss."""
+    def _hold(self) -> float:
+        """Return how long the next step may be beside change points that loops miss (s).
+
+        Its tolerances are tightened there.
+        """
         if self.misses is None:
-            return
+            return math.inf
         longest, fine, rounding = self.misses.holds(self.y)
-        if longest < abs(self.t_bound - self.t):
-            self.t_bound = self.t + self.direction * longest
-        if self._tolerances is None:
-            if fine == np.inf:
-                return
-            self._tolerances = self._options["rtol"], np.array(self._options["atol"])
-        rtol, atol = self._tolerances
-        self.rtol = min(rtol, fine)
-        self.atol = np.where(atol < UNBOUNDED, np.minimum(atol, fine), atol)
-        n = self.misses.mechanism.n
-        self.atol[n : 2 * n] = np.maximum(self.atol[n : 2 * n], rounding)
+        if self._held or fine != np.inf:
+            self._held = True
+            self.rtol = min(self._options["rtol"], fine)
+            atol = self._options["atol"]
+            self.atol = np.where(atol < UNBOUNDED, np.minimum(atol, fine), atol)
+            n = self.misses.mechanism.n
+            self.atol[n : 2 * n] = np.maximum(self.atol[n : 2 * n], rounding)
+        return float(longest)
 
     def _weigh(self) -> None:
         """Let the work of laws err by what tolerances are of the energy in motion until now.
@@ -244,24 +246,23 @@ class Projecting(_Solver):  # type: ignore[misc]
 
     def _take_step(self) -> tuple[bool, str | None]:
         """Take one step; repeat it with projected stages if it met a singularity."""
-        near = self.near
+        near, step = self.near, super()._step_impl
         if near is None:
-            return super()._step_impl()  # type: ignore[no-any-return]
+            return step()  # type: ignore[no-any-return]
         self.fun = self._careful if near.met else self._plain
         begun = self.t, self.y, self.f, self.h_abs
         near.met = False
-        success, message = super()._step_impl()
+        success, message = step()
         if near.met and self.fun is self._plain:
             self.t, self.y, self.f, self.h_abs = begun
             self.fun = self._careful
-            success, message = super()._step_impl()
+            success, message = step()
         return success, message
 
-    def _dense_output_impl(self) -> DenseOutput:
+    def _dense_output_impl(self) -> Any:
         if self._ahead.jumps:  # it may be asked for after later steps
             self._ahead.begin(self.t_old, self.direction > 0.0)
-        dense = super()._dense_output_impl()
-        return dense if self.projection is None else _ProjectedOutput(dense, self.projection)
+        return super()._dense_output_impl()
 
     def _watch_stability(self) -> None:
         """Raise StiffError if Hairer's test finds |h lambda| at the stability edge.
@@ -330,9 +331,8 @@ class SolverSteps:
                 rtol=rtol,
                 atol=each,
                 projection=side.projection if projects else None,
-                near=side.near,
-                slipping=mechanism if mechanism.bells else None,
-                driven=mechanism if mechanism.driven else None,
+                near=side if side.careful is not None else None,
+                mechanism=mechanism,
                 kinks=actuation.kinks,
                 jumps=actuation.jumps,
                 leaves=actuation.leaves,
@@ -397,18 +397,3 @@ def _quiet() -> Iterator[None]:
         warnings.simplefilter("ignore", RuntimeWarning)
         warnings.filterwarnings("ignore", module="scipy")
         yield
-
-
-class _ProjectedOutput(DenseOutput):
-    """Dense output of a solver, projected onto closed states."""
-
-    def __init__(self, dense: DenseOutput, projection: Callable[[float, Array], Array]) -> None:
-        super().__init__(dense.t_old, dense.t)
-        self._dense, self._projection = dense, projection
-
-    def _call_impl(self, t: Array) -> Array:
-        y: Array = self._dense(t)
-        if y.ndim == 1:
-            return self._projection(float(t), y)
-        each = zip(np.asarray(t).tolist(), y.T, strict=True)
-        return np.stack([self._projection(now, column) for now, column in each], axis=-1)
