@@ -12,7 +12,7 @@ import time
 import warnings
 from collections.abc import Callable, Generator, Iterator
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -48,6 +48,9 @@ from robodyn.runs.settings import EvenTimes, Settings, check_run
 from robodyn.runs.watch import Cut, Event, EventWatch
 from robodyn.tables.arrays import Array
 
+if TYPE_CHECKING:
+    from robodyn.runs.solvers import SolverSteps
+
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
 BEYOND = 1e-9  # s, or of the time: a state so near the end of a run is why it ended
 MOST_AT_ONCE = 100  # legs in a row that take no time, after which none will
@@ -60,34 +63,16 @@ LED = "a law of the time leads the joint there, and no stop throws it back"
 Due = Callable[[float], Array]  # of a time: output times still to come up to it
 
 
-class Steps(Protocol):
-    """Takes the integration steps of one leg."""
-
-    outcome: Outcome | None  # why there are no more
-
-    @property
-    def evaluations(self) -> int:
-        """Number of evaluations of the rates, or of series expansions, so far."""
-
-    def advance(self, left: float) -> Segment | None:
-        """Return the next steps, or None at the end of the leg; `outcome` then says why.
-
-        The segment ends early once more than `left` evaluations were spent.
-        """
-
-    def leave(self, t: float, y: Array) -> None:
-        """Tell that the run leaves this leg in state y at time t."""
-
-
 def _nothing_due(bound: float) -> Array:
     return np.zeros(0)
 
 
 class Run:
-    """A motion from `state` (2n,) at t = 0 to t_end, as segments, with its report and contacts.
+    """A motion from `state` (2n,) at t = 0 to t_end, as segments, with its report.
 
-    `events` finds events and may end the run.  Raises RobodynError if no motion is defined at the
-    start.
+    A state y is (q, qd), followed by the states that torques have of their own, and by the work
+    done if anything does work.  `events` finds events and may end the run.  Raises RobodynError if
+    no motion is defined at the start.
     """
 
     def __init__(
@@ -106,34 +91,27 @@ class Run:
             warnings.warn(TOO_FAST, RobodynWarning, stacklevel=3)
         report.stabilize = settings.stabilize if mechanism.rows else "none"
         self.mechanism, self.actuation, self.settings = mechanism, actuation, settings
-        self.t_end, self.report = t_end, report
+        self.t_end, self.report, self.outcome = t_end, report, Outcome.FINISHED
         work = actuation.active or mechanism.changes_energy or mechanism.switches
         self.work = bool(work or mechanism.driven)
-        y = np.array([*state.tolist(), *[0.0] * (actuation.states + self.work)])
-        y = self._begun(y)
-        self.phases: Phases | None = None
-        self.moving = mechanism  # what moves now: the mechanism, or one of its modes
+        self.t, self.y = 0.0, self._start(state)
+        self.events, self.phases = events, None
         if mechanism.switches:
-            events = events or EventWatch([], t_end, width=2 * mechanism.n)
-            self.phases = Phases(mechanism, actuation, y, t_end, settings.atol)
-            y, self.moving = self.phases.y, self.phases.moving
-        self.t, self.y, self.events = 0.0, y, events
-        self.outcome = Outcome.FINISHED
+            self.events = events or EventWatch([], t_end, width=2 * mechanism.n)
+            self.phases = Phases(mechanism, actuation, self.y, t_end, settings.atol)
+            self.y = self.phases.y
+        # per mode
         self._sides: dict[Mechanism, RightHandSide] = {}
         self._engines: dict[Mechanism, SeriesEngine | None] = {}
         self._misses: dict[Mechanism, Misses] = {}
-        self._recent: list[Array] = []  # times of steps not yet looked at for an end
+        self._recent = np.zeros(0)  # times of steps not yet looked at for an end
         self._longest = 0.0  # of the steps before them, s
         self._check_start()
-        if settings.method == "taylor":
-            check_served(mechanism, actuation)
-        if events is not None and events.columns is not None:
-            torques = partial(applied_torques, mechanism, actuation)
-            events.columns.enter(self.moving, torques)
 
-    def _begun(self, y: Array) -> Array:
-        """Return the start state, projected onto the closures; start torques that have a memory."""
+    def _start(self, state: Array) -> Array:
+        """Return y at the start, projected onto the closures; start torques that have a memory."""
         mechanism, n = self.mechanism, self.mechanism.n
+        y = np.array([*state.tolist(), *[0.0] * (self.actuation.states + self.work)])
         check_laws(mechanism, y[:n], y[n : 2 * n], 0.0)
         if self.t_end != 0.0 and mechanism.rows:
             loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
@@ -145,26 +123,29 @@ class Run:
             rows_of(parts.acting, mechanism).check_signals(y[:n], y[n : 2 * n])
         return y
 
+    @np.errstate(all="ignore")  # rates that leave the floats end the run
     def _check_start(self) -> None:
-        """Raise RobodynError if the acceleration at the start is undefined."""
+        """Raise RobodynError if the acceleration at the start is undefined or not served."""
         mechanism, y, n = self.moving, self.y, self.mechanism.n
-        by_series = self.settings.method == "taylor"
-        if by_series:
+        if self.settings.method == "taylor":
             self.report.evaluator = "compiled"
-        if by_series and not mechanism.parted and dense_dynamics.elimination_is_safe(mechanism):
-            return
-        with np.errstate(all="ignore"):  # rates that leave the floats end the run
-            if by_series:
+            if mechanism.parted or not dense_dynamics.elimination_is_safe(mechanism):
                 dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
-                return
-            side = self._side(mechanism)
-            self.report.evaluator = side.kind
-            if not np.isfinite(side.rates(0.0, y)).all():
-                check_start(mechanism, self.actuation, 0.0, y)
-                if side.refused is not None and side.refused.error is not None:
-                    raise side.refused.error
-                limit = "the acceleration is not finite there"
-                raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+            check_served(self.mechanism, self.actuation)
+            return
+        side = self._side(mechanism)
+        self.report.evaluator = side.kind
+        if not np.isfinite(side.rates(0.0, y)).all():
+            check_start(mechanism, self.actuation, 0.0, y)
+            if side.refused is not None:
+                raise side.refused[1]
+            limit = "the acceleration is not finite there"
+            raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+
+    @property
+    def moving(self) -> Mechanism:
+        """What moves now: the mechanism, or one of its modes."""
+        return self.mechanism if self.phases is None else self.phases.moving
 
     def _met(self, mechanism: Mechanism) -> Misses | None:
         """Return the change points met so far by a mechanism; None if it has no closures."""
@@ -185,7 +166,7 @@ class Run:
             )
         return self._sides[mechanism]
 
-    def _steps(self, mechanism: Mechanism, due: Due, keeps: bool) -> Steps:
+    def _steps(self, mechanism: Mechanism, due: Due, keeps: bool) -> SeriesSteps | SolverSteps:
         """Return a stepper for a leg that begins at the current state."""
         settings, events = self.settings, self.events
         projects = settings.stabilize == "projection" and bool(mechanism.rows)
@@ -229,7 +210,7 @@ class Run:
 
         `due` returns the output times up to a bound.  A stepper that can do so cheaply puts the
         rows at these times into `Segment.rows`.  With `keeps`, states between steps are available
-        in each segment.
+        in each segment.  At the end `outcome` tells why there are no more.
         """
         if self.t_end == 0.0:
             return
@@ -237,13 +218,20 @@ class Run:
             while True:  # leg by leg
                 cut = yield from self._leg(due, keeps)
                 if cut is None or not self._goes_on(cut):
-                    return
+                    break
         except SingularError:
             self.outcome = Outcome.SINGULAR
         except (LawError, NotSettledError) as error:
-            self.end_by(error)
+            self._end_by(error)
+        if self.mechanism.laws and self.outcome in (Outcome.STEP_TOO_SMALL, Outcome.SINGULAR):
+            n = self.mechanism.n
+            try:
+                for t, y in [(self.t, self.y), *self._ahead()]:
+                    check_laws(self.mechanism, y[:n], y[n : 2 * n], t)
+            except LawError as error:
+                self._end_by(error)
 
-    def end_by(self, error: LawError | NotSettledError) -> None:
+    def _end_by(self, error: LawError | NotSettledError) -> None:
         """Set the outcome from an error, and the advice that names the law or the friction."""
         self.outcome = Outcome.LAW if isinstance(error, LawError) else Outcome.FRICTION
         self.report.advice = f"{error.what} = {error.value}: {error.limit}"
@@ -252,11 +240,11 @@ class Run:
         """Yield the segments of one leg; return the cut that ended it, or None at the run's end."""
         events, mechanism = self.events, self.mechanism
         if self.phases is not None and events is not None:
-            self.moving = self.phases.moving
             mechanism = in_mode(mechanism, self.phases.integrated)
             events.guard(self.phases.functions)
-            if events.columns is not None:
-                events.columns.enter(self.moving)
+        if events is not None and events.columns is not None:
+            torques = partial(applied_torques, self.mechanism, self.actuation)
+            events.columns.enter(self.moving, torques)
         steps, report, done = self._steps(mechanism, due, keeps), self.report, 0
         while True:
             segment = steps.advance(self.settings.max_evaluations - report.evaluations)
@@ -281,21 +269,6 @@ class Run:
             if self.t != self.t_end and self._hopeless(segment):
                 return None
 
-    def _check_friction(self, mechanism: Mechanism) -> None:
-        """Raise NotSettledError if friction by forces has no solution just ahead."""
-        side, n, whole = self._side(mechanism), mechanism.n, max(1.0, abs(self.t))
-        refused = side.refused
-        assert refused is not None
-        # as steps shrink before a state without a solution none may have met it
-        for k in range(-12, -4):
-            if refused.error is not None and abs(refused.t - self.t) <= BEYOND * whole:
-                raise refused.error
-            now, ahead = self.t + math.copysign(10.0**k * whole, self.t_end), self.y.copy()
-            ahead[:n] += (now - self.t) * self.y[n : 2 * n]
-            side.rates(now, ahead)
-            if refused.error is not None and refused.t == now:
-                raise refused.error
-
     def _goes_on(self, cut: Cut) -> bool:
         """Enter the leg that follows a cut; return False if the cut ends the run."""
         assert self.events is not None
@@ -313,13 +286,50 @@ class Run:
             return False
         return self.t != self.t_end
 
+    # -- why there is no way on --------------------------------------------------------------------
+
+    def _ahead(self) -> Iterator[tuple[float, Array]]:
+        """Yield times just beyond the end of the run, with the states that its rates lead to."""
+        n, whole = self.mechanism.n, max(1.0, abs(self.t))
+        for k in range(-12, -4):
+            t, y = self.t + math.copysign(10.0**k * whole, self.t_end), self.y.copy()
+            y[:n] += (t - self.t) * self.y[n : 2 * n]
+            yield t, y
+
+    def _check_friction(self, mechanism: Mechanism) -> None:
+        """Raise NotSettledError if friction by forces has no solution just ahead."""
+        side = self._side(mechanism)
+        # as steps shrink before a state without a solution none may have met it
+        for t, y in self._ahead():
+            if side.refused is not None:
+                at, error = side.refused
+                if abs(at - self.t) <= BEYOND * max(1.0, abs(self.t)):
+                    raise error
+            side.rates(t, y)
+            if side.refused is not None and side.refused[0] == t:
+                raise side.refused[1]
+
     def _hopeless(self, segment: Segment) -> bool:
-        """Return whether the run has used up its evaluations, or its steps are far too short."""
-        self._recent.append(segment.t[1:])
-        if sum(map(len, self._recent)) >= STEPS_AT_ONCE:
-            times, self._recent = np.concatenate(self._recent), []
-            outcome = self._endless(times)
-            if outcome is not None:
+        """Return whether the run has used up its evaluations, or its steps are far too short.
+
+        Short steps that still grow may reach the end.
+        """
+        self._recent = np.concatenate([self._recent, segment.t[1:]])
+        if len(self._recent) >= STEPS_AT_ONCE:
+            widths = np.abs(np.diff(self._recent))
+            left = abs(self.t_end - float(self._recent[-1]))
+            self._recent = np.zeros(0)
+            early, late = (float(x.max()) for x in np.array_split(widths, 2))
+            before = max(self._longest, early)
+            self._longest = max(before, late)
+            most = max(MOST_STEPS, NEVER * self.settings.max_evaluations)
+            most = min(most, 1.0 / np.finfo(float).eps)  # floats tell no more apart
+            if abs(self.t_end) <= FAR_END:
+                outcome, ends = Outcome.STEP_TOO_SMALL, left > most * late and late <= 2.0 * early
+            else:
+                outcome = Outcome.ENDLESS
+                ends = left > most * self._longest <= 2.0 * most * before
+            if ends:
                 self.outcome = outcome
                 return True
         if self.report.evaluations > self.settings.max_evaluations:
@@ -327,42 +337,34 @@ class Run:
             return True
         return False
 
-    def _endless(self, t: Array) -> Outcome | None:
-        """Return the outcome of a run whose short steps cannot reach t_end; else None.
-
-        Steps that still grow may reach it.
-        """
-        early, late = (float(x.max()) for x in np.array_split(np.abs(np.diff(t)), 2))
-        before = max(self._longest, early)
-        self._longest = max(before, late)
-        left = abs(self.t_end - float(t[-1]))
-        most = max(MOST_STEPS, NEVER * self.settings.max_evaluations)
-        most = min(most, 1.0 / np.finfo(float).eps)  # floats tell no more apart
-        if abs(self.t_end) <= FAR_END:
-            return Outcome.STEP_TOO_SMALL if left > most * late and late <= 2.0 * early else None
-        return Outcome.ENDLESS if left > most * self._longest <= 2.0 * most * before else None
-
-    @property
-    def contacts(self) -> list[Event]:
-        """Events of contacts: stops that joints met or left, joints that stuck or started."""
-        return [] if self.phases is None else self.phases.found
+    def advice(self) -> str:
+        """Return what to do about the outcome."""
+        mechanism, control = self.mechanism, self.actuation.control
+        told = ""
+        if self.phases is not None and self.phases.led_on:
+            told = LED
+        elif control is not None and self.outcome not in (Outcome.FINISHED, Outcome.EVENT):
+            told = no_hold(mechanism, control)
+        if not told and mechanism.has_tables and self.outcome is Outcome.STEP_TOO_SMALL:
+            told = near_table_end(mechanism, self.t, self.y)
+        return told or self.report.advice or self.outcome.advice
 
 
-class Record:
+class Record(NamedTuple):
     """The report and the contacts of a run that has ended."""
 
-    def __init__(self, run: Run, statistics: RunStatistics) -> None:
-        self._run, self._statistics = run, statistics
+    run: Run
+    statistics: RunStatistics
 
     @property
     def contacts(self) -> list[Event]:
-        """Events of contacts, in the order of time."""
-        return self._run.contacts
+        """Stops that joints met or left, joints that stuck or started, in the order of time."""
+        return [] if self.run.phases is None else self.run.phases.found
 
     def settle(self) -> Report:
         """Return the report with the statistics of all steps."""
-        run, report = self._run, self._run.report
-        self._statistics.flush()
+        run, report = self.run, self.run.report
+        self.statistics.flush()
         if run.actuation.control is not None:
             report.tracking = run.actuation.control.tracking()
         if run.events is not None:
@@ -391,67 +393,36 @@ def run(
     check_run(settings, t_end, times)
     check_span(actuation, t_end)
     run = Run(mechanism, state, t_end, actuation, settings, events)
-    report = run.report
+    report, actuation = run.report, run.actuation
 
     def look(t: float) -> None:
         report.t_reached = t
         if watch is not None and watch(t):
             raise InterruptedRun
 
-    statistics = RunStatistics(report, run.actuation, mechanism.n, bool(mechanism.rows))
-    rows = Rows(sink, times, 2 * mechanism.n + run.actuation.states, look)
+    statistics = RunStatistics(report, actuation, mechanism.n, bool(mechanism.rows))
+    rows = Rows(sink, times, mechanism.n, 2 * mechanism.n + actuation.states, look)
     rows.begin(run.moving, run.y)
-    statistics.take(run.moving, np.zeros(1), run.y[None])
+    statistics.add(np.zeros(1), run.y[None], run.moving)
     begun = time.perf_counter()
     try:
         for segment in run.segments(rows.due):
             rows.take(run.moving, segment)
-            statistics.take(run.moving, segment.t[1:], segment.y[1:])
+            statistics.add(segment.t[1:], segment.y[1:], run.moving)
             look(segment.end)
     except InterruptedRun:
         run.outcome = Outcome.INTERRUPTED
     if run.outcome in (Outcome.EVENT, Outcome.LIMIT):
-        rows.end(run.t, run.y)
+        rows.end(run.moving, run.t, run.y)
     rows.flush()
     if run.outcome is Outcome.STEP_TOO_SMALL and settings.method != "taylor":
         statistics.flush()
         near = statistics.last_singular
         if near is not None and near < NEARLY_SINGULAR:
             run.outcome = Outcome.SINGULAR
-    if mechanism.laws and run.outcome in (Outcome.STEP_TOO_SMALL, Outcome.SINGULAR):
-        law = undefined_beyond(mechanism, run.t, run.y, run.t_end)
-        if law is not None:
-            run.end_by(law)
     record = Record(run, statistics)
-    if run.actuation.control is not None:  # it may follow another run before it is asked
+    if actuation.control is not None:  # it may follow another run before it is asked
         record.settle()
     report.seconds = time.perf_counter() - begun
-    report.outcome = run.outcome.label
-    report.advice = _advice(run) or run.outcome.advice
+    report.outcome, report.advice = run.outcome.label, run.advice()
     return run.outcome, record
-
-
-def _advice(run: Run) -> str:
-    """Return what to do about a run that ended early, or "" for the advice of its outcome."""
-    mechanism, outcome, control = run.mechanism, run.outcome, run.actuation.control
-    told = ""
-    if run.phases is not None and run.phases.led_on:
-        told = LED
-    if not told and control is not None and outcome not in (Outcome.FINISHED, Outcome.EVENT):
-        told = no_hold(mechanism, control)
-    if not told and mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL:
-        told = near_table_end(mechanism, run.t, run.y)
-    return told or run.report.advice
-
-
-def undefined_beyond(mechanism: Mechanism, t: float, y: Array, t_end: float) -> LawError | None:
-    """Return the error of a law undefined at or just beyond state y at t; else None."""
-    n = mechanism.n
-    for ahead in (0.0, *(10.0**k for k in range(-12, -4))):
-        now = t + math.copysign(ahead * max(1.0, abs(t)), t_end)
-        q, qd = y[:n] + (now - t) * y[n : 2 * n], y[n : 2 * n]
-        try:
-            check_laws(mechanism, q, qd, now)
-        except LawError as error:
-            return error
-    return None

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from functools import cache
 
 import numpy as np
 
@@ -29,168 +28,13 @@ from robodyn.runs.settings import EvenTimes
 from robodyn.tables.arrays import Array
 
 Torques = Callable[[float, Sequence[float]], Sequence[float]]
+Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n or more)
 
 SAMPLES = 1000  # of a run, at least
 POINTS = 8  # of a Gauss-Legendre rule
 SHORT = 1e-4  # of a run: in shorter steps the way may be what moves a joint onto its end
 FEW = 100  # steps: more tell by their ends alone how fast the joints are on the way
 LONG = 2  # samples that a step must span to be looked at: shorter ones are samples themselves
-
-
-class RunStatistics:
-    """Computes the statistics of a run's report from its steps, in batches."""
-
-    def __init__(self, report: Report, actuation: Actuation, n: int, closes: bool) -> None:
-        self.report, self.actuation, self.closes = report, actuation, closes
-        self.mechanism: Mechanism | None = None  # of the steps before
-        self.rank = 0  # of its closures, where it is known
-        self.last: tuple[Array, Array] | None = None  # t (1,) and q (1, n) of the last step
-        self.missed = 0.0  # J
-        self.last_singular: float | None = None
-        self._waiting: list[tuple[Array, Array]] = []  # steps of it that wait
-        self._count = 0
-        self.unseen: UnseenWork | None = None
-        if actuation.constants is None and not actuation.linear and actuation.control is None:
-            self.unseen = UnseenWork(actuation.function(n), report.t_end)
-
-    def take(self, mechanism: Mechanism, t: Array, y: Array) -> None:
-        """Collect steps that end in states y (k, 2n or more) at times t (k,).
-
-        `mechanism` is the mechanism, or its mode, that moves in these steps.
-        """
-        if mechanism is not self.mechanism:
-            self.flush()
-            self.mechanism, self.rank = mechanism, 0
-        self._waiting.append((t, y))
-        self._count += len(t)
-        if self._count >= STEPS_AT_ONCE:
-            self.flush()
-
-    def flush(self) -> None:
-        """Compute the statistics of the collected steps."""
-        if self._waiting and self.mechanism is not None:
-            t, y = joined(self._waiting)
-            self._waiting, self._count = [], 0
-            self._take(self.mechanism, t, y)
-
-    @np.errstate(all="ignore")  # what leaves the floats is told by the outcome
-    def _take(self, mechanism: Mechanism, t: Array, y: Array) -> None:
-        finite = np.isfinite(y).all(axis=1)
-        t, y = t[finite], y[finite]
-        if not len(t):
-            return
-        if self.actuation.control is not None:
-            self.actuation.control.observe(t, y)
-        report, n = self.report, mechanism.n
-        q, qd = y[:, :n], y[:, n : 2 * n]
-        KE, PE = closed_form.energies(mechanism, q, qd)
-        work = y[:, -1] if y.shape[1] > 2 * n + self.actuation.states else np.zeros(len(t))
-        if self.unseen is not None:
-            unseen = self.unseen(t, q, qd)
-            work, self.missed = work + unseen, max(self.missed, float(np.abs(unseen).max()))
-        if self.last is None:
-            report.energy_start, self.last = float(KE[0] + PE[0]), (t[:1], q[:1])
-        fastest = float(KE.max())
-        if len(t) < FEW:  # they may all end at rest
-            width = t - np.concatenate([self.last[0], t[:-1]])
-            way = q - np.concatenate([self.last[1], q[:-1]])
-            width[np.abs(width) <= SHORT * abs(report.t_end)] = np.inf
-            mean = way / width[:, None]
-            fastest = max(fastest, float(closed_form.energies(mechanism, q, mean)[0].max()))
-        self.last = t[-1:], q[-1:]
-        error = float(np.abs(KE + PE - work - report.energy_start).max())
-        before = report.energy_drift * report.energy_in_motion
-        moving = max(fastest, float(np.ptp(PE)), report.energy_in_motion)
-        report.energy_in_motion = moving
-        report.energy_drift = max(error, before) / moving if moving > 0.0 else 0.0
-        report.work_missed = self.missed / moving if moving > 0.0 else 0.0
-        report.work = float(work[-1])
-        if self.closes:
-            self._take_loops(mechanism, t, q, qd)
-
-    def _take_loops(self, mechanism: Mechanism, t: Array, q: Array, qd: Array) -> None:
-        report = self.report
-        gap = closed_form.closure_gap(mechanism, q, t)
-        report.largest_gap = max(report.largest_gap, float(np.abs(gap).max()))
-        stride = 1 + mechanism.n * len(mechanism.rows) // 2000
-        Psi = closed_form.scaled_jacobian(mechanism, q[::stride], t[::stride])
-        rate = matvec(Psi, qd[::stride] / mechanism.arrays.units)
-        if mechanism.driven:
-            rate = rate + closed_form.closure_drift(mechanism, q[::stride], t[::stride])
-        report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
-        least = self.least_singular(mechanism, Psi)
-        worst = int(np.argmin(least))
-        self.last_singular = float(least[-1])
-        if report.nearest_singular is None or least[worst] < report.nearest_singular:
-            report.nearest_singular = float(least[worst])
-            report.nearest_singular_time = float(t[::stride][worst])
-            report.missed = miss_remark(mechanism, q[::stride][worst])
-
-    def least_singular(self, mechanism: Mechanism, Psi: Array) -> Array:
-        """Return the smallest nonzero singular value of Psi over loop size, (k,).
-
-        Psi is (k, r, n).  Singular values beyond the rank of dependent closures are left out.
-        """
-        size = loop_size(mechanism)
-        if not self.rank:  # of closures that depend on one another not all count
-            s = np.linalg.svd(Psi[:: max(1, len(Psi) // 8)], compute_uv=False)
-            self.rank = max(1, int((s > 1e-9 * size).sum(axis=-1).max()))
-        s = np.linalg.svd(Psi, compute_uv=False)
-        return np.asarray(s[:, self.rank - 1] / size)
-
-
-class UnseenWork:
-    """Sums the work (J) of torques that the steps of a run have missed."""
-
-    def __init__(self, torques: Torques, t_end: float) -> None:
-        self._torques, self._apart = torques, abs(t_end) / SAMPLES
-        self._before: tuple[Array, Array, Array] | None = None
-        self._sum = 0.0
-
-    def __call__(self, t: Array, q: Array, qd: Array) -> Array:
-        """Return the work missed from the start up to times t (k,); q, qd are (k, n)."""
-        if self._before is not None:
-            t, q, qd = (
-                np.concatenate([a, b]) for a, b in zip(self._before, (t, q, qd), strict=True)
-            )
-        missed = [
-            self._missed(t[k : k + 2], q[k : k + 2], qd[k : k + 2]) for k in range(len(t) - 1)
-        ]
-        sums = self._sum + np.concatenate([[0.0], np.cumsum(missed)])
-        result = sums if self._before is None else sums[1:]
-        self._before, self._sum = (t[-1:], q[-1:], qd[-1:]), float(sums[-1])
-        return np.asarray(result)
-
-    def _missed(self, t: Array, q: Array, qd: Array) -> float:
-        """Return the work over one step by many samples, less that by a single rule (J)."""
-        h = float(t[1] - t[0])
-        if not abs(h) > LONG * self._apart:
-            return 0.0
-        panels = max(2, int(abs(h) / (POINTS * self._apart)) + 1)
-        u, weights = np.polynomial.legendre.leggauss(POINTS)
-        u, weights = 0.5 * (u + 1.0), 0.5 * weights
-        part = ((np.arange(panels)[:, None] + u) / panels).ravel()
-        x = np.concatenate([u, part])[:, None]
-        rise = (q[1] - q[0]) / h
-        bend = x * (1.0 - x)
-        states = q[0] + h * (x * rise + bend * ((1.0 - x) * (qd[0] - rise) - x * (qd[1] - rise)))
-        rates = qd[0] + x * (qd[1] - qd[0]) + 6.0 * bend * (rise - 0.5 * (qd[0] + qd[1]))
-        times = t[0] + h * x[:, 0]
-        y = np.concatenate([states, rates], axis=1)
-        try:
-            torques = [
-                self._torques(*each) for each in zip(times.tolist(), y.tolist(), strict=True)
-            ]
-        except (ArithmeticError, ValueError):  # beside the motion the torque may be undefined
-            return 0.0
-        power = (np.array(torques) * rates).sum(axis=1)
-        close = weights @ power[POINTS:].reshape(panels, POINTS).sum(axis=0) / panels
-        missed = float(h * (close - weights @ power[:POINTS]))
-        return missed if np.isfinite(missed) else 0.0
-
-
-Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n or more)
-
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
 WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
@@ -204,33 +48,170 @@ def joined(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
     return np.concatenate(t), np.concatenate(y)
 
 
-@cache
-def rows_at_once(n: int) -> int:
-    """Return how many rows of n joints are passed to a sink together."""
-    return max(1, min(ROWS_AT_ONCE, WORK_AT_ONCE // n**3))
+class Batches:
+    """Collects states of a run, and passes `most` of them on together, or all of one mode."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._count = most, 0
+        self._waiting: list[tuple[Array, Array]] = []
+        self._moving: Mechanism | None = None
+
+    def add(self, t: Array, y: Array, moving: Mechanism) -> None:
+        """Add states y (k, 2n or more) at times t (k,), with the mode that moves."""
+        if moving is not self._moving:
+            self.flush()
+            self._moving = moving
+        self._waiting.append((t, y))
+        self._count += len(t)
+        if self._count >= self._most:
+            self.flush()
+
+    def flush(self) -> None:
+        """Pass on what waits."""
+        if self._waiting and self._moving is not None:
+            t, y = joined(self._waiting)
+            self._waiting, self._count = [], 0
+            self._pass(t, y, self._moving)
+
+    def _pass(self, t: Array, y: Array, moving: Mechanism) -> None:
+        raise NotImplementedError
 
 
-class Rows:
+class RunStatistics(Batches):
+    """Computes the statistics of a run's report from its steps."""
+
+    def __init__(self, report: Report, actuation: Actuation, n: int, closes: bool) -> None:
+        super().__init__(STEPS_AT_ONCE)
+        self.report, self.actuation, self.closes = report, actuation, closes
+        self.ranked: tuple[Mechanism, int] | None = None  # a mode, and the rank of its closures
+        self.before: tuple[Array, ...] | None = None  # t (1,), q and qd (1, n) of the last step
+        self.unseen, self.missed = 0.0, 0.0  # work that steps missed, and the largest of it, J
+        self.last_singular: float | None = None
+        self._torques: Torques | None = None  # of which steps may miss work
+        if actuation.constants is None and not actuation.linear and actuation.control is None:
+            self._torques = actuation.function(n)
+
+    @np.errstate(all="ignore")  # what leaves the floats is told by the outcome
+    def _pass(self, t: Array, y: Array, moving: Mechanism) -> None:
+        finite = np.isfinite(y).all(axis=1)
+        t, y = t[finite], y[finite]
+        if not len(t):
+            return
+        if self.actuation.control is not None:
+            self.actuation.control.observe(t, y)
+        report, n = self.report, moving.n
+        q, qd = y[:, :n], y[:, n : 2 * n]
+        KE, PE = closed_form.energies(moving, q, qd)
+        if self.before is None:
+            report.energy_start, self.before = float(KE[0] + PE[0]), (t[:1], q[:1], qd[:1])
+        steps = [np.concatenate(x) for x in zip(self.before, (t, q, qd), strict=True)]
+        self.before = t[-1:], q[-1:], qd[-1:]
+        work = y[:, -1] if y.shape[1] > 2 * n + self.actuation.states else np.zeros(len(t))
+        if self._torques is not None:
+            unseen = missed_work(self._torques, abs(report.t_end) / SAMPLES, *steps)
+            unseen = self.unseen + np.cumsum(unseen)
+            self.unseen = float(unseen[-1])
+            work, self.missed = work + unseen, max(self.missed, float(np.abs(unseen).max()))
+        fastest = float(KE.max())
+        if len(t) < FEW:  # they may all end at rest
+            width, way = (np.diff(x, axis=0) for x in steps[:2])
+            width[np.abs(width) <= SHORT * abs(report.t_end)] = np.inf
+            mean = way / width[:, None]
+            fastest = max(fastest, float(closed_form.energies(moving, q, mean)[0].max()))
+        error = float(np.abs(KE + PE - work - report.energy_start).max())
+        error = max(error, report.energy_drift * report.energy_in_motion)
+        most = max(fastest, float(np.ptp(PE)), report.energy_in_motion)
+        report.energy_in_motion = most
+        report.energy_drift = error / most if most > 0.0 else 0.0
+        report.work_missed = self.missed / most if most > 0.0 else 0.0
+        report.work = float(work[-1])
+        if self.closes:
+            self._take_loops(moving, t, q, qd)
+
+    def _take_loops(self, mechanism: Mechanism, t: Array, q: Array, qd: Array) -> None:
+        report = self.report
+        gap = closed_form.closure_gap(mechanism, q, t)
+        report.largest_gap = max(report.largest_gap, float(np.abs(gap).max()))
+        stride = 1 + mechanism.n * len(mechanism.rows) // 2000
+        t, q, qd = t[::stride], q[::stride], qd[::stride]
+        Psi = closed_form.scaled_jacobian(mechanism, q, t)
+        rate = matvec(Psi, qd / mechanism.arrays.units)
+        if mechanism.driven:
+            rate = rate + closed_form.closure_drift(mechanism, q, t)
+        report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
+        least = self.least_singular(mechanism, Psi)
+        worst = int(np.argmin(least))
+        self.last_singular = float(least[-1])
+        if report.nearest_singular is None or least[worst] < report.nearest_singular:
+            report.nearest_singular = float(least[worst])
+            report.nearest_singular_time = float(t[worst])
+            report.missed = miss_remark(mechanism, q[worst])
+
+    def least_singular(self, mechanism: Mechanism, Psi: Array) -> Array:
+        """Return the smallest nonzero singular value of Psi over loop size, (k,).
+
+        Psi is (k, r, n).  Singular values beyond the rank of dependent closures are left out.
+        """
+        s = np.linalg.svd(Psi, compute_uv=False) / loop_size(mechanism)
+        if self.ranked is None or self.ranked[0] is not mechanism:
+            some = s[:: max(1, len(s) // 8)]
+            self.ranked = mechanism, max(1, int((some > 1e-9).sum(axis=-1).max()))
+        return np.asarray(s[:, self.ranked[1] - 1])
+
+
+def missed_work(torques: Torques, apart: float, t: Array, q: Array, qd: Array) -> Array:
+    """Return the work (k,) that steps between states q, qd (k + 1, n) at t (k + 1,) missed, J.
+
+    Of a step longer than two samples, `apart` (s) each, it is the work by many samples less that by
+    a single rule.
+    """
+    missed = np.zeros(len(t) - 1)
+    for k in np.flatnonzero(np.abs(np.diff(t)) > LONG * apart).tolist():
+        u, weights = np.polynomial.legendre.leggauss(POINTS)
+        u, weights = 0.5 * (u + 1.0), 0.5 * weights
+        (q0, q1), (qd0, qd1), h = q[k : k + 2], qd[k : k + 2], float(t[k + 1] - t[k])
+        panels = max(2, int(abs(h) / (POINTS * apart)) + 1)
+        part = ((np.arange(panels)[:, None] + u) / panels).ravel()
+        x = np.concatenate([u, part])[:, None]
+        rise, bend = (q1 - q0) / h, x * (1.0 - x)
+        states = q0 + h * (x * rise + bend * ((1.0 - x) * (qd0 - rise) - x * (qd1 - rise)))
+        rates = qd0 + x * (qd1 - qd0) + 6.0 * bend * (rise - 0.5 * (qd0 + qd1))
+        times, y = t[k] + h * x[:, 0], np.concatenate([states, rates], axis=1)
+        try:
+            at = zip(times.tolist(), y.tolist(), strict=True)
+            power = (np.array([torques(*each) for each in at]) * rates).sum(axis=1)
+        except (ArithmeticError, ValueError):  # beside the motion the torque may be undefined
+            continue
+        close = weights @ power[POINTS:].reshape(panels, POINTS).sum(axis=0) / panels
+        work = h * (close - weights @ power[:POINTS])
+        missed[k] = work if np.isfinite(work) else 0.0
+    return missed
+
+
+class Rows(Batches):
     """Passes the rows of a run to a sink, at given times or at the accepted steps.
 
-    Rows have the first `width` numbers of states.  `look` is called with the time of each batch.
+    Rows have the first `width` numbers of states of n joints.  `look` is called with the time of
+    each batch.
     """
 
     def __init__(
-        self, sink: Sink, times: Array | EvenTimes | None, width: int, look: Callable[[float], None]
+        self,
+        sink: Sink,
+        times: Array | EvenTimes | None,
+        n: int,
+        width: int,
+        look: Callable[[float], None],
     ) -> None:
+        super().__init__(max(1, min(ROWS_AT_ONCE, WORK_AT_ONCE // n**3)))
         self.sink, self.times, self.width, self.look = sink, times, width, look
         self.next = 0  # of the times
         self.last: float | None = None  # time of a row
-        self._waiting: list[tuple[Array, Array]] = []
-        self._count = 0
-        self._moving: Mechanism | None = None
 
     def begin(self, moving: Mechanism, y: Array) -> None:
         """Start at t = 0 in state y (N,)."""
-        self._moving = moving
         if self.times is None or (len(self.times) and self.times[0] == 0.0):
-            self._row(np.zeros(1), y[None, :])
+            self.add(np.zeros(1), y[None, :], moving)
             self.next = 1
 
     def due(self, bound: float) -> Array:
@@ -244,49 +225,30 @@ class Rows:
 
     def take(self, moving: Mechanism, segment: Segment) -> None:
         """Collect the rows along a segment; `moving` is the mode of the segment."""
-        self.turn(moving)
         if self.times is None:
             t, y = segment.t[1:], segment.y[1:]
             first = int(len(t) > 0 and t[0] == self.last)  # a leg that takes no time
-            if len(t) > first:
-                self._row(t[first:], y[first:])
+            self.add(t[first:], y[first:], moving)
             return
-        if segment.rows is not None and len(segment.rows[0]):
+        if segment.rows is not None:
             self.next += len(segment.rows[0])
-            self._row(*segment.rows)
+            self.add(*segment.rows, moving)
         while len(due := self.due(segment.end)):
             self.next += len(due)
-            self._row(due, segment.states(due))
+            self.add(due, segment.states(due), moving)
             if due[-1] != segment.end:
                 self.look(float(due[-1]))
 
-    def turn(self, moving: Mechanism) -> None:
-        """Pass waiting rows on before the motion enters another mode."""
-        if moving is not self._moving:
-            self.flush()
-            self._moving = moving
-
-    def end(self, t: float, y: Array) -> None:
+    def end(self, moving: Mechanism, t: float, y: Array) -> None:
         """Add the row at which the run was stopped, state y (N,) at t."""
         if self.last != t:
-            self._row(np.array([t]), y[None])
+            self.add(np.array([t]), y[None], moving)
 
-    @property
-    def _most(self) -> int:
-        assert self._moving is not None
-        return rows_at_once(self._moving.n)
+    def add(self, t: Array, y: Array, moving: Mechanism) -> None:
+        """Add rows y (k, N) at t (k,)."""
+        if len(t):
+            self.last = float(t[-1])
+            super().add(t, y, moving)
 
-    def _row(self, t: Array, y: Array) -> None:
-        self._waiting.append((t, y))
-        self.last = float(t[-1])
-        self._count += len(t)
-        if self._count >= self._most:
-            self.flush()
-
-    def flush(self) -> None:
-        """Pass the waiting rows to the sink."""
-        if self._waiting:
-            assert self._moving is not None
-            t, y = joined(self._waiting)
-            self._waiting, self._count = [], 0
-            self.sink(t, y[:, : self.width], self._moving)
+    def _pass(self, t: Array, y: Array, moving: Mechanism) -> None:
+        self.sink(t, y[:, : self.width], moving)

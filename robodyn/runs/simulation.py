@@ -208,9 +208,10 @@ def simulate(
         if values.ndim != 1:
             raise InputError(f"{name}.shape", value=values.shape, limit="must be of one state")
     state = np.concatenate(list(full(mechanism, given, t=0.0).values()))
+    t_end = float(t_end)
     actuation = over_run(mechanism, as_actuation(mechanism, tau), state, t_end, atol)
     times = None if t_eval is None else np.asarray(t_eval, float)
-    watch = watched_events(mechanism, events or {}, until, float(t_end))
+    watch = watched_events(mechanism, events or {}, until, t_end)
     numbers = None
     if sensitivity:
         texts = {"until": until or "", "events": ", ".join((events or {}).values())}
@@ -219,73 +220,43 @@ def simulate(
         numbers = Numbers(mechanism, sensitivity, state)
     most: Any = max_evals  # which settings make whole
     settings = Settings(method, rtol, atol, stabilize, BAUMGARTE, most, order, max_step)
+    of, n = (mechanism, state, t_end, actuation, settings), mechanism.n
 
     def again() -> Run:
-        until_alone = watched_events(mechanism, {}, until, float(t_end))
-        return Run(mechanism, state, float(t_end), actuation, settings, until_alone)
+        return Run(*of, watched_events(mechanism, {}, until, t_end))
 
+    rows: list[tuple[Array, Array, Mechanism]] = []
     try:
-        motion = _motion(mechanism, state, float(t_end), actuation, settings, times, watch, again)
+        outcome, record = run(*of, lambda *row: rows.append(row), times, events=watch)
+        happened = [*(() if watch is None else watch.found), *record.contacts]
+        none = np.zeros(0), np.zeros((0, len(state)))
+        t, y = joined([(t, y) for t, y, _ in rows] or [none])
+        torques = applied_torques(mechanism, actuation, t, y)
+        motion = Motion(
+            t,
+            y[:, :n],
+            y[:, n : 2 * n],
+            torques,
+            outcome,
+            mechanism,
+            phases=[(len(t), moving) for t, _, moving in rows],
+            events=sorted(happened, key=lambda event: abs(event.t)),
+            _settle=record.settle,
+            _again=again,
+            errors=None if actuation.control is None else actuation.control.errors(t, y),
+        )
         if numbers is not None:
-            _differentiate(motion, numbers, actuation, settings, watch)
+            report = motion.report  # of a controller before it leads other runs
+            found = sensitivities(numbers, actuation, settings, t)
+            motion.sensitivity = found.values
+            names_of = columns(n, found.names)
+            motion._further.update(zip(names_of, found.flat.T, strict=True))
+            moving = motion.phases[-1][1] if motion.phases else mechanism
+            tell(report, found, watch, moving, t, y, torques)
         return motion
     except CallerError as failed:
         error = failed.error
     raise error
-
-
-def _motion(
-    mechanism: Mechanism,
-    state: Array,
-    t_end: float,
-    actuation: Actuation,
-    settings: Settings,
-    times: Array | None,
-    watch: EventWatch | None,
-    again: Callable[[], Run],
-) -> Motion:
-    """Run from `state` (2n,) to t_end and return the motion with its rows."""
-    rows: list[tuple[Array, Array, Mechanism]] = []
-    outcome, record = run(
-        mechanism,
-        state,
-        t_end,
-        actuation,
-        settings,
-        lambda *row: rows.append(row),
-        times,
-        events=watch,
-    )
-    n = mechanism.n
-    happened: Sequence[Event] = [] if watch is None else watch.found
-    if record.contacts:
-        happened = sorted([*happened, *record.contacts], key=lambda event: abs(event.t))
-    phases = [(len(t), moving) for t, _, moving in rows]
-    none = np.zeros(0), np.zeros((0, len(state)))
-    t, y = joined([(t, y) for t, y, _ in rows] or [none])
-    torques = applied_torques(mechanism, actuation, t, y)
-    q, qd = y[:, :n], y[:, n : 2 * n]
-    errors = None if actuation.control is None else actuation.control.errors(t, y)
-    facts = outcome, mechanism, phases, happened, record.settle, again, None, errors
-    return Motion(t, q, qd, torques, *facts)
-
-
-def _differentiate(
-    motion: Motion,
-    numbers: Numbers,
-    actuation: Actuation,
-    settings: Settings,
-    watch: EventWatch | None,
-) -> None:
-    """Add the derivatives by `numbers` to a motion, and their errors to its report."""
-    report = motion.report  # of a controller before it leads other runs
-    found = sensitivities(numbers, actuation, settings, motion.t)
-    motion.sensitivity = found.values
-    names_of = columns(motion.mechanism.n, found.names)
-    motion._further.update(zip(names_of, found.flat.T, strict=True))
-    moving = motion.phases[-1][1] if motion.phases else motion.mechanism
-    y = np.hstack([motion.q, motion.qd])
-    tell(report, found, watch, moving, motion.t, y, motion.tau)
 
 
 def watched_events(

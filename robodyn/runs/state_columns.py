@@ -50,10 +50,9 @@ class StateColumns:
         self._torques: Torques | None = None
         self._last: tuple[Array, Array, State] | None = None
 
-    def enter(self, moving: Mechanism, torques: Torques | None = None) -> None:
-        """Set the mode that moves from now on, and the torques if given."""
-        self.moving, self._last = moving, None
-        self._torques = torques or self._torques
+    def enter(self, moving: Mechanism, torques: Torques) -> None:
+        """Set the mode that moves from now on, and the torques."""
+        self.moving, self._torques, self._last = moving, torques, None
 
     def values(self, name: str, t: Array, y: Array) -> Array:
         """Return column `name` (...) of states y (..., 2n or more) at times t (...)."""
