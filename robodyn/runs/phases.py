@@ -22,9 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import partial
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
@@ -52,18 +50,12 @@ TURNS = 30  # impacts in turn at one instant, after which they have no end
 LAST = 10  # of them, those whose ends take part in all that would follow
 DOUBTS = 3  # times that a joint is let leave its end
 KINK = 1e-14  # of the time of a run: so much beyond a kink the torques are those that follow it
-
-
-class Left(NamedTuple):
-    """Contacts that remain when a phase ends: joints at rest, ends touched, and ends that press.
-
-    `released` is a joint that a law of time moves again.
-    """
-
-    rests: set[int]
-    touches: set[End]
-    pushing: set[End]
-    released: int | None = None
+SLACK = 1e-10  # part of the rates by which a condition may be missed
+SLOW = 1e-11  # part of the fastest joint's rate below which a joint that is led has none
+INSTANT = 8.0  # roundings of the time that are none
+LOW = 4.0 * ROUNDING  # part of where its end is: so low a bounce rounding does not show
+BLUR = 0.1  # part of its rate that a joint thrown back so little may lose or gain
+ENDLESS = 1e-10  # of the time of a run: bounces that end within this part of it are over at once
 
 
 class Phases:
@@ -84,12 +76,11 @@ class Phases:
         self._reach(0.0)
         self.dry = mechanism.dry
         self.ends = {(x.joint, side): end for x in mechanism.ranges for side, end in x.ends}
-        self.restitutions = restitutions(mechanism)
+        self.restitutions = {(x.joint, x.side): x.restitution for x in mechanism.of(HardStop)}
         self.found: list[Event] = []
         self.begun, self.idle = 0.0, 0  # when the phase began, and how many took no time before
-        self.bounces = Bounces(mechanism, t_end, small)
-        self.hits: list[End]  # the ends met as the phase began
-        self.turns: list[list[End]] = []  # those met before, in turn, without time passing
+        self.turns: list[list[End]] = []  # ends hit before, in turn, without time passing
+        self.thrown: dict[int, float] = {}  # how fast a joint left its end last
         self.led_on = False  # whether a law leads a joint beyond the end that ends the run
         self.doubts = 0  # times in a row that a joint which leaves its end was to meet it
         q, qd = self._split(y)
@@ -101,8 +92,8 @@ class Phases:
                 limit=f"is beyond the joint's {end_word(side)}, {end:.9g}",
             )
         touches = set(sticking.touching(mechanism, q, qd, 0.0))
-        self.given, self.hits = y, self._run_into(touches, qd)  # before an impact
-        self.y = self._impact(0.0, y, self.hits, touches) if self.hits else y
+        hits = self._run_into(touches, qd)
+        self.y = self._impact(0.0, y, hits, touches) if hits else y
         q, qd = self._split(self.y)
         pushing = pressed(mechanism, q.tolist(), qd.tolist())
         touches = set(sticking.touching(mechanism, q, qd, 0.0))
@@ -113,23 +104,19 @@ class Phases:
         n = self.mechanism.n
         return y[:n], y[n : 2 * n]
 
-    def _torque(self, t: float, y: Array) -> Array:
-        tau: Array = self._torques(np.array([t]), y[None])[0]
-        return tau
-
     def _torques(self, t: Array, y: Array) -> Array:
         """Return torques (k, n); at a kink where the phase begins, those after the kink."""
         return applied_torques(self.mechanism, self.actuation, np.maximum(t, self.after), y)
 
-    def _loaded(self, t: Array) -> Array:
-        """Return the times at which loads are taken; at a jump, a time just after it."""
-        return np.maximum(t, self.after) if self.actuation.jumps else t
-
     def _reach(self, t: float) -> None:
-        """Begin a phase at t; if t is a kink, its torques are those just after it."""
+        """Begin a phase at t; if t is a kink, its torques are those just after it.
+
+        So are its loads, if t is a jump.
+        """
         self.after = -math.inf
         if t == 0.0 or kink_at(self.actuation.stops, t) is not None:
             self.after = t + max(KINK * abs(self.t_end), INSTANT * math.ulp(t))
+        self.loads_after = self.after if self.actuation.jumps else -math.inf
 
     # -- modes -------------------------------------------------------------------------------------
 
@@ -156,11 +143,10 @@ class Phases:
             if joint in self.dry and joint != released and abs(qd[joint]) < self.slow
         ]
         rests = rests - set(self.led)
-        tau, sorts = self._torque(t, self.y), (sorted(rests), sorted(touches))
-        loaded = float(self._loaded(np.array(t)))
-        stops, paused = tuple(sorted(pushing)), self.paused
+        tau, loaded = self._torques(np.array([t]), self.y[None])[0], max(t, self.loads_after)
+        sorts, stops = (sorted(rests), sorted(touches)), tuple(sorted(pushing))
         self.mode, self.still = sticking.mode_at(
-            self.mechanism, q, qd, tau, *sorts, stops, starting, paused, t=loaded
+            self.mechanism, q, qd, tau, *sorts, stops, starting, self.paused, t=loaded
         )
         self.started = (rests | {joint for joint, _ in touches}) - set(self.still)
         self.touches = {end for end in touches if end[0] in self.still}
@@ -180,33 +166,21 @@ class Phases:
         self.guards = sorted(found, key=lambda x: (x.kind != "slips", x.joint, x.side))
         left = self._margins(np.array([t]), self.y[None])[0] if self.still else []
         self.guards += [Guard("holds", k, 0) for k, x in enumerate(left) if math.isfinite(x)]
-        self.guards += [self._pause(j) for j in self._released()]
+        if self.mechanism.driven:  # joints at rest that nothing holds, and that laws may move
+            free = [*self.paused, *(j for j in self.still if j not in self.mode.held)]
+            self.guards += [_pause(j, self.slow) for j in free]
         self.functions = [self._function(guard, t) for guard in self.guards]
 
-    def _released(self) -> list[int]:
-        """Return joints at rest that nothing holds and that laws of time may move."""
-        if not self.mechanism.driven:
-            return []
-        return [*self.paused, *(joint for joint in self.still if joint not in self.mode.held)]
-
-    def _pause(self, joint: int) -> Guard:
-        """Return the guard of a paused joint; it fails once the joint moves measurably."""
-        slow = self.slow
-
-        def left(q: Array, qd: Array) -> Array:
-            return slow - np.abs(qd[:, joint])
-
-        return Guard("pauses", joint, 0, left, lambda q, qd: slow + np.abs(qd[:, joint]))
-
-    def _function(self, guard: Guard, t: float) -> EventFunction:
-        values = partial(self._value, guard)
-        here = float(values(np.array([t]), self.y[None])[0])
-        size = float(self._size(guard, np.array([t]), self.y[None])[0])
-        if guard.kind in ("inside", "presses", "apart"):
+    def _function(self, guard: Guard, begun: float) -> EventFunction:
+        """Return the guard of a phase that begins at `begun` as a function that ends it."""
+        at, y = np.array([begun]), self.y[None]
+        here, size = float(self._value(guard, at, y)[0]), float(self._size(guard, at, y)[0])
+        stop = guard.kind in ("inside", "presses", "apart")
+        if stop:
             size += float(self.mechanism.arrays.units[guard.joint])
         offset, missed = 0.0, 0.0
         fastest = float(np.abs(self._split(self.y)[1]).max(initial=0.0))
-        least = max(self.small, INSTANT * math.ulp(t) * fastest)
+        least = max(self.small, INSTANT * math.ulp(begun) * fastest)
         # it is zero there, but for rounding, or for what an earlier phase let it miss
         if abs(here) <= NEAR * size or (guard.kind == "inside" and -least <= here < 0.0):
             offset = min(here, 0.0)
@@ -214,14 +188,26 @@ class Phases:
                 missed = max(least + offset, 0.0)
         # along a law that comes to rest ever more slowly the sign of a rate is noise in the end
         least_slip = SLOW * self.small if guard.kind == "slips" else 0.0
-        return EventFunction(
-            lambda t, y: self._but_for(missed, guard, values(t, y) - offset, y),
-            lambda t, y, _: ROUNDING * self._flat_size(guard, t, y) + least_slip,
-            f"{guard.kind} {guard.joint} {guard.side}",
-            way=-1,
-            strict=True,
-            switches=(),
-        )
+
+        def values(t: Array, y: Array) -> Array:
+            """Return guard values, which may go below zero by `missed` without ending the phase.
+
+            For a stop this tolerance ends when the joint turns back, so that it is met where it
+            stands.
+            """
+            found = self._value(guard, t, y) - offset
+            if not (missed and stop):
+                return found + missed
+            way = guard.side if guard.kind == "presses" else -guard.side
+            onward = way * y[:, self.mechanism.n + guard.joint] + ONWARD * missed
+            return np.maximum(found, np.minimum(found + missed, onward))
+
+        def noise(t: Array, y: Array, _: Array) -> Array:
+            size = self._size(guard, t.ravel(), y.reshape(-1, y.shape[-1]))
+            return ROUNDING * size.reshape(t.shape) + least_slip
+
+        name = f"{guard.kind} {guard.joint} {guard.side}"
+        return EventFunction(values, noise, name, way=-1, strict=True, switches=())
 
     def _value(self, guard: Guard, t: Array, y: Array) -> Array:
         if guard.value is None:
@@ -229,44 +215,26 @@ class Phases:
         n = self.mechanism.n
         return np.asarray(guard.value(y[:, :n], y[:, n : 2 * n]))
 
-    def _but_for(self, missed: float, guard: Guard, values: Array, y: Array) -> Array:
-        """Return guard values, which may go below zero by `missed` without ending the phase.
-
-        For a stop this tolerance ends when the joint turns back, so that it is met where it stands.
-        """
-        if not missed or guard.kind in ("slips", "holds", "pauses"):
-            return values + missed
-        way = guard.side if guard.kind == "presses" else -guard.side
-        onward = way * y[:, self.mechanism.n + guard.joint] + ONWARD * missed
-        return np.maximum(values, np.minimum(values + missed, onward))
-
     def _size(self, guard: Guard, t: Array, y: Array) -> Array:
         n = self.mechanism.n
         if guard.size is None:
             held = [x for b in self.bounds.values() for x in (b.low, b.high) if math.isfinite(x)]
-            tau = self._torques(t, y)
-            loaded = self._loaded(t)
+            tau, loaded = self._torques(t, y), np.maximum(t, self.loads_after)
             acting = sticking.load_sizes(self.moving, y[:, :n], y[:, n : 2 * n], tau, loaded)
             size = np.abs(self._forces(t, y)) + acting[:, list(self.mode.held)]
             return np.asarray(size.sum(axis=1) + sum(map(abs, held)))
         return np.asarray(guard.size(y[:, :n], y[:, n : 2 * n]))
 
-    def _flat_size(self, guard: Guard, t: Array, y: Array) -> Array:
-        """Return the size (...) of a guard for states y (..., N) at times t (...)."""
-        return self._size(guard, t.ravel(), y.reshape(-1, y.shape[-1])).reshape(t.shape)
-
     def _forces(self, t: Array, y: Array) -> Array:
         """Return the forces (k, held) that hold the held joints."""
-        n = self.mechanism.n
-        tau = self._torques(t, y)
-        solution = motion_dynamics(self.moving, y[:, :n], y[:, n : 2 * n], tau, self._loaded(t))
-        return sticking.held_forces(self.moving, solution.multipliers)
+        n, loaded = self.mechanism.n, np.maximum(t, self.loads_after)
+        states = y[:, :n], y[:, n : 2 * n], self._torques(t, y)
+        multipliers = motion_dynamics(self.moving, *states, loaded).multipliers
+        return sticking.held_forces(self.moving, multipliers)
 
     def _margins(self, t: Array, y: Array) -> Array:
-        q = y[:, : self.mechanism.n]
-        forces = self._forces(t, y)
-        standing = self.mode, self.still
-        return sticking.margins(self.mechanism, *standing, q, forces, self.bounds, t)
+        standing, q = (self.mode, self.still), y[:, : self.mechanism.n]
+        return sticking.margins(self.mechanism, *standing, q, self._forces(t, y), self.bounds, t)
 
     # -- from one to the next ----------------------------------------------------------------------
 
@@ -287,99 +255,81 @@ class Phases:
         self._reach(t)
         before = self._energy(self.moving, y)
         guard, (q, qd) = self.guards[place], self._split(y := y.copy())
-        left = self._left_by(guard)
+        joint, end = guard.joint, (guard.joint, guard.side)
+        # contacts that remain: joints at rest, ends touched, and ends that press
+        rests = {j for j in self.still if j in self.dry}
+        touches, pushing, released = set(self.touches), set(self.mode.pressed), None
+        if guard.kind == "slips":
+            rests.add(joint)
+        elif guard.kind in ("presses", "apart"):
+            pushing ^= {end}
+        elif guard.kind == "pauses":
+            rests.discard(joint)
+            touches, released = {x for x in touches if x[0] != joint}, joint
         inside = guard.kind == "inside"
-        meets = inside and guard.side * qd[guard.joint] > 0.0
+        meets = inside and guard.side * qd[joint] > 0.0
         # a joint that starts from rest slips at least until its rate is more than is missed
-        begins = guard.kind == "slips" and bool(self.idle) and guard.joint in self.started
+        begins = guard.kind == "slips" and bool(self.idle) and joint in self.started
         self.doubts = self.doubts + 1 if begins or (inside and not meets) else 0
-        hits, stands = self._met(t, y, left, [(guard.joint, guard.side)] if meets else [])
+        ends = set(sticking.touching(self.mechanism, q, qd, t)) - touches
+        hits = sorted({*self._run_into(ends, qd), *([end] if meets else [])})
+        # a joint on its end stands there, pressed or not, unless it was thrown back just now
+        self.turns = self.turns if self.idle else []
+        thrown = {x for turn in self.turns for x in turn}
+        stands = ends - {*hits, *thrown} if hits else set()
         # it rests where the method cannot tell how far it is thrown back
         if inside and self.doubts == DOUBTS:
-            left.touches.add((guard.joint, guard.side))
-        hits = self._onto_ends(t, y, left, hits)
-        joints = left.rests | {joint for joint, _ in left.touches}
-        if standing := sorted(joints - set(self.led)):
-            qd[:], also = sticking.stopped(self.mechanism, q, qd, standing, t)
-            left.rests.update(also)
-        self.y, self.hits = y, hits
+            touches.add(end)
+        hits = self._onto_ends(t, q, qd, touches, hits)
+        standing = rests | {j for j, _ in touches}
+        if own := sorted(standing - set(self.led)):
+            qd[:], also = sticking.stopped(self.mechanism, q, qd, own, t)
+            rests.update(also)
+        self.y = y
         if hits:
             self.turns = [*self.turns, hits]
-            self.y = self._impact(t, y, hits, left.touches | stands)
+            self.y = self._impact(t, y, hits, touches | stands)
             _, qd = self._split(self.y)
-        still = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
-        rest = {joint for joint, rate in enumerate(qd.tolist()) if abs(rate) <= still}
-        rests, touches = left.rests, left.touches
+        least = sticking.AT_REST * float(np.abs(qd).max(initial=0.0))
+        rest = {j for j, rate in enumerate(qd.tolist()) if abs(rate) <= least}
         if hits:
             met = touches | stands | set(hits)
             rests, touches = rest & set(self.dry), {x for x in met if x[0] in rest}
-        was, stood, rates = self.mode, {*self.still, *self.paused}, self.letting_go(guard, t, y)
-        starting = {joint: 1 if rate > 0.0 else -1 for joint, rate in rates.items()}
+        starting: dict[int, int] = {}
+        if guard.kind == "holds":
+            forces = self._forces(np.array([t]), y[None])[0]
+            still = sticking.Standing(self.mode, self.still)
+            found = sticking.starting_at(self.mechanism, still, q, forces, self.bounds, joint, t)
+            starting = {j: 1 if rate > 0.0 else -1 for j, rate in found.items()}
         begun = self.started if self.idle and not hits else set()  # and have not moved since
         touches |= {x for x in sticking.touching(self.mechanism, q, qd, t) if x[0] in rest - begun}
         starting |= {j: way for j, way in self.mode.slips if j in (begun & rest) - rests}
         rests |= set(starting) & set(self.dry)
         if begins and self.doubts < DOUBTS:
-            starting = {guard.joint: guard.side}
-        self._enter(t, rests, touches, left.pushing, starting, left.released)
+            starting = {joint: guard.side}
+        was, stood = self.mode, {*self.still, *self.paused}
+        self._enter(t, rests, touches, pushing, starting, released)
         self._note(t, was, stood)
         if len(y) > 2 * self.mechanism.n:  # what is lost at once is work as well
             self.y[-1] += self._energy(self.moving, self.y) - before
         return self.y
 
-    def _left_by(self, guard: Guard) -> Left:
-        """Return the contacts that remain after this guard ended the phase."""
-        rests = {joint for joint in self.still if joint in self.dry}
-        left = Left(rests, set(self.touches), set(self.mode.pressed))
-        match guard.kind:
-            case "pauses":
-                touches = {end for end in left.touches if end[0] != guard.joint}
-                left = Left(rests - {guard.joint}, touches, left.pushing, guard.joint)
-            case "presses":
-                left.pushing.remove((guard.joint, guard.side))
-            case "apart":
-                left.pushing.add((guard.joint, guard.side))
-            case "slips":
-                left.rests.add(guard.joint)
-        return left
+    def _onto_ends(
+        self, t: float, q: Array, qd: Array, touches: set[End], hits: list[End]
+    ) -> list[End]:
+        """Move joints that hit onto their ends, in q; return all ends hit then.
 
-    def _met(
-        self, t: float, y: Array, left: Left, meets: Sequence[End]
-    ) -> tuple[list[End], set[End]]:
-        """Return the ends that joints run into, and the ends on which joints merely stand.
-
-        A joint on its end stands there, pressed or not, unless it was thrown back at this instant.
+        Joints rest on the ends `touches`.
         """
-        q, qd = self._split(y)
-        ends = set(sticking.touching(self.mechanism, q, qd, t)) - left.touches
-        hits = self._run_into(ends, qd)
-        if meets:
-            hits = sorted({*hits, *meets})
-        self.turns = self.turns if self.idle else []
-        thrown = {end for turn in self.turns for end in turn}
-        return hits, ends - {*hits, *thrown} if hits else set()
-
-    def _onto_ends(self, t: float, y: Array, left: Left, hits: list[End]) -> list[End]:
-        """Move joints that hit onto their ends, in y; return all ends hit then."""
-        q, qd = self._split(y)
         for joint, side in hits:  # rounding must not grow from bounce to bounce
             q[joint] = self.ends[joint, side]
         if hits and self.mechanism.rows:
             # closures may tie some of these joints to one another
             fixed = sticking.independent(self.mechanism, [joint for joint, _ in hits], q, t)
             q[:] = close_positions(self.mechanism, q, fixed, t=t)
-            ends = set(sticking.touching(self.mechanism, q, qd, t)) - left.touches
+            ends = set(sticking.touching(self.mechanism, q, qd, t)) - touches
             hits = sorted({*hits, *self._run_into(ends, qd)})
         return hits
-
-    def letting_go(self, guard: Guard, t: float, y: Array) -> dict[int, float]:
-        """Return joints that start when a holding guard fails, with rates up to a factor."""
-        if guard.kind != "holds":
-            return {}
-        forces, q = self._forces(np.array([t]), y[None])[0], self._split(y)[0]
-        standing = sticking.Standing(self.mode, self.still)
-        place = guard.joint
-        return sticking.starting_at(self.mechanism, standing, q, forces, self.bounds, place, t)
 
     def _run_into(self, touches: set[End], qd: Array) -> list[End]:
         """Return the ends among `touches` that the rates qd (n,) run into."""
@@ -388,18 +338,61 @@ class Phases:
 
     def _impact(self, t: float, y: Array, hits: Sequence[End], touches: set[End]) -> Array:
         """Return the state after an impact; a bounce that would end at once is skipped."""
-        y, n = y.copy(), self.mechanism.n
-        tau = self._torque(t, y)
+        (q, qd), y = self._split(y), y.copy()
+        tau = self._torques(np.array([t]), y[None])[0]
         # ends that throw joints at one another again and again in no time leave them no rates
         last = {end for turn in self.turns[-LAST:] for end in turn}
         endless = any(self.restitutions[end] != 1.0 for end in last)
         over = last if endless and len(self.turns) > TURNS else set()
-        ends = {*hits, *touches, *over}
-        loaded = float(self._loaded(np.array(t)))
-        y[n : 2 * n] = self.bounces.after(*self._split(y), tau, loaded, ends, over)
+        ends, loaded = sorted({*hits, *touches, *over}), max(t, self.loads_after)
+        self._split(y)[1][:] = self._bounced(q, qd, tau, loaded, ends, over)
         for joint, side in hits:
             self._tell(t, y, joint, f"hits its {end_word(side)}")
         return y
+
+    def _bounced(
+        self, q: Array, qd: Array, tau: Array, t: float, ends: list[End], over: set[End]
+    ) -> Array:
+        """Return the rates (n,) after an impact at `ends`; joints at the ends `over` come to rest.
+
+        A bounce that would repeat forever, or that rounding or steps cannot resolve, ends at rest
+        at once.  Torques tau (n,) are those before the impact.
+        """
+        own = [self.restitutions[end] for end in ends]
+        after, jumps = rates_after(self.mechanism, q, qd, ends, own, t)
+        leaving = [-side * float(after[joint]) for joint, side in ends]
+        tied = [
+            [j for j in range(len(ends)) if j == k or (leaving[j] > 0.0 and _tied(jumps, [j], k))]
+            for k in range(len(ends))
+        ]
+        qdd = np.zeros_like(qd)
+        if max(leaving) > 0.0:
+            on = [end for end in ends if not after[end[0]]]
+            mode = mode_at(self.mechanism, q, after, tau, resting(self.mechanism, after), on, t=t)
+            qdd = motion_dynamics(in_mode(self.mechanism, mode.mode), q, after, tau, t).qdd
+        shows = []  # whether a bounce is told from rest: by any steps, and by those of the method
+        for k, (joint, side) in enumerate(ends):
+            back, leaves, e = side * float(qdd[joint]), leaving[k], max(own[j] for j in tied[k])
+            brief = leaves < 0.5 * back * (1.0 - e) * ENDLESS * abs(self.t_end)
+            low = leaves**2 < 2.0 * back * LOW * abs(q[joint])
+            # steps resolve it if it is fast or the joint's first, or returns as fast as it left
+            v, last = side * qd[joint], self.thrown.get(joint, 0.0)
+            fast = max(abs(v), last) ** 2 >= 2.0 * back * self.small
+            resolved = back <= 0.0 or fast or abs(v - last) <= BLUR * last or not last
+            shows.append((not (brief or low), resolved) if leaves > 0.0 else (True, True))
+            self.thrown[joint] = leaves
+        kept: list[float | None] = list(own)
+        for k, end in enumerate(ends):  # of ends that are tied to one another any may tell
+            if end in over or not any(shows[j][0] for j in tied[k]):
+                kept[k] = None
+            elif not any(all(shows[j]) for j in tied[k]):
+                kept[k] = 0.0
+        changed = [k for k, part in enumerate(kept) if part != own[k]]
+        if changed:
+            least = None if any(kept[k] is None for k in changed) else 0.0
+            kept = [least if _tied(jumps, changed, k) else part for k, part in enumerate(kept)]
+            after, _ = rates_after(self.mechanism, q, qd, ends, kept, t)
+        return after
 
     def _energy(self, moving: Mechanism, y: Array) -> float:
         KE, PE = closed_form.energies(moving, *self._split(y))
@@ -420,105 +413,15 @@ class Phases:
         self.found.append(Event(name, t, y[: 2 * self.mechanism.n].copy()))
 
 
-SLACK = 1e-10  # part of the rates by which a condition may be missed
-SLOW = 1e-11  # part of the fastest joint's rate below which a joint that is led has none
-INSTANT = 8.0  # roundings of the time that are none
-LOW = 4.0 * ROUNDING  # part of where its end is: so low a bounce rounding does not show
-BLUR = 0.1  # part of its rate that a joint thrown back so little may lose or gain
-ENDLESS = 1e-10  # of the time of a run: bounces that end within this part of it are over at once
-
-
-class Bounces:
-    """Impacts of a run to t_end; `small` is the error that steps may make.
-
-    A bounce that would repeat forever, or that rounding or steps cannot resolve, ends at rest at
-    once.
-    """
-
-    def __init__(self, mechanism: Mechanism, t_end: float, small: float) -> None:
-        self.mechanism, self.t_end, self.small = mechanism, t_end, small
-        self.thrown: dict[int, float] = {}  # how fast a joint left its end last
-
-    def after(
-        self, q: Array, qd: Array, tau: Array, t: float, touches: set[End], over: set[End]
-    ) -> Array:
-        """Return the rates (n,) after an impact at the touched ends.
-
-        Joints at the ends `over` come to rest.  Torques tau (n,) are those before the impact.
-        """
-        ends, every = sorted(touches), restitutions(self.mechanism)
-        own = [every[end] for end in ends]
-        p, jumps = impulses(self.mechanism, q, qd, ends, own, t)
-        after = _settled(qd, jumps @ p)
-        leaving = [-side * float(after[joint]) for joint, side in ends]
-        tied = [
-            [j for j in range(len(ends)) if j == k or (leaving[j] > 0.0 and _tied(jumps, [j], k))]
-            for k in range(len(ends))
-        ]
-        qdd = np.zeros_like(qd)
-        if max(leaving) > 0.0:
-            on = [end for end in ends if not after[end[0]]]
-            mode = mode_at(self.mechanism, q, after, tau, resting(self.mechanism, after), on, t=t)
-            qdd = motion_dynamics(in_mode(self.mechanism, mode.mode), q, after, tau, t).qdd
-        shows = []  # whether a bounce is told from rest: by any steps, and by those of the method
-        for k, (joint, side) in enumerate(ends):
-            back, leaves, e = side * float(qdd[joint]), leaving[k], max(own[j] for j in tied[k])
-            brief = leaves < 0.5 * back * (1.0 - e) * ENDLESS * abs(self.t_end)
-            low = leaves**2 < 2.0 * back * LOW * abs(q[joint])
-            resolved = back <= 0.0 or self._resolves(joint, side * qd[joint], back)
-            shows.append((not (brief or low), resolved) if leaves > 0.0 else (True, True))
-            self.thrown[joint] = leaves
-        kept: list[float | None] = list(own)
-        for k, end in enumerate(ends):  # of ends that are tied to one another any may tell
-            if end in over or not any(shows[j][0] for j in tied[k]):
-                kept[k] = None
-            elif not any(all(shows[j]) for j in tied[k]):
-                kept[k] = 0.0
-        changed = [k for k, part in enumerate(kept) if part != own[k]]
-        if changed:
-            least = None if any(kept[k] is None for k in changed) else 0.0
-            kept = [least if _tied(jumps, changed, k) else part for k, part in enumerate(kept)]
-            after = rates_after(self.mechanism, q, qd, ends, kept, t)
-        return after
-
-    def _resolves(self, joint: int, v: float, back: float) -> bool:
-        """Return whether steps resolve the bounce of a joint that meets its end with rate v.
-
-        They do if the bounce is fast or the joint's first, or if it returns as fast as it left.
-        """
-        last = self.thrown.get(joint, 0.0)
-        fast = max(abs(v), last) ** 2 >= 2.0 * back * self.small
-        return fast or abs(v - last) <= BLUR * last or not last
-
-
-def restitutions(mechanism: Mechanism) -> dict[End, float]:
-    """Return the restitution of each hard stop, by (joint, side)."""
-    return {(x.joint, x.side): x.restitution for x in mechanism.of(HardStop)}
-
-
-def rates_after(
-    mechanism: Mechanism,
-    q: Array,
-    qd: Array,
-    touches: Sequence[End],
-    parts: Sequence[float | None],
-    t: float,
-) -> Array:
-    """Return qd (n,) after an impact at q and time t.
-
-    `touches` lists (joint, side) of the stops, `parts` their restitutions.  None means at rest from
-    then on: remaining bounces are skipped, and their impulses, of any sign, act together.  Raises
-    SingularError if no impulses throw all joints back, and LawError if a law of time forbids it.
-    """
-    p, jumps = impulses(mechanism, q, qd, touches, parts, t)
-    return _settled(qd, jumps @ p)
-
-
-def _settled(qd: Array, jump: Array) -> Array:
-    """Return qd + jump (n,), with zeros where only rounding is left."""
-    after = qd + jump
-    least = AT_REST * max(np.abs(qd).max(), np.abs(after).max())  # of which rounding leaves less
-    return np.where(np.abs(after) <= least, 0.0, after)
+def _pause(joint: int, slow: float) -> Guard:
+    """Return the guard of a paused joint; it fails once the joint is faster than `slow`."""
+    return Guard(
+        "pauses",
+        joint,
+        0,
+        lambda q, qd: slow - np.abs(qd[:, joint]),
+        lambda q, qd: slow + np.abs(qd[:, joint]),
+    )
 
 
 def _tied(jumps: Array, ends: list[int], k: int) -> bool:
@@ -529,7 +432,7 @@ def _tied(jumps: Array, ends: list[int], k: int) -> bool:
     return bool(ranks[0] == ranks[1])
 
 
-def impulses(
+def rates_after(
     mechanism: Mechanism,
     q: Array,
     qd: Array,
@@ -537,16 +440,24 @@ def impulses(
     parts: Sequence[float | None],
     t: float,
 ) -> tuple[Array, Array]:
-    """Return the impulses p (k,) of an impact and the jump of qd (n, k) that each unit makes."""
+    """Return qd (n,) after an impact at q and time t, and the jump of qd (n, k) by unit impulses.
+
+    `touches` lists (joint, side) of the k stops, `parts` their restitutions.  None means at rest
+    from then on: remaining bounces are skipped, and their impulses, of any sign, act together.
+    Rates of which only rounding is left are zero.  Raises SingularError if no impulses throw all
+    joints back, and LawError if a law of time forbids it.
+    """
     joints = [joint for joint, _ in touches]
     ways = -np.array([side for _, side in touches], float)  # in which stops are left
-    jumps = (ways[:, None] * responses(mechanism, q, joints, t)).T  # of qd (n, k) by each impulse
+    jumps = (ways[:, None] * responses(mechanism, q, joints, t)).T
     W, v = ways[:, None] * jumps[joints], ways * qd[joints]
     bounced = v + np.array([e or 0.0 for e in parts]) * v
     least = np.array([-np.inf if e is None else 0.0 for e in parts])
     p = forces_between(bounced, W, least, np.full(len(v), np.inf))
     if (W @ p + bounced >= -SLACK * np.abs(v).max(initial=0.0)).all():
-        return p, jumps
+        after = qd + jumps @ p
+        none = AT_REST * max(np.abs(qd).max(), np.abs(after).max())
+        return np.where(np.abs(after) <= none, 0.0, after), jumps
     names = ", ".join(mechanism.link_names[joint] for joint in joints)
     limit = "no impulses throw all of them back"
     if mechanism.driven:
