@@ -38,7 +38,7 @@ from robodyn.runs.motion_columns import (
     over_run,
 )
 from robodyn.runs.phases import Phases
-from robodyn.runs.readers import STEPS_AT_ONCE, Rows, RunStatistics, Sink
+from robodyn.runs.readers import NO_TIMES, STEPS_AT_ONCE, Rows, RunStatistics, Sink
 from robodyn.runs.report import InterruptedRun, Outcome, Report
 from robodyn.runs.right_hand_side import RightHandSide, right_hand_side
 from robodyn.runs.segments import Segment
@@ -64,7 +64,7 @@ Due = Callable[[float], Array]  # of a time: output times still to come up to it
 
 
 def _nothing_due(bound: float) -> Array:
-    return np.zeros(0)
+    return NO_TIMES
 
 
 class Run:
@@ -104,7 +104,7 @@ class Run:
         self._sides: dict[Mechanism, RightHandSide] = {}
         self._engines: dict[Mechanism, SeriesEngine | None] = {}
         self._misses: dict[Mechanism, Misses] = {}
-        self._recent = np.zeros(0)  # times of steps not yet looked at for an end
+        self._recent = NO_TIMES  # times of steps not yet looked at for an end
         self._longest = 0.0  # of the steps before them, s
         self._check_start()
 
@@ -123,24 +123,25 @@ class Run:
             rows_of(parts.acting, mechanism).check_signals(y[:n], y[n : 2 * n])
         return y
 
-    @np.errstate(all="ignore")  # rates that leave the floats end the run
     def _check_start(self) -> None:
         """Raise RobodynError if the acceleration at the start is undefined or not served."""
         mechanism, y, n = self.moving, self.y, self.mechanism.n
         if self.settings.method == "taylor":
             self.report.evaluator = "compiled"
             if mechanism.parted or not dense_dynamics.elimination_is_safe(mechanism):
-                dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
+                with np.errstate(all="ignore"):
+                    dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
             check_served(self.mechanism, self.actuation)
             return
-        side = self._side(mechanism)
-        self.report.evaluator = side.kind
-        if not np.isfinite(side.rates(0.0, y)).all():
-            check_start(mechanism, self.actuation, 0.0, y)
-            if side.refused is not None:
-                raise side.refused[1]
-            limit = "the acceleration is not finite there"
-            raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+        with np.errstate(all="ignore"):  # rates that leave the floats end the run
+            side = self._side(mechanism)
+            self.report.evaluator = side.kind
+            if not np.isfinite(side.rates(0.0, y)).all():
+                check_start(mechanism, self.actuation, 0.0, y)
+                if side.refused is not None:
+                    raise side.refused[1]
+                limit = "the acceleration is not finite there"
+                raise RobodynError("cannot start", where=mechanism.source, limit=limit)
 
     @property
     def moving(self) -> Mechanism:
@@ -156,12 +157,12 @@ class Run:
     def _side(self, mechanism: Mechanism) -> RightHandSide:
         """Return the right-hand side dy/dt of a mechanism, made once per run."""
         if mechanism not in self._sides:
-            baumgarte = self.settings.stabilize == "baumgarte" and mechanism.rows
+            drifts = self.settings.stabilize == "baumgarte" and mechanism.rows
             self._sides[mechanism] = right_hand_side(
                 mechanism,
                 self.actuation,
                 work=self.work,
-                baumgarte=self.settings.baumgarte if baumgarte else 0.0,
+                baumgarte=self.settings.baumgarte if drifts else 0.0,
                 misses=self._met(mechanism),
             )
         return self._sides[mechanism]
@@ -245,11 +246,11 @@ class Run:
         if events is not None and events.columns is not None:
             torques = partial(applied_torques, self.mechanism, self.actuation)
             events.columns.enter(self.moving, torques)
-        steps, report, done = self._steps(mechanism, due, keeps), self.report, 0
+        steps, report = self._steps(mechanism, due, keeps), self.report
+        before = report.evaluations
         while True:
             segment = steps.advance(self.settings.max_evaluations - report.evaluations)
-            report.evaluations += steps.evaluations - done
-            done = steps.evaluations
+            report.evaluations = before + steps.evaluations
             if segment is None:
                 assert steps.outcome is not None
                 self.outcome = steps.outcome
@@ -318,7 +319,7 @@ class Run:
         if len(self._recent) >= STEPS_AT_ONCE:
             widths = np.abs(np.diff(self._recent))
             left = abs(self.t_end - float(self._recent[-1]))
-            self._recent = np.zeros(0)
+            self._recent = NO_TIMES
             early, late = (float(x.max()) for x in np.array_split(widths, 2))
             before = max(self._longest, early)
             self._longest = max(before, late)
@@ -402,18 +403,20 @@ def run(
 
     statistics = RunStatistics(report, actuation, mechanism.n, bool(mechanism.rows))
     rows = Rows(sink, times, mechanism.n, 2 * mechanism.n + actuation.states, look)
-    rows.begin(run.moving, run.y)
-    statistics.add(np.zeros(1), run.y[None], run.moving)
+    moving = run.moving
+    rows.begin(moving, run.y)
+    statistics.add(np.zeros(1), run.y[None], moving)
     begun = time.perf_counter()
     try:
         for segment in run.segments(rows.due):
-            rows.take(run.moving, segment)
-            statistics.add(segment.t[1:], segment.y[1:], run.moving)
+            moving = run.moving
+            rows.take(moving, segment)
+            statistics.add(segment.t[1:], segment.y[1:], moving)
             look(segment.end)
     except InterruptedRun:
         run.outcome = Outcome.INTERRUPTED
     if run.outcome in (Outcome.EVENT, Outcome.LIMIT):
-        rows.end(run.moving, run.t, run.y)
+        rows.end(moving, run.t, run.y)
     rows.flush()
     if run.outcome is Outcome.STEP_TOO_SMALL and settings.method != "taylor":
         statistics.flush()

@@ -38,6 +38,7 @@ LONG = 2  # samples that a step must span to be looked at: shorter ones are samp
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
 WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
+NO_TIMES: Array = np.zeros(0)
 
 
 def joined(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
@@ -51,10 +52,12 @@ def joined(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
 class Batches:
     """Collects states of a run, and passes `most` of them on together, or all of one mode."""
 
+    _count = 0  # states that wait
+    _moving: Mechanism | None = None  # the mode that moves in them
+
     def __init__(self, most: int) -> None:
-        self._most, self._count = most, 0
+        self._most = most
         self._waiting: list[tuple[Array, Array]] = []
-        self._moving: Mechanism | None = None
 
     def add(self, t: Array, y: Array, moving: Mechanism) -> None:
         """Add states y (k, 2n or more) at times t (k,), with the mode that moves."""
@@ -80,13 +83,14 @@ class Batches:
 class RunStatistics(Batches):
     """Computes the statistics of a run's report from its steps."""
 
+    ranked: tuple[Mechanism, int] | None = None  # a mode, and the rank of its closures
+    before: tuple[Array, ...] | None = None  # t (1,), q and qd (1, n) of the last step
+    unseen, missed = 0.0, 0.0  # work that steps missed, and the largest of it, J
+    last_singular: float | None = None
+
     def __init__(self, report: Report, actuation: Actuation, n: int, closes: bool) -> None:
         super().__init__(STEPS_AT_ONCE)
         self.report, self.actuation, self.closes = report, actuation, closes
-        self.ranked: tuple[Mechanism, int] | None = None  # a mode, and the rank of its closures
-        self.before: tuple[Array, ...] | None = None  # t (1,), q and qd (1, n) of the last step
-        self.unseen, self.missed = 0.0, 0.0  # work that steps missed, and the largest of it, J
-        self.last_singular: float | None = None
         self._torques: Torques | None = None  # of which steps may miss work
         if actuation.constants is None and not actuation.linear and actuation.control is None:
             self._torques = actuation.function(n)
@@ -195,6 +199,8 @@ class Rows(Batches):
     each batch.
     """
 
+    next = 0  # of the times
+
     def __init__(
         self,
         sink: Sink,
@@ -205,8 +211,6 @@ class Rows(Batches):
     ) -> None:
         super().__init__(max(1, min(ROWS_AT_ONCE, WORK_AT_ONCE // n**3)))
         self.sink, self.times, self.width, self.look = sink, times, width, look
-        self.next = 0  # of the times
-        self.last: float | None = None  # time of a row
 
     def begin(self, moving: Mechanism, y: Array) -> None:
         """Start at t = 0 in state y (N,)."""
@@ -217,7 +221,7 @@ class Rows(Batches):
     def due(self, bound: float) -> Array:
         """Return the next output times up to `bound`, at most one batch of them."""
         if self.times is None or self.next == len(self.times):
-            return np.zeros(0)
+            return NO_TIMES
         sign = -1.0 if self.times[-1] < 0.0 else 1.0
         last = min(len(self.times), self.next + self._most)
         end = bisect_right(self.times, bound * sign, self.next, last, key=lambda t: t * sign)
@@ -226,11 +230,11 @@ class Rows(Batches):
     def take(self, moving: Mechanism, segment: Segment) -> None:
         """Collect the rows along a segment; `moving` is the mode of the segment."""
         if self.times is None:
-            t, y = segment.t[1:], segment.y[1:]
-            first = int(len(t) > 0 and t[0] == self.last)  # a leg that takes no time
-            self.add(t[first:], y[first:], moving)
+            first = 2 if len(segment) and segment.t[0] == segment.t[1] else 1  # it takes no time
+            if len(segment.t) > first:
+                self.add(segment.t[first:], segment.y[first:], moving)
             return
-        if segment.rows is not None:
+        if segment.rows is not None and len(segment.rows[0]):
             self.next += len(segment.rows[0])
             self.add(*segment.rows, moving)
         while len(due := self.due(segment.end)):
@@ -241,14 +245,8 @@ class Rows(Batches):
 
     def end(self, moving: Mechanism, t: float, y: Array) -> None:
         """Add the row at which the run was stopped, state y (N,) at t."""
-        if self.last != t:
+        if self.times is not None and (not self.next or self.times[self.next - 1] != t):
             self.add(np.array([t]), y[None], moving)
-
-    def add(self, t: Array, y: Array, moving: Mechanism) -> None:
-        """Add rows y (k, N) at t (k,)."""
-        if len(t):
-            self.last = float(t[-1])
-            super().add(t, y, moving)
 
     def _pass(self, t: Array, y: Array, moving: Mechanism) -> None:
         self.sink(t, y[:, : self.width], moving)

@@ -228,10 +228,14 @@ def simulate(
     rows: list[tuple[Array, Array, Mechanism]] = []
     try:
         outcome, record = run(*of, lambda *row: rows.append(row), times, events=watch)
-        happened = [*(() if watch is None else watch.found), *record.contacts]
+        happened: Sequence[Event] = [] if watch is None else watch.found
+        if record.contacts:
+            happened = sorted([*happened, *record.contacts], key=lambda event: abs(event.t))
         none = np.zeros(0), np.zeros((0, len(state)))
         t, y = joined([(t, y) for t, y, _ in rows] or [none])
         torques = applied_torques(mechanism, actuation, t, y)
+        errors = None if actuation.control is None else actuation.control.errors(t, y)
+        phases = [(len(t), moving) for t, _, moving in rows]
         motion = Motion(
             t,
             y[:, :n],
@@ -239,11 +243,11 @@ def simulate(
             torques,
             outcome,
             mechanism,
-            phases=[(len(t), moving) for t, _, moving in rows],
-            events=sorted(happened, key=lambda event: abs(event.t)),
-            _settle=record.settle,
-            _again=again,
-            errors=None if actuation.control is None else actuation.control.errors(t, y),
+            phases,
+            happened,
+            record.settle,
+            again,
+            errors=errors,
         )
         if numbers is not None:
             report = motion.report  # of a controller before it leads other runs
