@@ -5,7 +5,6 @@ import math
 import re
 from functools import cache, lru_cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from robodyn.engines import formulas
 from robodyn.errors import InputError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
-from robodyn.runs import accuracy
+from robodyn.runs import accuracy, series_steps, solvers
 from robodyn.runs.accuracy import (
     AUTO,
     AccuracyError,
@@ -247,6 +246,47 @@ def test_the_tightest_settings_have_no_tighter():
     )
 
 
+@pytest.mark.parametrize("method", ["DOP853", "taylor"])
+def test_an_estimate_takes_two_runs_and_an_accuracy_one_a_tolerance(method, monkeypatch):
+    mech, torques = arm("sin(3*t), 0")
+    tolerances = []
+
+    def counted(*given, **options):
+        tolerances.append(given[4].rtol)
+        return run(*given, **options)
+
+    monkeypatch.setattr(accuracy, "run", counted)
+    assert 0.0 < error_estimate(mech, START, 1.0, torques, Settings(method)) < 1e-6
+    assert tolerances == pytest.approx([1e-9, 1e-11])
+    tolerances.clear()
+    settings, _ = settings_for(mech, START, 1.0, torques, Settings(method), 1e-3)
+    assert tolerances == pytest.approx([1e-5, 1e-7])
+    assert tolerances[-1] == settings.rtol
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "taylor"])
+@pytest.mark.parametrize("t_end", [6.0, -6.0])
+def test_states_of_long_runs_are_thinned_out(method, t_end, monkeypatch):
+    """States remain along all of the run, and tell of its error."""
+    mech, torques = arm()
+    of, settings = (mech, START, t_end, torques), Settings(method, 1e-6, 1e-6)
+    monkeypatch.setattr(accuracy, "SAMPLES", 5)
+    all_of_them, longest = accuracy.first_run(of, settings)
+    estimate = error_estimate(*of, settings)
+    monkeypatch.setattr(accuracy, "MOST", 400)
+    monkeypatch.setattr(solvers, "MANY", 4)
+    monkeypatch.setattr(series_steps, "MOST_LOOKED_AT", 2)
+    few, same = accuracy.first_run(of, settings)
+    assert same == longest
+    assert few.y.shape == (len(few.t), 4)
+    assert 50 < len(few.t) < 125 < len(all_of_them.t)
+    assert few.t[-1] == t_end
+    assert (np.diff(few.t) * t_end > 0.0).all()
+    assert np.abs(np.diff(few.t, prepend=0.0)).max() < 0.5
+    assert np.isin(few.t, all_of_them.t).all()
+    assert 0.1 * estimate < error_estimate(*of, settings) <= estimate
+
+
 # The options of simulate
 
 
@@ -356,9 +396,7 @@ def test_an_accuracy_is_kept_past_hard_stops(asked):
 
 
 def test_how_far_times_are_from_the_nearest_contact():
-    motion = SimpleNamespace(_of=(mechanism(BUMPED),), times=np.array([0.0, 0.9, 1.2, 2.5, 9.0]))
-    recorder = SimpleNamespace(contacts=[SimpleNamespace(t=t) for t in (1.0, 2.0)])
-    found = accuracy._Motion._apart(motion, recorder)
+    times = np.array([0.0, 0.9, 1.2, 2.5, 9.0])
+    found = accuracy.apart(times, np.array([1.0, 2.0]))
     assert found == pytest.approx([1.0, 0.1, 0.2, 0.5, 7.0])
-    recorder.contacts = []
-    assert np.isinf(accuracy._Motion._apart(motion, recorder)).all()
+    assert np.isinf(accuracy.apart(times, np.zeros(0))).all()

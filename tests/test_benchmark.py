@@ -20,7 +20,7 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.runs import benchmark
-from robodyn.runs.benchmark import ORDER, TOLERANCE, Measurement, _mark_front, reference
+from robodyn.runs.benchmark import ORDER, TOLERANCE, Measurement, _mark_front, followed, reference
 from robodyn.runs.march import run
 from robodyn.runs.motion_columns import as_actuation
 from robodyn.runs.settings import Settings
@@ -190,8 +190,7 @@ def at_rest(n):
 
 def by_series(*given):
     """The rows (T, 2n) of the series, in extended precision."""
-    task = benchmark._Task(*given)
-    return benchmark._followed(task, benchmark._Series(task, ORDER, TOLERANCE))
+    return followed(*given, ORDER, TOLERANCE)
 
 
 def known(name):

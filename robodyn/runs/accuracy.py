@@ -25,7 +25,9 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_times import over_a_run
 from robodyn.runs.march import Record, run
+from robodyn.runs.readers import joined
 from robodyn.runs.report import Outcome
+from robodyn.runs.segments import Segment
 from robodyn.runs.series_engine import check_served
 from robodyn.runs.settings import Settings
 from robodyn.tables.arrays import Array
@@ -34,8 +36,10 @@ AUTO = "auto"
 SAMPLES = 200  # times at which runs are compared, besides those of the steps
 MARGIN = 4.0 / 3.0  # by which the tighter run may err as well
 CUTS = 4  # times of each step
-MOST = 4_000_000  # numbers of a run that are kept
+MOST = 4_000_000  # numbers in the states of a run that are kept
 TIGHTER = 100.0  # factor between the tolerances of two runs
+
+Task = tuple[Mechanism, Array, float, Actuation]  # what runs, its start, t_end and torques
 
 
 class AccuracyError(RobodynError):
@@ -53,10 +57,12 @@ def error_estimate(
     """
     if tighter(settings) is None:
         return np.nan
-    motion = _Motion((mechanism, state, t_end, actuation), settings)
-    tight = motion.tighter(settings)
-    assert tight is not None
-    return MARGIN * difference(*map(motion.sampled, (settings, tight)))
+    of = mechanism, state, t_end, actuation
+    first, longest = first_run(of, settings)
+    tight = tighter(settings, longest)
+    if first is None or tight is None or (after := run_beside(first, of, tight)) is None:
+        return np.nan
+    return MARGIN * difference(first, after)
 
 
 def settings_for(
@@ -81,16 +87,16 @@ def settings_for(
         settings = replace(settings, method=method)
     first = max(accuracy / TIGHTER, TIGHTER * settings.smallest_rtol)
     loose = replace(settings, rtol=first, atol=first)
-    motion = _Motion((mechanism, state, t_end, actuation), loose)
-    before = motion.sampled(loose)
+    of = mechanism, state, t_end, actuation
+    before, longest = first_run(of, loose)
     if before is None and chooses and settings.method == "taylor":  # a root begins: no series
         others = replace(settings, method="DOP853")
         return settings_for(mechanism, state, t_end, actuation, others, accuracy)
     if before is None:  # the run itself tells why
         return loose, np.nan
     best = np.inf
-    while (tight := motion.tighter(loose)) is not None:
-        after = motion.sampled(tight)
+    while (tight := tighter(loose, longest)) is not None:
+        after = run_beside(before, of, tight)
         if after is None:
             break
         estimate = difference(before, after)
@@ -116,87 +122,113 @@ def best_method(mechanism: Mechanism, actuation: Actuation) -> str:
     return "taylor"
 
 
-def tighter(settings: Settings) -> Settings | None:
-    """Return settings 100 times as tight; None if the method cannot be 3 times as tight."""
+def tighter(settings: Settings, longest: float = np.inf) -> Settings | None:
+    """Return settings 100 times as tight; None if the method cannot be 3 times as tight.
+
+    Steps become half as long as `longest` (s), the longest step of a run, or shorter: a tolerance
+    may not limit them.  The series needs no shorter steps: its order rises with the tolerance.
+    """
     least = settings.smallest_rtol
     rtol, atol = (max(x / TIGHTER, least) for x in (settings.rtol, settings.atol))
     if rtol * 3.0 > settings.rtol and atol * 3.0 > settings.atol:
         return None
-    return replace(settings, rtol=rtol, atol=atol)
+    tight = replace(settings, rtol=rtol, atol=atol)
+    if settings.method == "taylor":
+        return tight
+    return replace(tight, max_step=0.5 * min(settings.max_step, longest))
 
 
 class Sampled(NamedTuple):
-    """States y (T, 2n) of a run, and the work that its steps missed over the energy in motion.
+    """States y (T, 2n) of a run at times t (T,), and how the run ended.
 
-    `apart` (T,) is the time between each state and the nearest impact, s.
+    `missed` is the work that its steps missed, over the energy in motion.  `apart` (T,) is the time
+    between each state and the nearest hard impact, s.
     """
 
+    t: Array
     y: Array
+    outcome: Outcome
     missed: float
     apart: Array
 
 
-class _Motion:
-    """A motion with the times at which its runs are compared: `CUTS` times per step.
+class _Samples:
+    """States y (k, 2n) of a run at times t (k,): `CUTS` per step, and `SAMPLES` even ones.
 
-    Errors peak while the motion is fast, and there steps are short.
+    Errors peak while the motion is fast, and there steps are short.  Each time that more than
+    `MOST` numbers are kept, every second state is dropped, and later steps have half as many.
+    `longest` is the longest step, s.
     """
 
-    def __init__(self, of: tuple[Mechanism, Array, float, Actuation], settings: Settings) -> None:
-        self._of, (_, state, t_end, _) = of, of
-        ends: list[Array] = []
-        outcome, _ = run(*self._of, settings, lambda t, y, _: ends.append(t))
-        self.outcome = outcome
-        steps = np.concatenate(ends)
-        self.longest = float(np.abs(np.diff(steps)).max(initial=0.0)) or np.inf
-        apart = max(1.0 / CUTS, len(steps) * len(state) / MOST)
-        cuts = np.interp(np.arange(0, len(steps) - 1, apart), np.arange(len(steps)), steps)
-        even = np.linspace(0.0, steps[-1], SAMPLES)
-        self.times = np.unique(np.concatenate([cuts, steps[-1:], even]))
-        if t_end < 0.0:
-            self.times = self.times[::-1]
-        if outcome is Outcome.LIMIT:  # which each run meets at a time of its own
-            self.times = self.times[:-1]
+    def __init__(self, width: int, t_end: float) -> None:
+        self.kept = [(np.zeros(0), np.zeros((0, width)))]
+        self.longest = 0.0
+        self._even = np.linspace(0.0, t_end, SAMPLES)
+        self._count, self._cuts = 0, 0  # states kept; cuts of all steps so far
+        self._stride = 1  # every so many cuts are kept
 
-    def tighter(self, settings: Settings) -> Settings | None:
-        """Return tighter settings; their steps are also shorter if no tolerance limits them.
-
-        The series needs no shorter steps: its order rises with the tolerance.
-        """
-        tight = tighter(settings)
-        if tight is None or settings.method == "taylor":
-            return tight
-        return replace(tight, max_step=0.5 * min(settings.max_step, self.longest))
-
-    def sampled(self, settings: Settings) -> Sampled | None:
-        """Return a run's states at the times; None if it ends otherwise than the first run."""
-        if self.outcome not in (Outcome.FINISHED, Outcome.LIMIT):
-            return None
-        rows: list[Array] = []
-        outcome, record = run(*self._of, settings, lambda t, y, _: rows.append(y), self.times)
-        if outcome is not self.outcome:
-            return None
-        y = np.concatenate(rows)[: len(self.times), : len(self._of[1])]
-        if len(y) < len(self.times):
-            return None
-        return Sampled(y, record.settle().work_missed, self._apart(record))
-
-    def _apart(self, record: Record) -> Array:
-        """Return the distance in time (T,) from the nearest hard impact of a run, s."""
-        jumps = HARD in self._of[0].contacts
-        hits = np.array([event.t for event in record.contacts if jumps])
-        if not len(hits):
-            return np.full(len(self.times), np.inf)
-        after = np.searchsorted(hits, self.times)
-        near = hits[np.clip([after - 1, after], 0, len(hits) - 1)]
-        return np.asarray(np.abs(near - self.times).min(axis=0))
+    def take(self, segment: Segment) -> None:
+        """Keep states along a segment."""
+        steps, forward, width = len(segment), segment.forward, self.kept[0][1].shape[1]
+        if not steps:  # a leg that takes no time
+            return
+        self.longest = max(self.longest, float(np.abs(np.diff(segment.t)).max()))
+        if self._count * width > MOST:
+            t, y = joined(self.kept)
+            self.kept = [(t[::2].copy(), y[::2].copy())]
+            self._count, self._stride = len(self.kept[0][0]), 2 * self._stride
+        cuts = np.arange(1, CUTS * steps + 1)
+        cuts = cuts[(self._cuts + cuts) % self._stride == 0] / CUTS
+        times = np.append(np.interp(cuts, np.arange(steps + 1), segment.t), self._even) * forward
+        within = (times > segment.begin * forward) & (times <= segment.end * forward)
+        times = np.unique(times[within]) * forward
+        self.kept.append((times, segment.at(times)[:, :width]))
+        self._count += len(times)
+        self._cuts += CUTS * steps
 
 
-def difference(first: Sampled | None, second: Sampled | None) -> float:
+def first_run(of: Task, settings: Settings) -> tuple[Sampled | None, float]:
+    """Run, and return the states of `_Samples` and the longest step (s); None if the run fails."""
+    _, state, t_end, _ = of
+    samples = _Samples(len(state), t_end)
+    outcome, record = run(*of, settings, lambda *_: None, np.zeros(0), read=samples.take)
+    t, y = joined(samples.kept)
+    if outcome is Outcome.LIMIT:  # which each run meets at a time of its own
+        t, y = t[:-1], y[:-1]
+    ended = outcome in (Outcome.FINISHED, Outcome.LIMIT)
+    found = _sampled(of, t, y, outcome, record) if ended else None
+    return found, samples.longest or np.inf
+
+
+def run_beside(first: Sampled, of: Task, settings: Settings) -> Sampled | None:
+    """Run, and return the states at the times of the first run; None if it ends otherwise."""
+    rows, count, width = [(first.t[:0], first.y[:0])], *first.y.shape
+    outcome, record = run(*of, settings, lambda t, y, _: rows.append((t, y[:, :width])), first.t)
+    t, y = joined(rows)
+    if outcome is not first.outcome or not np.array_equal(t[:count], first.t):
+        return None
+    return _sampled(of, first.t, y[:count], outcome, record)
+
+
+def _sampled(of: Task, t: Array, y: Array, outcome: Outcome, record: Record) -> Sampled:
+    """Return states of a run, with the times of its impacts and the work that it missed."""
+    hits = [event.t for event in record.contacts if HARD in of[0].contacts]
+    return Sampled(t, y, outcome, record.settle().work_missed, apart(t, np.array(hits)))
+
+
+def apart(times: Array, hits: Array) -> Array:
+    """Return the time (T,) between each of `times` (T,) and the nearest of the ordered `hits`."""
+    if not len(hits):
+        return np.full(len(times), np.inf)
+    after = np.searchsorted(hits, times)
+    near = hits[np.clip([after - 1, after], 0, len(hits) - 1)]
+    return np.asarray(np.abs(near - times).min(axis=0))
+
+
+def difference(first: Sampled, second: Sampled) -> float:
     """Estimate the error of the first run, including the work that both runs missed."""
-    if first is None or second is None:
-        return np.nan
     n = first.y.shape[1] // 2
     off = np.abs(first.y - second.y)
-    rates = np.minimum(off[:, n:].max(axis=1), np.minimum(first.apart, second.apart))
-    return max(float(off[:, :n].max()), float(rates.max()), second.missed)
+    near = np.minimum(first.apart, second.apart)
+    rates = np.minimum(off[:, n:].max(axis=1, initial=0.0), near)
+    return float(max(off[:, :n].max(initial=0.0), rates.max(initial=0.0), second.missed))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from statistics import median
 from typing import Any, NamedTuple
@@ -72,9 +72,8 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
     actuation = over_a_scene_run(mechanism, actuation, state.tolist(), float(times[-1]))
     with np.errstate(all="ignore"):
         try:
-            task = _Task(mechanism, state, times, actuation)
-            first = _followed(task, _Series(task, ORDER, TOLERANCE))
-            second = _followed(task, _Series(task, ORDER - 9, 100.0 * TOLERANCE))
+            first = followed(mechanism, state, times, actuation, ORDER, TOLERANCE)
+            second = followed(mechanism, state, times, actuation, ORDER - 9, 100.0 * TOLERANCE)
         except InputError as error:
             limit = "errors are measured against one: give arithmetic and smooth functions"
             raise InputError(error.what, limit=limit) from None
@@ -85,18 +84,20 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
     return Reference(first.astype(float), max(apart, eps))
 
 
-class _Task(NamedTuple):
-    """Arguments of `reference`."""
+def followed(
+    mechanism: Mechanism,
+    state: Array,
+    times: Array,
+    actuation: Actuation,
+    order: int,
+    tolerance: float,
+) -> Long:
+    """Return the states (T, 2n) at increasing `times` > 0, by one series in extended precision.
 
-    mechanism: Mechanism
-    state: Array
-    times: Array
-    actuation: Actuation
-
-
-def _followed(task: _Task, step: _Series) -> Long:
-    """Return the states (T, 2n) at the times of the task, integrated by a series."""
-    mechanism, state, times, actuation = task
+    `order` and `tolerance` (in units of rounding) choose its steps.  The loop is not that of
+    `march.py`, which keeps time and state in double precision.
+    """
+    step = _Series(mechanism, actuation, order, tolerance)
     closing = _Closing(mechanism)
     y, t, rows = closing(LONG(0.0), state.astype(LONG)), LONG(0.0), []
     if actuation.told is not None:
@@ -104,7 +105,7 @@ def _followed(task: _Task, step: _Series) -> Long:
     for end in times.astype(LONG):
         while t < end:
             stop = LONG(next_stop(actuation.stops, actuation.leaves, float(t), float(end)))
-            stop = min(end, stop) if stop > t else end
+            stop = stop if stop > t else end
             taken = step(t, y, stop)
             if taken is None:
                 raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
@@ -138,8 +139,9 @@ LONGS = Arithmetic(
 class _Series:
     """The series of a motion in extended precision, one program per state of torque switches."""
 
-    def __init__(self, task: _Task, order: int, tolerance: float) -> None:
-        mechanism, _, _, actuation = task
+    def __init__(
+        self, mechanism: Mechanism, actuation: Actuation, order: int, tolerance: float
+    ) -> None:
         self.mechanism, self.actuation = mechanism, actuation
         self.order, self.tolerance = order, tolerance * float(np.finfo(LONG).eps)
         self.torques = actuation.function(mechanism.n)
@@ -215,17 +217,13 @@ def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
     return np.concatenate([y[:n] + way, rates])
 
 
-def _constants(mechanism: Mechanism) -> Any:
-    """Return the mechanism's arrays in extended precision."""
-    given: Iterable[Any] = mechanism.arrays
-    return Arrays(*(x.astype(COMPLEX if np.iscomplexobj(x) else LONG) for x in given))
-
-
 class _Closing:
     """Projects a state onto the closures by Newton steps whose matrix is in double precision."""
 
     def __init__(self, mechanism: Mechanism) -> None:
-        self.mechanism, self.n, self.x = mechanism, mechanism.n, _constants(mechanism)
+        self.mechanism, self.n = mechanism, mechanism.n
+        given: Iterable[Any] = mechanism.arrays
+        self.x = Arrays(*(x.astype(COMPLEX if np.iscomplexobj(x) else LONG) for x in given))
 
     def __call__(self, t: Any, y: Long) -> Long:
         if not len(self.x.P):
@@ -319,8 +317,11 @@ def benchmark(
         raise RobodynError("bench", where=mechanism.source, limit="the motion is not finite")
     watch(0.1)
 
-    def timed(settings: Settings, at: Array = times) -> tuple[float, Outcome, Report, Array]:
+    def timed(
+        method: str, tolerance: float, at: Array = times
+    ) -> tuple[float, Outcome, Report, Array]:
         rows: list[Array] = []
+        settings = Settings(method, tolerance, tolerance, max_evaluations=MAX_EVALUATIONS)
         begun = time.perf_counter()
         outcome, record = run(
             mechanism, state, at[-1], actuation, settings, lambda t, y, _: rows.append(y), at
@@ -330,20 +331,21 @@ def benchmark(
         return took, outcome, report, np.concatenate(rows or [np.zeros((0, len(state)))])
 
     over = over_a_scene_run(mechanism, actuation, state.tolist(), t_end)
-    names, left_out = _methods(mechanism, over)
+    methods, left_out = list(METHODS), list[str]()
+    try:
+        check_served(mechanism, over)
+    except RobodynError as error:
+        methods.remove("taylor")
+        left_out.append(f"taylor: {error.limit if error.what == 'method' else error}")
     found: list[Measurement] = []
-    runs: list[tuple[Measurement, Settings]] = []
-    for i, (name, settings) in enumerate(names):
-        timed(settings, times[-1:] / 1000)  # what is loaded and made once is no part of a run
+    for i, method in enumerate(methods):
+        timed(method, Settings.rtol, times[-1:] / 1000)  # loads and makes what is no part of a run
         for tolerance in tolerances:
-            if tolerance < settings.smallest_rtol:
+            if tolerance < Settings(method).smallest_rtol:
                 continue
-            each = replace(
-                settings, rtol=tolerance, atol=tolerance, max_evaluations=MAX_EVALUATIONS
-            )
-            took, outcome, report, y = timed(each)
+            took, outcome, report, y = timed(method, tolerance)
             measured = Measurement(
-                name,
+                method,
                 tolerance,
                 outcome.label,
                 drift=report.energy_drift,
@@ -356,35 +358,21 @@ def benchmark(
             if finished:
                 off = np.maximum(np.abs(y - exact.y).max(axis=1), exact.uncertainty)
                 measured.error, measured.error_end = float(off.max()), float(off[-1])
-                runs.append((measured, each))
             if took > patience or not finished:
                 if any(x < tolerance for x in tolerances):
                     why = measured.outcome if took <= patience else f"took {took:.2g} s"
-                    left_out.append(f"{name} below {tolerance:g}: {why} there")
+                    left_out.append(f"{method} below {tolerance:g}: {why} there")
                 break
-        watch(0.1 + 0.4 * (i + 1) / len(names))
+        watch(0.1 + 0.4 * (i + 1) / len(methods))
+    runs = [x for x in found if x.outcome == Outcome.FINISHED.label]
     for i in range(repeats):
-        for measured, each in runs:
-            measured.seconds.append(timed(each)[0])
+        for each in runs:
+            each.seconds.append(timed(each.method, each.tolerance)[0])
         watch(0.5 + 0.5 * (i + 1) / repeats)
-    for measured, _ in runs:
-        measured.median, measured.least = median(measured.seconds), min(measured.seconds)
+    for each in runs:
+        each.median, each.least = median(each.seconds), min(each.seconds)
     _mark_front(found, exact.uncertainty)
     return Benchmark(exact, found, left_out)
-
-
-def _methods(
-    mechanism: Mechanism, actuation: Actuation
-) -> tuple[list[tuple[str, Settings]], list[str]]:
-    """Return names and settings of the methods that serve this motion, and why others do not."""
-    names = [(method, Settings(method)) for method in METHODS if method != "taylor"]
-    left_out = []
-    try:
-        check_served(mechanism, actuation)
-        names.append(("taylor", Settings("taylor")))
-    except RobodynError as error:
-        left_out.append(f"taylor: {error.limit if error.what == 'method' else error}")
-    return names, left_out
 
 
 def _mark_front(found: list[Measurement], uncertainty: float) -> None:
@@ -393,7 +381,7 @@ def _mark_front(found: list[Measurement], uncertainty: float) -> None:
     Errors below the uncertainty count as equal.
     """
     best = np.inf
-    for each in sorted(found, key=lambda x: (x.least if x.least == x.least else np.inf, x.error)):
-        if each.outcome == Outcome.FINISHED.label and each.error < best:
-            each.front = True
-            best = max(each.error, uncertainty)
+    finished = (x for x in found if x.outcome == Outcome.FINISHED.label)
+    for each in sorted(finished, key=lambda x: (x.least, x.error)):
+        if each.error < best:
+            each.front, best = True, max(each.error, uncertainty)

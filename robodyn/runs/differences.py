@@ -13,8 +13,7 @@ tolerance.  Runs with other contacts up to a row are left out, so rows next to a
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -165,29 +164,28 @@ class Numbers:
 
 @dataclass
 class _Run:
-    """A run with one number changed: states y (T, 2n), nan beyond its end, and its contacts."""
+    """A run with one number changed: states y (T, 2n), nan beyond its end.
+
+    `contacts` are the names of its events of contacts, `contact_times` the sizes of their times.
+    """
 
     change: float
     y: Array
-    contacts: list[tuple[float, str]]
+    contacts: list[str]
+    contact_times: Array
     outcome: Outcome
 
     def as_at(self, other: _Run, times: Array) -> Array:
         """Return the states, with nan in rows before which the two runs had different contacts."""
         if not self.contacts and not other.contacts:
             return self.y
-        both = [np.array([abs(t) for t, _ in run.contacts]) for run in (self, other)]
-        counts = np.stack([np.searchsorted(t, np.abs(times), "right") for t in both], axis=1)
+        counts = [np.searchsorted(x.contact_times, np.abs(times), "right") for x in (self, other)]
+        pairs = list(zip(*(x.tolist() for x in counts), strict=True))
         alike = {
-            (a, b): a == b and _names(self.contacts[:a]) == _names(other.contacts[:b])
-            for a, b in set(map(tuple, counts.tolist()))
+            (a, b): sorted(self.contacts[:a]) == sorted(other.contacts[:b]) for a, b in set(pairs)
         }
-        same = np.array([alike[pair] for pair in map(tuple, counts.tolist())], bool)
+        same = np.array([alike[pair] for pair in pairs], bool)
         return np.where(same[:, None], self.y, np.nan)
-
-
-def _names(contacts: Sequence[tuple[float, str]]) -> Counter[str]:
-    return Counter(name for _, name in contacts)
 
 
 def sensitivities(
@@ -227,10 +225,11 @@ def sensitivities(
         )
         found = np.concatenate(parts or [y[:0]])[: len(times), : len(state)]
         y[: len(found)] = found
-        return _Run(change, y, [(x.t, x.name) for x in record.contacts], outcome)
+        names, at = [x.name for x in record.contacts], [abs(x.t) for x in record.contacts]
+        return _Run(change, y, names, np.array(at), outcome)
 
     base = moved(names[0], 0.0)
-    jumps = np.isin(times, [t for t, _ in base.contacts])  # rows that have no derivative alone
+    jumps = np.isin(np.abs(times), base.contact_times)  # rows that have no derivative alone
     values = np.full((len(times), len(state), len(names)), np.nan)
     errors: dict[str, float] = {}
     withheld, outcomes = [], [base.outcome]
@@ -258,23 +257,24 @@ def sensitivities(
 
 def _runs_of(moved: Callable[[float], _Run], size: float, base: _Run, times: Array) -> list[_Run]:
     """Return up to six runs, with steps chosen by how nonlinear the runs are."""
-    fault: RobodynError | None = None
+    faults: list[RobodynError] = []
 
-    def tried(change: float) -> _Run | None:
-        nonlocal fault
-        try:
-            return moved(change)
-        except RobodynError as error:
-            fault = error
-            return None
+    def tried(*changes: float) -> list[_Run]:
+        """Return the runs with these changes, but those in which no motion is defined."""
+        runs: list[_Run] = []
+        for change in changes:
+            try:
+                runs.append(moved(change))
+            except RobodynError as error:
+                faults.append(error)
+        return runs
 
     h = STEP * size
-    pair = [run for change in (h, -h) if (run := tried(change)) is not None]
+    pair = tried(h, -h)
     if not pair:
-        assert fault is not None
-        raise fault
+        raise faults[-1]
     if len(pair) == 1:
-        return [*pair, *_to_one_side(tried, pair[0], base, times)]
+        return pair + _to_one_side(tried, pair[0], base, times)
     found, bent = list(pair), _bent(base, pair, times)
     for _ in range(2):
         if bent > LOST:
@@ -285,7 +285,7 @@ def _runs_of(moved: Callable[[float], _Run], size: float, base: _Run, times: Arr
             h *= 4.0  # twice the first
         else:
             h *= 0.5
-        pair = [run for change in (h, -h) if (run := tried(change)) is not None]
+        pair = tried(h, -h)
         found += pair
         if bent > BENT and len(pair) == 2:
             bent = _bent(base, pair, times)
@@ -293,23 +293,21 @@ def _runs_of(moved: Callable[[float], _Run], size: float, base: _Run, times: Arr
 
 
 def _to_one_side(
-    tried: Callable[[float], _Run | None], first: _Run, base: _Run, times: Array
-) -> Iterator[_Run]:
-    """Yield more runs on the side of the first."""
-    h, half = first.change, tried(0.5 * first.change)
-    if half is None:
-        return
-    yield half
-    bent = 2.0 * _bent(base, [half, first], times)
+    tried: Callable[..., list[_Run]], first: _Run, base: _Run, times: Array
+) -> list[_Run]:
+    """Return more runs on the side of the first."""
+    h = first.change
+    half = tried(0.5 * h)
+    if not half:
+        return []
+    bent = 2.0 * _bent(base, [*half, first], times)
     parts: tuple[float, ...] = (0.25, 0.75, 0.125, 0.375)
     if bent <= STRAIGHT:
         parts = (2.0, 3.0, 4.0, 1.5)
     elif bent > BENT:
         h *= 0.1 * BENT / bent if bent <= LOST else FAR
         parts = (1.0, 0.75, 0.5, 0.25)
-    for part in parts:
-        if (run := tried(part * h)) is not None:
-            yield run
+    return half + tried(*(part * h for part in parts))
 
 
 @np.errstate(all="ignore")

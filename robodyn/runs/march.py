@@ -384,12 +384,13 @@ def run(
     times: Array | EvenTimes | None = None,
     watch: Callable[[float], bool] | None = None,
     events: EventWatch | None = None,
+    read: Callable[[Segment], None] | None = None,
 ) -> tuple[Outcome, Record]:
     """Integrate from `state` (2n,) and pass rows t (k,), y (k, 2n or more) to `sink` in batches.
 
     Rows are at `times`, or at the accepted steps if `times` is None.  `watch` is called with t
     after some steps; if it returns True, the run ends as interrupted.  `events` finds events and
-    may end the run.
+    may end the run.  `read` is called with each segment, which then has states between its steps.
     """
     check_run(settings, t_end, times)
     check_span(actuation, t_end)
@@ -408,7 +409,9 @@ def run(
     statistics.add(np.zeros(1), run.y[None], moving)
     begun = time.perf_counter()
     try:
-        for segment in run.segments(rows.due):
+        for segment in run.segments(rows.due, keeps=read is not None):
+            if read is not None:
+                read(segment)
             moving = run.moving
             rows.take(moving, segment)
             statistics.add(segment.t[1:], segment.y[1:], moving)

@@ -423,9 +423,8 @@ def exact_motion(case: Case, sure: bool = True) -> Exact:
         end = followed(mechanism, *([mp.re(v) for v in values] for values in state), case.time)
         found = benchmark.Reference(np.array([[float(v) for v in end]]), 0.0)
     else:
-        task = benchmark._Task(*given)
-        series = (benchmark._Series(task, order, 0.1) for order in ((30, 21) if sure else (30,)))
-        both = [benchmark._followed(task, each)[-1] for each in series]
+        orders = (30, 21) if sure else (30,)
+        both = [benchmark.followed(*given, order, 0.1)[-1] for order in orders]
         apart = float(np.abs(both[0] - both[-1]).max())
         found = benchmark.Reference(both[0].astype(float)[None], apart)
     motion = simulate(mechanism, *np.split(start(case), 2), case.time, **TIGHT["taylor"])
