@@ -28,7 +28,6 @@ from robodyn import (
     simulate,
 )
 from robodyn.engines import machine
-from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.row_values import SignalError, TableLeftError
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.actuation import Actuation
@@ -124,16 +123,6 @@ def test_the_energy_of_a_table_without_a_row_at_zero(tmp_path):
     for x, energy in [(0.0, 0.0), (1.5, -0.5 + 3.0), (-1.0, 1 / 3 + 4 / 3), (-2.0, 5 / 3 + 3.5)]:
         assert potential_energy(mech, [x + 0.25]) == pytest.approx(energy, abs=1e-13)
     assert potential_energy(mech, [3.25]) == pytest.approx(-2 / 3 + 16 / 3 + 7.0, abs=1e-13)
-
-
-def test_the_bend_of_a_repeating_table_counts_where_it_begins_again(tmp_path):
-    """Its slopes are 1, 0 and -1 from row to row: they change most, by 2, where it wraps."""
-    third = 2 * math.pi / 3
-    rows = [(0.0, 1.0), (third, 1.0 + third), (2 * third, 1.0 + third), (3 * third, 1.0)]
-    file = table(tmp_path, "turn.csv", "q1,M", rows)
-    mech = arm(f"loads: [{{link: arm, torque: {{table: {file}, over: q1, column: M}}}}]")
-    program = MotionProgram(mech, Actuation((0.0,)), False).program
-    assert max(program.arms[slot] for slot in program.named["bends"]) == pytest.approx(third)
 
 
 class TestLoads:

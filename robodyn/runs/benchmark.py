@@ -46,8 +46,7 @@ NUMPY = {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}  # what numpy cal
 ORDER = 30
 TOLERANCE = 0.1  # of the series, in units of rounding
 SMALLEST_STEP = 1e-12  # s
-ROUNDING = 100.0 * float(np.finfo(np.longdouble).eps)  # part of a rate
-AGREE = 1e-9  # part of a torque's terms by which its series may miss it, where it does not bend
+LEFT = 1e-9  # part by which a piece of a table may be left
 TOO_NEAR = 1e-8  # s/L below which nothing is closed
 PASSES = 4  # of rates, each of which leaves a part of 1e-8 at most
 
@@ -145,7 +144,6 @@ class _Series:
         self.torques = actuation.function(mechanism.n)
         self.made: dict[tuple[float, ...] | None, MotionProgram] = {}
         MotionProgram(mechanism, actuation, False)  # every branch must have a series
-        self.lightest = min(mechanism.inertias.values())
 
     def __call__(self, t: Any, y: Long, stop: Any) -> tuple[Any, Long] | None:
         """Take a step from (t, y), at most to `stop`; return its length and the state after it.
@@ -155,52 +153,28 @@ class _Series:
         held = None if self.actuation.pieces is None else self.actuation.pieces.at(float(t))
         if held not in self.made:
             self.made[held] = MotionProgram(self.mechanism, self.actuation, False, held)
-        series, w, arms = self.expanded(self.made[held], t, y, self.order)
+        series, w = self.expanded(self.made[held], t, y)
         both, steady = (self.tolerance, self.tolerance), self.made[held].steady
         longest = longest_step(series, w, *both, slides=self.mechanism.slides, steady=steady)
         if not longest > SMALLEST_STEP:
             return None
         h = min(stop - t, LONG(longest))
         while h > SMALLEST_STEP:
-            new = _along(self.mechanism, series, y, h)
-            part = self.part(series, held, h, t + h, new) if arms else 1.0
+            part = strays(self.made[held].spans, series.spanned, h, LEFT)
             if part == 1.0:
-                return h, new
+                return h, _along(self.mechanism, series, y, h)
             h = h * part
         return None
 
-    def expanded(
-        self, motion: MotionProgram, t: Any, y: Long, order: int
-    ) -> tuple[Coefficients, list[Any], list[float]]:
+    def expanded(self, motion: MotionProgram, t: Any, y: Long) -> tuple[Coefficients, list[Any]]:
+        """Return the series at (t, y), and the links' rates there."""
         given: tuple[Sequence[float], Sequence[float]] = ((), ())
         if self.actuation.constants is None and self.actuation.linear:
             floats = y.astype(float).tolist()
             given = linear_piece(self.actuation, self.torques, float(t), floats, 1.0)
         start = motion.state(LONGS, t, list(y), given)
         numbers = [LONG(x) for x in motion.program.numbers]
-        return motion.expand(LONGS, numbers, order, start), list(start.w), motion.arms
-
-    def part(self, series: Coefficients, held: Any, x: Any, t: Any, y: Long) -> Any:
-        """Return 1 if the series still holds at x after its start, at time t and state y.
-
-        Otherwise return the fraction of x to try next.  Torques that may bend are compared with
-        their series there, and no argument may stray on the way.  Differences that change no rate
-        beyond rounding are ignored.
-        """
-        try:
-            found, _, arms = self.expanded(self.made[held], t, y, 1)
-        except (ArithmeticError, ValueError):  # outside the domain
-            return 0.5
-        rates = y[self.mechanism.n : 2 * self.mechanism.n]
-        small = ROUNDING * np.abs(rates).max() * self.lightest / x  # N m
-        way, part = strays(self.made[held].spans, arms, series.spanned, x, small, AGREE)
-        if way > 0.0:
-            return part
-        for each, known, arm in zip(series.watched, found.watched, arms, strict=True):
-            terms = np.array(each) * x ** np.arange(len(each))
-            if not abs(terms.sum() - known[0]) <= AGREE * np.abs(terms).max() + small / arm:
-                return 0.5
-        return 1.0
+        return motion.expand(LONGS, numbers, self.order, start), list(start.w)
 
 
 def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
