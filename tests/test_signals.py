@@ -125,6 +125,20 @@ def test_the_energy_of_a_table_without_a_row_at_zero(tmp_path):
     assert potential_energy(mech, [3.25]) == pytest.approx(-2 / 3 + 16 / 3 + 7.0, abs=1e-13)
 
 
+@EVERY
+def test_a_law_passes_where_it_divides_by_zero(method):
+    """As sin(3 x)/x at x = 0; against the series of sin(3 x)/x, which needs no division."""
+    powers = " ".join(
+        f"{(-1) ** k * 3.0 ** (2 * k + 1) / math.factorial(2 * k + 1):+.17g}*x**{2 * k}"
+        for k in range(14)
+    )
+    ends = []
+    for law in ("sin(3*x)/x", powers):
+        mech = arm(f'springs: [{{joint: arm, law: "4*x + {law} - 3", angle: 0}}]')
+        ends.append(run(mech, 0.5, 0.0, 3.0, method).q[-1, 0])
+    assert ends[0] == pytest.approx(ends[1], abs=1e-7)
+
+
 class TestLoads:
     @EVERY
     def test_a_force_of_time(self, method):

@@ -50,13 +50,14 @@ class Span(NamedTuple):
     """The argument of a function whose series may not hold along a whole step: see `strays`.
 
     With `steep`, the function is flat up to exp(-`steep` |x|) for large |x|.  An `edge` is a
-    distance from the end of a piece of a table.  Else the argument is a divisor, or the base of a
-    power.
+    distance from the end of a piece of a table.  Else the argument is the base of a power, or a
+    divisor, which may pass zero (`passes`), as in sin(x)/x, but not turn back beside it.
     """
 
     slot: Slot
     steep: float = 0.0
     edge: bool = False
+    passes: bool = False
 
 
 def spans(program: Program, wanted: Sequence[Slot]) -> list[Span]:
@@ -66,7 +67,7 @@ def spans(program: Program, wanted: Sequence[Slot]) -> list[Span]:
     """
     moving: set[Slot] = set()
     steep: dict[Slot, float] = {}
-    divisors: dict[Slot, None] = {}
+    passes: dict[Slot, bool] = {}
     for slot in program.schedule(wanted).slots:
         row = program.rows[slot]
         if not (isinstance(row, COORDINATES) or not moving.isdisjoint(arguments(row))):
@@ -77,9 +78,10 @@ def spans(program: Program, wanted: Sequence[Slot]) -> list[Span]:
                 steep[x] = max(steep.get(x, 0.0), _STEEP[name])
             case Power(x, _) | Quotient(_, x) | Primitive(_, _, x):
                 if x in moving and not isinstance(program.rows[x], Power):  # whose base tells it
-                    divisors[x] = None
+                    passes[x] = isinstance(row, Quotient) and passes.get(x, True)
     edges = [Span(x, edge=True) for x in program.named.get("edges", ())]
-    return [*(Span(*each) for each in steep.items()), *map(Span, divisors), *edges]
+    divisors = [Span(x, passes=may) for x, may in passes.items()]
+    return [*(Span(*each) for each in steep.items()), *divisors, *edges]
 
 
 def strays(
@@ -100,16 +102,18 @@ def strays(
         elif span.steep:
             nearer = _flat(each, x, span.steep)
         else:
-            nearer = _divides(each, x)
+            nearer = _off_zero(each, x, span.passes)
         part = expression.least(part, nearer)
     return part
 
 
-def _divides(each: Sequence[Value], x: Value) -> Value:
-    """Return one half if a divisor comes near to zero within a step x, else 1.
+def _off_zero(each: Sequence[Value], x: Value, passes: bool) -> Value:
+    """Return one half if an argument comes near to zero within a step x, else 1.
+
+    With `passes`, it may pass zero.
 
     The series of sqrt(u^2 + small) for u far from zero shows nothing of what lies beyond.  Between
-    two of the places where the divisor is seen it is off a straight line by at most the square of
+    two of the places where the argument is seen it is off a straight line by at most the square of
     their distance times its second derivative over 8.
     """
     first, h = each[0], abs(x)
@@ -120,8 +124,9 @@ def _divides(each: Sequence[Value], x: Value) -> Value:
     nearest = first * first
     for k in range(1, SEEN + 1):
         nearest = expression.least(nearest, first * horner(each, k / SEEN * x)[0])
-    nearest = nearest - abs(first) * bend * (0.125 / SEEN**2)
-    return expression.choose(nearest, NEAR * first * first, 0.5, 1.0)
+    least = nearest - abs(first) * bend * (0.125 / SEEN**2)
+    near = expression.choose(least, NEAR * first * first, 0.5, 1.0)
+    return expression.choose(nearest, 0.0, 1.0, near) if passes else near
 
 
 def _flat(each: Sequence[Value], x: Value, steep: float) -> Value:
@@ -180,7 +185,7 @@ LANDED = 0.125  # of the part by which a piece may be left: so far beyond it a s
 NEWTON = 5  # iterations to there
 LEAST = 1e-6  # part of a step that Newton's method leaves, at least
 ROUNDED = 1e-12  # and takes off
-SEEN = 8  # parts of a step, at whose ends a divisor is seen
+SEEN = 8  # parts of a step, at whose ends what divides is seen
 NEAR = 1.0 / 256.0  # of its size at the start, which it must keep
 TINY = 1e-290  # in place of a coefficient that vanishes
 TURN = 2.0  # rad: a link that turns farther in a step may not have its turns counted
