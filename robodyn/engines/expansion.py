@@ -24,6 +24,7 @@ from robodyn.elements import program as rows
 from robodyn.elements.program import (
     COORDINATES,
     Function,
+    Given,
     Power,
     Primitive,
     Program,
@@ -63,21 +64,25 @@ class Span(NamedTuple):
 def spans(program: Program, wanted: Sequence[Slot]) -> list[Span]:
     """Return the spans of the functions that a series up to `wanted` slots computes.
 
-    Functions of time alone are left out: no step is longer than a time on which they are smooth.
+    Functions of time alone may be flat: no step is longer than a time on which they are resolved.
     """
+    varying: set[Slot] = set()
     moving: set[Slot] = set()
     steep: dict[Slot, float] = {}
     passes: dict[Slot, bool] = {}
     for slot in program.schedule(wanted).slots:
         row = program.rows[slot]
-        if not (isinstance(row, COORDINATES) or not moving.isdisjoint(arguments(row))):
+        timed = isinstance(row, Given) and row.name == "t"
+        if isinstance(row, COORDINATES) or not moving.isdisjoint(arguments(row)):
+            moving.add(slot)
+        elif not timed and varying.isdisjoint(arguments(row)):
             continue
-        moving.add(slot)
+        varying.add(slot)
         match row:
-            case Function(name, x) if name in _STEEP:
+            case Function(name, x) if name in _STEEP and x in moving:
                 steep[x] = max(steep.get(x, 0.0), _STEEP[name])
             case Power(x, _) | Quotient(_, x) | Primitive(_, _, x):
-                if x in moving and not isinstance(program.rows[x], Power):  # whose base tells it
+                if x in varying and not isinstance(program.rows[x], Power):  # whose base tells it
                     passes[x] = isinstance(row, Quotient) and passes.get(x, True)
     edges = [Span(x, edge=True) for x in program.named.get("edges", ())]
     divisors = [Span(x, passes=may) for x, may in passes.items()]
