@@ -89,21 +89,18 @@ def spans(program: Program, wanted: Sequence[Slot]) -> list[Span]:
     return [*(Span(*each) for each in steep.items()), *divisors, *edges]
 
 
-def strays(
-    spanned: Sequence[Span], series: Sequence[Sequence[Value]], x: Value, allowed: Value
-) -> Value:
+def strays(spanned: Sequence[Span], series: Sequence[Sequence[Value]], x: Value) -> Value:
     """Return 1 if no argument leaves the region of its series within a step x.
 
     Else the result is the part of the step to try next: one half, or what ends just beyond a piece
-    of a table, so that the next step starts on the next one.  A piece may be left by `allowed` of
-    the narrowest one.
+    of a table, so that the next step starts on the next one.
 
     Values at the ends of a step would not do: a motion may meet and leave a narrow force within it.
     """
     part: Value = 1.0
     for span, each in zip(spanned, series, strict=True):
         if span.edge:
-            nearer = _before_edge(each, x, allowed)
+            nearer = _before_edge(each, x)
         elif span.steep:
             nearer = _flat(each, x, span.steep)
         else:
@@ -146,8 +143,8 @@ def _flat(each: Sequence[Value], x: Value, steep: float) -> Value:
     return expression.choose(near, FLAT, expression.choose(0.0, passed, 0.5, 1.0), 1.0)
 
 
-def _before_edge(each: Sequence[Value], x: Value, allowed: Value) -> Value:
-    """Return 1 if a distance stays positive, but for a part `allowed`, in a step x.
+def _before_edge(each: Sequence[Value], x: Value) -> Value:
+    """Return 1 if a distance from the edge of a piece stays positive, but for `LEFT`, in a step x.
 
     Else the part of the step that ends just beyond the edge, by Newton's method.
     """
@@ -160,12 +157,12 @@ def _before_edge(each: Sequence[Value], x: Value, allowed: Value) -> Value:
     low = expression.choose(0.0, steady, expression.least(each[0], value), low)
     nearer = x
     for _ in range(NEWTON):
-        nearer = nearer - (value + LANDED * allowed) / (slope + TINY)
+        nearer = nearer - (value + LANDED) / (slope + TINY)
         value, slope = horner(each, nearer)
     nearer = nearer / x
     inside = expression.choose(nearer, 1.0 - ROUNDED, nearer, 0.5)
     shorter = expression.choose(LEAST, nearer, inside, 0.5)
-    return expression.choose(allowed, -low, shorter, 1.0)
+    return expression.choose(LEFT, -low, shorter, 1.0)
 
 
 def _hull(each: Sequence[Value], x: Value) -> tuple[Value, Value, Value]:
@@ -186,7 +183,8 @@ def _hull(each: Sequence[Value], x: Value) -> tuple[Value, Value, Value]:
     return low, high, bent
 
 
-LANDED = 0.125  # of the part by which a piece may be left: so far beyond it a step ends
+LEFT = 1e-8  # of the narrowest piece of a table, by which a step may leave one
+LANDED = 0.125 * LEFT  # so far beyond it a step ends
 NEWTON = 5  # iterations to there
 LEAST = 1e-6  # part of a step that Newton's method leaves, at least
 ROUNDED = 1e-12  # and takes off

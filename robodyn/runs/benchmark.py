@@ -46,7 +46,6 @@ NUMPY = {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}  # what numpy cal
 ORDER = 30
 TOLERANCE = 0.1  # of the series, in units of rounding
 SMALLEST_STEP = 1e-12  # s
-LEFT = 1e-9  # part by which a piece of a table may be left
 TOO_NEAR = 1e-8  # s/L below which nothing is closed
 PASSES = 4  # of rates, each of which leaves a part of 1e-8 at most
 
@@ -160,7 +159,7 @@ class _Series:
             return None
         h = min(stop - t, LONG(longest))
         while h > SMALLEST_STEP:
-            part = strays(self.made[held].spans, series.spanned, h, LEFT)
+            part = strays(self.made[held].spans, series.spanned, h)
             if part == 1.0:
                 return h, _along(self.mechanism, series, y, h)
             h = h * part

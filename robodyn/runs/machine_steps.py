@@ -53,12 +53,11 @@ from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
 
-SHARP, BLUNT = 1e-7, 5e-4  # least and most part by which a piece of a table may be left
 ALIGNED = 8  # items, on which a vector of one lane and 8 numbers crosses no line of the cache
 # of a block, besides what its scene asks for
 COMMON = (
     "t", "bound", "direction", "status", "steps", "most_steps", "x", "t_there", "h", "longest",
-    "quality", "part", "allowed", "rtol", "atol", "suspect", "rounding", "converged", "base_t",
+    "quality", "part", "rtol", "atol", "suspect", "rounding", "converged", "base_t",
 )  # fmt: skip
 
 
@@ -183,7 +182,6 @@ class Scene:
         limits = {
             "rtol": rtol,
             "atol": atol,
-            "allowed": min(max(math.sqrt(rtol), SHARP), BLUNT),
             "suspect": suspect_quality(mechanism) * project if self.closes else 0.0,
             "rounding": CLOSED * size,
             "converged": CONVERGED * size,
@@ -267,7 +265,7 @@ class Scene:
         k, block = self.kernel(module, "strays")
         graph, orders = Graph(), range(self.order)
         series = [coefficients(graph, column, orders) for column in self.loop.spanned]
-        found = strays(self.motion.spans, series, *map(graph.variable, ("x", "allowed")))
+        found = strays(self.motion.spans, series, graph.variable("x"))
         self.put(k, block, "part", read_segment(self, k, block).write([found])[0])
         k.done()
 
