@@ -241,6 +241,10 @@ class MotionProgram:
         self.power = self.program.named.get("power", [])
         self.slots = [*self.power, *self.program.named.get("edges", ())]
         self.spans = spans(self.program, self.slots)
+        laws = any(row.law is not None for row in mechanism.rows)
+        given = actuation.constants is not None or actuation.linear
+        # whether a series may not hold as far as its last coefficients tell
+        self.checked = bool(self.spans or mechanism.signals or laws) or not given
         self.steady = actuation.constants is not None and not mechanism.timed
 
     def start(self, generic: bool = False) -> Start:

@@ -16,7 +16,7 @@ from itertools import accumulate, pairwise
 from typing import Any
 
 from robodyn.elements.link_rows import LinkRows
-from robodyn.elements.program import Given, Product, Program, Slot, Step
+from robodyn.elements.program import Product, Program, Slot, Step
 from robodyn.errors import InputError
 from robodyn.mechanics.expression_rows import ExpressionRows
 from robodyn.scene.expressions import fold
@@ -24,7 +24,6 @@ from robodyn.scene.scene import Law, Signal, Table
 from robodyn.scene.syntax import Node
 
 NODES = 40  # of the energy's rule, where F is no polynomial
-INSIDE = 1e-7  # of the narrowest piece: so far before it ends a table over a joint counts as left
 FLATTENED = 3  # u = s^3: what is not smooth where the spring is free is smooth in s
 
 
@@ -116,18 +115,15 @@ def distance_from_row(program: Program, at: Slot, x: Sequence[float], repeats: b
 def edges(program: Program, at: Slot, x: Sequence[float], repeats: bool) -> list[Slot]:
     """Return the distances of a variable from the rows below and above it, both positive.
 
-    They are in widths of the narrowest piece.  Unless the table `repeats`, or is over t, where steps
-    end at rows, its outer rows count as nearer: a step that goes a little too far stays within it.
+    They are in widths of the narrowest piece.
     """
     widths = [b - a for a, b in pairwise(x)]
     scale = 1.0 / min(widths)
-    before, after = [0.0] * len(widths), [width * scale for width in widths]
-    if not repeats and program.rows[at] != Given("t"):
-        before[0], after[-1] = -INSIDE, after[-1] - INSIDE
     xi = distance_from_row(program, at, x, repeats)
+    wide = program.add(step(at, x, repeats, [width * scale for width in widths]))
     return [
-        program.sum((1.0, program.add(step(at, x, repeats, ends))), (program.number(c), xi))
-        for ends, c in ((before, scale), (after, -scale))
+        program.sum((program.number(scale), xi)),
+        program.sum((1.0, wide), (program.number(-scale), xi)),
     ]
 
 

@@ -252,9 +252,9 @@ class _Step(Items):
         h = k.slot(k.select(go, k.select(k.less(longest, most), longest, most), k.number(0.0)))
         small = k.multiply(k.intrinsic("fabs", t), k.number(ULPS))
         small = k.select(k.less(k.number(1e-300), small), small, k.number(1e-300))
-        if scene.motion.spans:
-            self._shorten(go, h, small)
         self.reach(k.get(h))
+        if scene.motion.checked:
+            self._shorten(go, h, small)
         now = k.get(h)
         stuck = k.both(go, k.both(k.less(now, small), k.compare("une", now, most)))
         self._end(stuck, Status.STUCK)
@@ -305,12 +305,12 @@ class _Step(Items):
         k = self.k
         with k.forever() as good:
             now = k.get(h)
-            self.put("x", k.multiply(now, self.get("direction")))
-            self.call("strays")
+            self.call("holds")
             part = self.get("part")
             poor = k.both(k.both(go, k.less(part, k.number(1.0))), k.compare("oge", now, small))
             k.leave(k.invert(k.any(poor)), good)
             k.set(h, k.select(poor, k.multiply(now, part), now))
+            self.reach(k.get(h))
 
     def _land(self, go: Word, h: Word) -> None:
         """If the step's end is no good start, take the best of some shorter steps."""

@@ -9,7 +9,7 @@ matrix of coefficients, a row an order and a column a series.  The kernels
     evaluate(block)    the state at x after the start, from the series
     close(block)       that state moved to the nearest that closes, and its quality
     leaps(block)       none is left where the step between them may have leapt to another branch
-    strays(block)      1 if the series holds up to there, else the part of the step to try
+    holds(block)       1 if the series holds up to there, else the part of the step to try
 
 do so; `advance` (`machine_motion.py`) drives them.  Numbers are no part of the code: it serves all
 scenes of one shape.
@@ -53,11 +53,12 @@ from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
 
+KINK = 1e-7  # an acceleration that misses its series by a smaller part does not bend
 ALIGNED = 8  # items, on which a vector of one lane and 8 numbers crosses no line of the cache
 # of a block, besides what its scene asks for
 COMMON = (
     "t", "bound", "direction", "status", "steps", "most_steps", "x", "t_there", "h", "longest",
-    "quality", "part", "rtol", "atol", "suspect", "rounding", "converged", "base_t",
+    "quality", "part", "relative", "rtol", "atol", "suspect", "rounding", "converged", "base_t",
 )  # fmt: skip
 
 
@@ -182,6 +183,7 @@ class Scene:
         limits = {
             "rtol": rtol,
             "atol": atol,
+            "relative": max(math.sqrt(rtol), KINK),
             "suspect": suspect_quality(mechanism) * project if self.closes else 0.0,
             "rounding": CLOSED * size,
             "converged": CONVERGED * size,
@@ -244,8 +246,8 @@ class Scene:
         k.done(k.whole(self.items))
         write_expand(self, module)
         write_evaluate(self, module)
-        if self.motion.spans:
-            self._strays(module)
+        if self.motion.checked:
+            self._holds(module)
 
     def there(self, names: Sequence[str]) -> dict[str, str]:
         """Map input names to the items of the state at a step's end."""
@@ -260,14 +262,69 @@ class Scene:
             change = k.multiply(self.get(k, block, f"dtau{j}"), past)
             self.put(k, block, f"tau{j}", k.add(self.get(k, block, f"base{j}"), change))
 
-    def _strays(self, module: Module) -> None:
-        """Write `strays(block)`: 1 if the series holds over the step, else the part to try next."""
-        k, block = self.kernel(module, "strays")
-        graph, orders = Graph(), range(self.order)
+    def _holds(self, module: Module) -> None:
+        """Write `holds(block)`: 1 if the series holds over the step, else the part to try next.
+
+        No argument may stray, and the accelerations of the series at the step's end must be those
+        of the state there.  All are compared times the square of the step: angles, or m.
+        """
+        k, block = self.kernel(module, "holds")
+        n, slides, graph, orders = (
+            self.mechanism.n,
+            self.mechanism.slides,
+            Graph(),
+            range(self.order),
+        )
         series = [coefficients(graph, column, orders) for column in self.loop.spanned]
         found = strays(self.motion.spans, series, graph.variable("x"))
-        self.put(k, block, "part", read_segment(self, k, block).write([found])[0])
+        (part,) = read_segment(self, k, block).write([found])
+        x, names = self.get(k, block, "x"), [f"{z}{j}" for z in ("q", "qd") for j in range(n)]
+        there = self.there(names)
+
+        def read(name: str) -> Word:
+            if name.startswith("tau"):  # linear in time
+                change = k.multiply(self.get(k, block, f"d{name}"), x)
+                return k.add(self.get(k, block, name), change)
+            return self.get(k, block, there.get(name, name))
+
+        halves = [self.loop.columns[2 * j + 1].first[2] for j in range(n)]
+        exact = self.segment(k, block, halves, read).write(halves)
+        fast, square = k.number(0.0), k.multiply(k.number(2.0), k.multiply(x, x))
+        for j in range(n):
+            size = k.intrinsic("fabs", self.get(k, block, f"qd{j}"))
+            fast = k.select(k.less(fast, size), size, fast)
+        small = k.add(self.get(k, block, "atol"), k.multiply(self.get(k, block, "rtol"), fast))
+        small = k.multiply(small, k.multiply(k.number(self.order + 1.0), k.intrinsic("fabs", x)))
+        for j in range(n):
+            theta, bend, largest = self._bent(k, block, 2 * j + 1, x)
+            if j not in slides:
+                rho, inward, most = self._bent(k, block, 2 * j, x)
+                largest = k.select(k.less(largest, most), most, largest)
+                bend = k.subtract(k.multiply(rho, bend), k.multiply(theta, inward))
+                radius = k.add(k.multiply(rho, rho), k.multiply(theta, theta))
+                bend = k.divide(bend, radius)
+            missed = k.intrinsic("fabs", k.subtract(bend, k.multiply(square, exact[j])))
+            allowed = k.add(small, k.multiply(self.get(k, block, "relative"), largest))
+            agrees = k.compare("ole", missed, allowed)
+            half = k.select(k.less(part, k.number(0.5)), part, k.number(0.5))
+            part = k.select(agrees, part, half)
+        self.put(k, block, "part", part)
         k.done()
+
+    def _bent(self, k: Kernel, block: Word, column: int, x: Word) -> tuple[Word, Word, Word]:
+        """Return a series' value at x, x^2 times its second derivative, and that's largest term."""
+        with k.loop(k.whole(self.order + 2)) as m:
+            zero, one = k.number(0.0), k.number(1.0)
+            value, bend, largest, power, order = map(k.carried, (zero, zero, zero, one, zero))
+            term = k.multiply(k.load(self.row(k, block, m, column)), power)
+            second = k.multiply(term, k.multiply(order, k.subtract(order, one)))
+            size = k.intrinsic("fabs", second)
+            k.becomes(value, k.add(value, term))
+            k.becomes(bend, k.add(bend, second))
+            k.becomes(largest, k.select(k.less(largest, size), size, largest))
+            k.becomes(power, k.multiply(power, x))
+            k.becomes(order, k.add(order, one))
+        return value, bend, largest
 
 
 class Items:

@@ -211,11 +211,8 @@ class SeriesSteps:
             return Outcome.FINISHED
         self.idle = self.idle + 1 if self.t == before else 0
         stuck = status in (Status.STUCK, Status.NOT_FINITE)
-        # where the ends of a spring meet, or a law divides by zero, there is no series, and yet a
-        # motion that leads across
-        mechanism = self.mechanism
-        steady = self.actuation.constants is not None
-        steady = steady and not (mechanism.parted or mechanism.signals)
+        # a spring whose ends meet has no series there, and a motion that leads across
+        steady = self.actuation.constants is not None and not self.mechanism.parted
         if self.idle == MOST_IDLE or (stuck and self.closing is None and steady):
             return Outcome.STEP_TOO_SMALL
         self.lead = LEAD if stuck else 0.0
