@@ -39,7 +39,6 @@ class Found(NamedTuple):
 
     turns: np.ndarray  # (2, n, order + 2)
     power: np.ndarray  # (order + 1,), empty where the work is found otherwise
-    watched: list[np.ndarray]
     longest: float
 
     @property
@@ -101,12 +100,11 @@ def by_program(one, actuation, kind, order=ORDER):
         numbers = [number(x) for x in motion.program.numbers]
         found = motion.expand(arithmetic, numbers, order, start)
         turns = np.array([[longs(c) for c in part] for part in (found.rho, found.theta)])
-        watched = [longs(x) for x in found.watched]
         power, (rho, theta) = longs(found.power or ()), turns.astype(float)
-        floats = Coefficients(rho, theta, power.astype(float), [x.astype(float) for x in watched])
+        floats = Coefficients(rho, theta, power.astype(float))
         w, slides = [float(x) for x in start.w], one.mech.slides
         longest = longest_step(floats, w, TOLERANCE, TOLERANCE, slides=slides)
-    return Found(turns, power, watched, longest)
+    return Found(turns, power, longest)
 
 
 def by_rows(name, which, kind):
@@ -131,10 +129,9 @@ def by_machine_code(name, which, lanes=1):
     wide, first, n = len(made.loop.columns), made.whole["rows"], one.mech.n
     columns = block[first : first + (ORDER + 2) * wide, 0].reshape(ORDER + 2, wide).T
     turns = columns[: 2 * n].reshape(n, 2, -1).swapaxes(0, 1)  # rho and theta link by link
-    bends = len(made.bends)
-    rest = columns[2 * n : 2 * n + bends + bool(made.motion.power), : ORDER + 1]
+    power = columns[2 * n : 2 * n + bool(made.motion.power), : ORDER + 1]
     longest = block[made.place["longest"], 0]
-    return Found(turns, rest[bends:].ravel(), list(rest[:bends]), longest)
+    return Found(turns, power.ravel(), longest)
 
 
 class Engine(NamedTuple):

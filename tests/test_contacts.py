@@ -480,6 +480,12 @@ DIPS = [  # a scene, the torque besides a t + b, then a, b, the first rate and t
      lambda x, v: 20.0 * math.exp(-(((x - 0.0004) / 5e-5) ** 2))),
     ("", "springs: [{joint: block, length: 0, law: '20*exp(-((x-0.0004)/5e-5)**2)'}]", "", FAST,
      lambda x, v: -20.0 * math.exp(-(((x - 0.0004) / 5e-5) ** 2))),
+    ("", "", " - 2*qd1/sqrt(qd1**2+1e-12)", FAST, lambda x, v: -2.0 * v / math.hypot(v, 1e-6)),
+    ("", "", " - 2*atan(qd1/1e-6)", FAST, lambda x, v: -2.0 * math.atan(v / 1e-6)),
+    ("", "", " + 20/(1+((q1-0.0004)/5e-7)**2)", FAST,
+     lambda x, v: 20.0 / (1.0 + ((x - 0.0004) / 5e-7) ** 2)),
+    ("", "", " - 5*sqrt((q1-0.0004)**2+1e-20)", FAST, lambda x, v: -5.0 * abs(x - 0.0004)),
+    ("", "", " - 2/(1+exp(-qd1/1e-4))", FAST, lambda x, v: -1.0 - math.tanh(0.5e4 * v)),
     ("", "springs: [{joint: block, length: 0, table: F.csv}]", "", (600.0, -85.0, 0.6, 0.05),
      lambda x, v: 20.0 * float(np.interp(x, [0.0018, 0.0022], [0.0, 1.0]))),
 ]  # fmt: skip

@@ -28,7 +28,6 @@ from robodyn import (
     simulate,
 )
 from robodyn.engines import machine
-from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.row_values import SignalError, TableLeftError
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.actuation import Actuation
@@ -126,14 +125,18 @@ def test_the_energy_of_a_table_without_a_row_at_zero(tmp_path):
     assert potential_energy(mech, [3.25]) == pytest.approx(-2 / 3 + 16 / 3 + 7.0, abs=1e-13)
 
 
-def test_the_bend_of_a_repeating_table_counts_where_it_begins_again(tmp_path):
-    """Its slopes are 1, 0 and -1 from row to row: they change most, by 2, where it wraps."""
-    third = 2 * math.pi / 3
-    rows = [(0.0, 1.0), (third, 1.0 + third), (2 * third, 1.0 + third), (3 * third, 1.0)]
-    file = table(tmp_path, "turn.csv", "q1,M", rows)
-    mech = arm(f"loads: [{{link: arm, torque: {{table: {file}, over: q1, column: M}}}}]")
-    program = MotionProgram(mech, Actuation((0.0,)), False).program
-    assert max(program.arms[slot] for slot in program.named["bends"]) == pytest.approx(third)
+@EVERY
+def test_a_law_passes_where_it_divides_by_zero(method):
+    """As sin(3 x)/x at x = 0; against the series of sin(3 x)/x, which needs no division."""
+    powers = " ".join(
+        f"{(-1) ** k * 3.0 ** (2 * k + 1) / math.factorial(2 * k + 1):+.17g}*x**{2 * k}"
+        for k in range(14)
+    )
+    ends = []
+    for law in ("sin(3*x)/x", powers):
+        mech = arm(f'springs: [{{joint: arm, law: "4*x + {law} - 3", angle: 0}}]')
+        ends.append(run(mech, 0.5, 0.0, 3.0, method).q[-1, 0])
+    assert ends[0] == pytest.approx(ends[1], abs=1e-7)
 
 
 class TestLoads:

@@ -19,7 +19,6 @@ from robodyn.elements.program import (
     Power,
     Product,
     Quotient,
-    RealPart,
     Scaled,
     Sum,
 )
@@ -145,10 +144,8 @@ class Builder(LinkRows, ABC):
         return self.program.add(Derivative(x))
 
     @abstractmethod
-    def signal(
-        self, signal: Signal, arm: PlanarPoint | float, name: Name, x: Slot | None = None
-    ) -> Slot:
-        """Return the value of a signal, at a spring's extension x; `arm` makes a torque of it."""
+    def signal(self, signal: Signal, name: Name, x: Slot | None = None) -> Slot:
+        """Return the value of a signal, at a spring's extension x."""
 
     @abstractmethod
     def stored(self, law: Signal, x: Slot) -> Slot:
@@ -218,14 +215,3 @@ class Builder(LinkRows, ABC):
     def works(self, c: Coefficient, slot: Slot) -> None:
         """Add c times `slot` to the power that changes the energy, W."""
         self.power.append((c, slot))
-
-    def bends(self, slot: Slot, arm: float) -> None:
-        """Mark a slot whose series may hold only in part of a step; `arm` makes a torque of it."""
-        self.program.named["bends"].append(slot)
-        self.program.arms[slot] = arm
-
-    def bends_planar(self, slot: Slot, place: PlanarPoint) -> None:
-        """Mark both components of a planar slot, a force at a place, as `bends`."""
-        for along in ((1.0, 0.0), (0.0, -1.0)):
-            part = self.program.add(RealPart(self.planar_sum((along, slot))))
-            self.bends(part, place.reach)

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 
 from robodyn.elements.base import FORCES, SPENT, Element
 from robodyn.elements.builder import Builder, Name, PlanarTerm, PointForce
-from robodyn.elements.link_rows import PlanarPoint
 from robodyn.elements.values import Point, Signal
 
 AXES = tuple(Name("g", "m/s²", f"gravity along {axis.upper()}", axis) for axis in "xy")
@@ -51,14 +50,11 @@ class GravityField(Element):
         tree = b.mechanism.tree
         origins = [tree.point(Point(k, 0j)) for k in range(len(self.masses))]
         arms = [tree.turned(k, s) for k, s in enumerate(self.first)]
-        each = zip(self.masses, origins, strict=True)
-        carried = [(j, c * m) for m, origin in each for j, c in origin.terms]
-        whole = PlanarPoint(0j, (*carried, *enumerate(arms)))  # sum of m p: its reach is the arm
         parts: list[PlanarTerm] = []
         field = {}
         for axis, (unit, signal, name) in enumerate(zip(UNITS, self.varying, AXES, strict=True)):
             if signal is not None:
-                field[axis] = b.signal(signal, whole, name)
+                field[axis] = b.signal(signal, name)
                 parts.append((unit, field[axis]))
         g = b.planar_sum(*parts)
         for k, (m, origin, arm) in enumerate(zip(self.masses, origins, arms, strict=True)):

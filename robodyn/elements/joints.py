@@ -95,13 +95,11 @@ class SmoothFriction(Element):
         smooth = b.function("tanh", slow)
         if not isinstance(self.torque, tuple):
             b.torque(self.joint, b.number(-self.torque), smooth)
-            b.bends(smooth, self.torque)
             return
         square = b.product(smooth, smooth)
         for torque, half in zip(self.torque, (0.5, -0.5), strict=True):
             part = b.sum((0.5, smooth), (half, square))  # tanh (1 + tanh)/2, and (1 - tanh)/2
             b.torque(self.joint, b.number(-torque), part)
-            b.bends(part, torque)
 
 
 class DryFriction(Element):
@@ -258,7 +256,6 @@ class Slipping(Element):
             else:
                 bell = b.function("exp", b.sum((-1.0, b.product(part, part))))
             b.torque(j, number(-way * more), bell)
-            b.bends(bell, more)
 
 
 class Range(Record):

@@ -28,11 +28,6 @@ class PlanarPoint(Record):
     constant: complex
     terms: Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
 
-    @property
-    def reach(self) -> float:
-        """Its largest distance from the origin, m: the arm of a force there."""
-        return abs(self.constant) + sum(abs(c) for _, c in self.terms)
-
 
 class Tree(Protocol):
     """What elements need to know of the links of a scene; see `link_tree.Tree`."""

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 from robodyn.elements.base import FORCES, MOMENTS, SPENT, Element
 from robodyn.elements.builder import Builder, Name, PlanarTerm, PointForce
 from robodyn.elements.keys import Way, key
-from robodyn.elements.link_rows import PlanarPoint, Tree
+from robodyn.elements.link_rows import Tree
 from robodyn.elements.values import Point, Signal
 
 PLACES = tuple(Name("c", "m", f"place of {{}} along {axis} of its link", axis) for axis in "xy")
@@ -165,7 +165,7 @@ class Force(Element):
         units = turned, 1j * turned
         each = zip(units, numbers, self.varying, AXES, strict=True)
         for unit, number, signal, name in each:
-            slot = b.number_slot(number) if signal is None else b.signal(signal, point, name)
+            slot = b.number_slot(number) if signal is None else b.signal(signal, name)
             if E is not None:
                 slot = b.scaled(slot, E)
             force.append((b.planar_number(unit), slot))
@@ -174,13 +174,12 @@ class Force(Element):
         if b.work and point.terms:
             b.works(1.0, b.inner(acting, b.rate(b.point(point))))
         if self.moves:
-            arm = PlanarPoint(0j, ((link, self.force), (link, 1.0)))  # at least 1 N
             unit, across = tree.turned(link, self.turn), []
             E = b.direction(link)
             each_place = zip((1j * unit, -unit), self.moving, PLACES, strict=True)
             for unit, signal, name in each_place:  # of i z E
                 if signal is not None:
-                    slot = b.signal(signal, arm, name)
+                    slot = b.signal(signal, name)
                     slot = slot if E is None else b.scaled(slot, E)
                     across.append((b.planar_number(unit), slot))
             b.moment(link, b.inner(b.planar_sum(*across), acting))
@@ -251,4 +250,4 @@ class Moment(Element):
     def rows(self, b: Builder) -> None:
         if self.varying is not None:
             name = Name("T", "N m", "torque of {}", link=self.link)
-            b.moment(self.link, b.signal(self.varying, 1.0, name))
+            b.moment(self.link, b.signal(self.varying, name))

@@ -219,7 +219,6 @@ class Program:
         self.unknowns: list[Slot] = []  # Turns, Slides and Unknowns
         self.named: dict[str, list[Slot]] = {}
         self.planar: list[bool] = []
-        self.arms: dict[Slot, float] = {}  # of slots that bend: torque per unit
         self._known: dict[tuple[type, Row], Slot] = {}
         self._schedules: dict[tuple[int, ...], Schedule] = {}
 

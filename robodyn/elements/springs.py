@@ -177,7 +177,7 @@ class PointSpring(Element):
         if self.law is not None:
             square = b.inner(d, d)
             longer = self._longer(b, square)
-            tension = b.signal(self.law, place, PULL, longer)
+            tension = b.signal(self.law, PULL, longer)
             pull.append((-1.0, b.quotient(tension, b.power_of(square, 0.5))))
             if b.work and place.terms and not conserves(self.law):
                 b.works(-1.0, b.product(tension, b.rate(longer)))
@@ -198,8 +198,6 @@ class PointSpring(Element):
             unit, force = 1.0, b.scaled(factor, d)
         first, second = ((tree.point(end), end.link) for end in (self.first, self.second))
         b.force(PointForce(self, unit, force, first, second, s), place)
-        if pull and place.terms:
-            b.bends_planar(force, place)  # its parts stay finite where d passes 0
 
 
 class JointSpring(Element):
@@ -318,7 +316,7 @@ class JointSpring(Element):
             spends = not conserves(self.law)
             unit = self.keys["law"].of(self.joint in b.mechanism.slides).unit
             told = f"pull of {{}}{self.called(b.mechanism.link_names)}"
-            pull = b.signal(self.law, 1.0, Name("H", unit, told), self._turned(b))
+            pull = b.signal(self.law, Name("H", unit, told), self._turned(b))
             b.torque(self.joint, -1.0, pull, spends)
         elif self.stiffness:
             b.torque(self.joint, b.number(-self.stiffness), b.q(self.joint), spends=False)

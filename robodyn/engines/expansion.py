@@ -8,7 +8,7 @@ Coefficients are stored in memory, one column per series.  The loop reads coeffi
 orders from there, and sums over j run over memory, except for terms that this order itself
 produces.
 
-A function may be flat at the start of a step, or on one line of a table; its series then knows
+A function may be flat at the start of a step, or on one piece of a table; its series then knows
 nothing of what lies beyond.  `strays` finds steps in which the argument leaves this region.
 """
 
@@ -21,7 +21,18 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from robodyn.elements import program as rows
-from robodyn.elements.program import COORDINATES, Function, Program, Row, Slot, arguments
+from robodyn.elements.program import (
+    COORDINATES,
+    Function,
+    Given,
+    Power,
+    Primitive,
+    Program,
+    Quotient,
+    Row,
+    Slot,
+    arguments,
+)
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import Arithmetic, Planar, Value, convolution, plus, times, weighted
 from robodyn.engines.expression import Expression, Graph, needed
@@ -37,96 +48,148 @@ _STEEP = {"exp": 1.0, "sinh": 1.0, "cosh": 1.0, "tanh": 2.0}  # as exp(-steep |x
 
 
 class Span(NamedTuple):
-    """The argument of a function whose series holds only nearby: see `strays`.
+    """The argument of a function whose series may not hold along a whole step: see `strays`.
 
-    The function is flat up to exp(-`steep` |x|) for large |x|. Or `line` is its index in `bends`,
-    and the argument moves from 1 to 2 on one line of a table.
+    With `steep`, the function is flat up to exp(-`steep` |x|) for large |x|.  An `edge` is a
+    distance from the end of a piece of a table.  Else the argument is the base of a power, or a
+    divisor, which may pass zero (`passes`), as in sin(x)/x, but not turn back beside it.
     """
 
     slot: Slot
-    steep: float
-    line: int = -1
+    steep: float = 0.0
+    edge: bool = False
+    passes: bool = False
 
 
 def spans(program: Program, wanted: Sequence[Slot]) -> list[Span]:
-    """Return the spans of functions among `wanted` slots that depend on the motion."""
-    rows, bends = program.rows, program.named["bends"]
-    steep: dict[Slot, float] = {}
+    """Return the spans of the functions that a series up to `wanted` slots computes.
+
+    Functions of time alone may be flat: no step is longer than a time on which they are resolved.
+    """
+    varying: set[Slot] = set()
     moving: set[Slot] = set()
+    steep: dict[Slot, float] = {}
+    passes: dict[Slot, bool] = {}
     for slot in program.schedule(wanted).slots:
-        row = rows[slot]
+        row = program.rows[slot]
+        timed = isinstance(row, Given) and row.name == "t"
         if isinstance(row, COORDINATES) or not moving.isdisjoint(arguments(row)):
             moving.add(slot)
-            if isinstance(row, Function) and row.name in _STEEP:
-                steep[row.x] = max(steep.get(row.x, 0.0), _STEEP[row.name])
-    lines = [Span(x, 0.0, bends.index(x)) for x in program.named.get("lines", ())]
-    return [*(Span(*each) for each in steep.items()), *lines]
+        elif not timed and varying.isdisjoint(arguments(row)):
+            continue
+        varying.add(slot)
+        match row:
+            case Function(name, x) if name in _STEEP and x in moving:
+                steep[x] = max(steep.get(x, 0.0), _STEEP[name])
+            case Power(x, _) | Quotient(_, x) | Primitive(_, _, x):
+                if x in varying and not isinstance(program.rows[x], Power):  # whose base tells it
+                    passes[x] = isinstance(row, Quotient) and passes.get(x, True)
+    edges = [Span(x, edge=True) for x in program.named.get("edges", ())]
+    divisors = [Span(x, passes=may) for x, may in passes.items()]
+    return [*(Span(*each) for each in steep.items()), *divisors, *edges]
 
 
-def strays(
-    spanned: Sequence[Span],
-    arms: Sequence[Value],
-    series: Sequence[Sequence[Value]],
-    x: Value,
-    small: Value,
-    relative: Value,
-) -> tuple[Value, Value]:
-    """Return a positive number if an argument may leave the region of its series in a step x.
+def strays(spanned: Sequence[Span], series: Sequence[Sequence[Value]], x: Value) -> Value:
+    """Return 1 if no argument leaves the region of its series within a step x.
 
-    The second result is the fraction of the step to try next: one half, or what ends just beyond
-    the line of a table (by Newton's method), so that the next step starts on the next line.
+    Else the result is the part of the step to try next: one half, or what ends just beyond a piece
+    of a table, so that the next step starts on the next one.
 
-    An argument stays within the hull of the Bezier points of its first three terms, widened by the
-    sizes of the other terms; or between its ends, if these terms show that its slope keeps its
-    sign.  The series of exp(-steep |x|) has its largest term at order steep |change of x|; step
-    control sees it if the series has so many terms.  A line of a table may be left if a torque
-    changes by less than `small` (N m) or the part `relative`.
+    Values at the ends of a step would not do: a motion may meet and leave a narrow force within it.
     """
-    found: Value = -1.0
     part: Value = 1.0
     for span, each in zip(spanned, series, strict=True):
-        h, rest = abs(x), 0.0
-        bent: Value = 0.0  # by which the slope may change
-        for k in range(len(each) - 1, 2, -1):
-            rest = rest * h + abs(each[k])
-            bent = bent * h + k * abs(each[k])
-        rest, bent = rest * (h * h * h), bent * (h * h)
-        first, second, third = (*each[:3], 0.0, 0.0)[:3]
-        middle, end = first + 0.5 * second * x, first + (second + third * x) * x
-        low = expression.least(expression.least(first, middle), end) - rest
-        high = expression.greatest(expression.greatest(first, middle), end) + rest
-        shorter: Value = 0.5
-        if span.line >= 0:
-            value, slope = horner(each, x)
-            steady = expression.least(abs(second), abs(second + 2.0 * third * x)) - bent
-            steady = expression.choose(0.0, second * (second + 2.0 * third * x), steady, -1.0)
-            low = expression.choose(0.0, steady, expression.least(first, value), low)
-            high = expression.choose(0.0, steady, expression.greatest(first, value), high)
-            beyond = 2.0 * expression.greatest(1.0 - low, high - 2.0)
-            passed = beyond - expression.greatest(small / arms[span.line], relative)
-            over = LANDED * relative
-            end = expression.choose(1.5, value, 2.0 + over, 1.0 - over)
-            nearer = x
-            for _ in range(NEWTON):
-                nearer = nearer - (value - end) / (slope + TINY)
-                value, slope = horner(each, nearer)
-            nearer = nearer / x
-            inside = expression.choose(nearer, 1.0 - ROUNDED, nearer, 0.5)
-            shorter = expression.choose(LEAST, nearer, inside, 0.5)
+        if span.edge:
+            nearer = _before_edge(each, x)
+        elif span.steep:
+            nearer = _flat(each, x, span.steep)
         else:
-            near = span.steep * expression.greatest(expression.greatest(low, -high), 0.0)
-            nearer = span.steep * abs(first) - near - len(each)
-            passed = expression.choose(near, FLAT, nearer, -1.0)
-        found = expression.greatest(found, passed)
-        part = expression.least(part, expression.choose(0.0, passed, shorter, 1.0))
-    return found, expression.choose(part, 1.0, part, 0.5)
+            nearer = _off_zero(each, x, span.passes)
+        part = expression.least(part, nearer)
+    return part
 
 
-KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
-LANDED = 0.125  # of the part by which a line may be left: so far beyond it a step ends
+def _off_zero(each: Sequence[Value], x: Value, passes: bool) -> Value:
+    """Return one half if an argument comes near to zero within a step x, else 1.
+
+    With `passes`, it may pass zero.
+
+    The series of sqrt(u^2 + small) for u far from zero shows nothing of what lies beyond.  Between
+    two of the places where the argument is seen it is off a straight line by at most the square of
+    their distance times its second derivative over 8.
+    """
+    first, h = each[0], abs(x)
+    bend: Value = 0.0
+    for k in range(len(each) - 1, 1, -1):
+        bend = bend * h + (k * (k - 1.0)) * abs(each[k])
+    bend = bend * (h * h)
+    nearest = first * first
+    for k in range(1, SEEN + 1):
+        nearest = expression.least(nearest, first * horner(each, k / SEEN * x)[0])
+    least = nearest - abs(first) * bend * (0.125 / SEEN**2)
+    near = expression.choose(least, NEAR * first * first, 0.5, 1.0)
+    return expression.choose(nearest, 0.0, 1.0, near) if passes else near
+
+
+def _flat(each: Sequence[Value], x: Value, steep: float) -> Value:
+    """Return one half if an argument leaves, in a step x, where its function is flat; else 1.
+
+    The series of exp(-steep |x|) has its largest term at order steep |change of x|; step control
+    sees it if the series has so many terms.
+    """
+    low, high, _ = _hull(each, x)
+    near = steep * expression.greatest(expression.greatest(low, -high), 0.0)
+    passed = steep * abs(each[0]) - near - len(each)
+    return expression.choose(near, FLAT, expression.choose(0.0, passed, 0.5, 1.0), 1.0)
+
+
+def _before_edge(each: Sequence[Value], x: Value) -> Value:
+    """Return 1 if a distance from the edge of a piece stays positive, but for `LEFT`, in a step x.
+
+    Else the part of the step that ends just beyond the edge, by Newton's method.
+    """
+    low, _, bent = _hull(each, x)
+    second, third = (*each[1:3], 0.0, 0.0)[:2]
+    value, slope = horner(each, x)
+    last = second + 2.0 * third * x
+    steady = expression.least(abs(second), abs(last)) - bent
+    steady = expression.choose(0.0, second * last, steady, -1.0)  # it neither rests nor turns
+    low = expression.choose(0.0, steady, expression.least(each[0], value), low)
+    nearer = x
+    for _ in range(NEWTON):
+        nearer = nearer - (value + LANDED) / (slope + TINY)
+        value, slope = horner(each, nearer)
+    nearer = nearer / x
+    inside = expression.choose(nearer, 1.0 - ROUNDED, nearer, 0.5)
+    shorter = expression.choose(LEAST, nearer, inside, 0.5)
+    return expression.choose(LEFT, -low, shorter, 1.0)
+
+
+def _hull(each: Sequence[Value], x: Value) -> tuple[Value, Value, Value]:
+    """Return bounds of an argument in a step x, and of what its slope changes beyond order 2.
+
+    An argument stays within the hull of the Bezier points of its first three terms, widened by the
+    sizes of the others.
+    """
+    h, rest, bent = abs(x), 0.0, 0.0
+    for k in range(len(each) - 1, 2, -1):
+        rest = rest * h + abs(each[k])
+        bent = bent * h + k * abs(each[k])
+    rest, bent = rest * (h * h * h), bent * (h * h)
+    first, second, third = (*each[:3], 0.0, 0.0)[:3]
+    middle, end = first + 0.5 * second * x, first + (second + third * x) * x
+    low = expression.least(expression.least(first, middle), end) - rest
+    high = expression.greatest(expression.greatest(first, middle), end) + rest
+    return low, high, bent
+
+
+LEFT = 1e-8  # of the narrowest piece of a table, by which a step may leave one
+LANDED = 0.125 * LEFT  # so far beyond it a step ends
 NEWTON = 5  # iterations to there
 LEAST = 1e-6  # part of a step that Newton's method leaves, at least
 ROUNDED = 1e-12  # and takes off
+SEEN = 8  # parts of a step, at whose ends what divides is seen
+NEAR = 1.0 / 256.0  # of its size at the start, which it must keep
 TINY = 1e-290  # in place of a coefficient that vanishes
 TURN = 2.0  # rad: a link that turns farther in a step may not have its turns counted
 
@@ -136,14 +199,13 @@ class Coefficients(NamedTuple):
 
     `rho`, `theta` (n, order + 2) are the links' turns from the start of the step.  `power` (order +
     1) is the power of what changes the energy; the work of constant torques is tau times the
-    displacement instead (empty if none).  `watched` (k, order) are values that may bend unseen,
-    `spanned` (order each) arguments to be checked by `strays`.
+    displacement instead (empty if none).  `spanned` (order each) are arguments to be checked by
+    `strays`.
     """
 
     rho: list[list[Value]]
     theta: list[list[Value]]
     power: list[Value]
-    watched: list[list[Value]]
     spanned: Sequence[list[Value]] = ()
 
 
@@ -159,7 +221,7 @@ class Start(NamedTuple):
 class MotionProgram:
     """The program of a mechanism with its torques, and its expansion.
 
-    `arms` convert watched values to torques.  `held` has the values of switches in expressions.
+    `held` has the values of switches in expressions.
     Raises InputError if a torque has no series.
     """
 
@@ -177,9 +239,12 @@ class MotionProgram:
         equations.write(slots, work, steady=actuation.constants is not None)
         self.turns = equations.x
         self.power = self.program.named.get("power", [])
-        self.bends = self.program.named["bends"]
-        self.arms = [self.program.arms[slot] for slot in self.bends]
-        self.spans = spans(self.program, [*self.power, *self.bends])
+        self.slots = [*self.power, *self.program.named.get("edges", ())]
+        self.spans = spans(self.program, self.slots)
+        laws = any(row.law is not None for row in mechanism.rows)
+        given = actuation.constants is not None or actuation.linear
+        # whether a series may not hold as far as its last coefficients tell
+        self.checked = bool(self.spans or mechanism.signals or laws) or not given
         self.steady = actuation.constants is not None and not mechanism.timed
 
     def start(self, generic: bool = False) -> Start:
@@ -236,7 +301,7 @@ class MotionProgram:
             numbers,
             order,
             state,
-            slots=[*self.power, *self.bends],
+            slots=self.slots,
         )
         series.expand()
         if self.power and self.mechanism.driven:  # the multipliers of laws work
@@ -248,7 +313,6 @@ class MotionProgram:
             [list(rho[: order + 2]) for rho, _ in turns],
             [list(theta[: order + 2]) for _, theta in turns],
             [series.real[slot][m] for slot in self.power for m in range(order + 1)],
-            [[series.real[slot][m] for m in range(order)] for slot in self.bends],
             [[series.real[x.slot][m] for m in range(order)] for x in self.spans],
         )
 
@@ -568,8 +632,8 @@ class LoopSeries(Series):
 class LoopExpansion(NamedTuple):
     """Formulas of all orders.
 
-    `columns` are the stored series: rho and theta of each link, then `watched` ones, then the power
-    if any; `spanned` are indices of columns.  Orders below `first` are recorded one by one; the
+    `columns` are the stored series: rho and theta of each link, then the power if any; `spanned`
+    are indices of columns.  Orders below `first` are recorded one by one; the
     loop ends at order `last`.
     """
 
@@ -577,7 +641,6 @@ class LoopExpansion(NamedTuple):
     sums: list[tuple[str, Sum]]
     columns: list[Stored]
     offsets: set[int]  # from p, of what is read one by one
-    watched: int
     power: bool
     spanned: list[int]
     first: int
@@ -618,9 +681,8 @@ def loop_expansion(motion: MotionProgram, order: int) -> LoopExpansion:
     """Return the formulas of a step's series, with numbers and torques as parameters."""
     start = motion.start(generic=True)
     loop = Loop(start.graph)
-    slots = [*motion.power, *motion.bends]
     series = LoopSeries(
-        motion.program, loop.arithmetic, start.numbers, order, start.state, slots=slots
+        motion.program, loop.arithmetic, start.numbers, order, start.state, slots=motion.slots
     )
     kinds = [type(row) for _, row in series.rows]
     special = rows.Given in kinds or rows.Function in kinds  # in their coefficient 1
@@ -629,7 +691,7 @@ def loop_expansion(motion: MotionProgram, order: int) -> LoopExpansion:
         series.advance(p)
     series.advance(Order(loop.p))
     columns = [x for slot in motion.turns for x in series.turn(slot)]
-    columns += [series.real[slot] for slot in [*motion.bends, *motion.power]]
+    columns += [series.real[slot] for slot in motion.power]
     spanned = [series.real[x.slot] for x in motion.spans]
     columns += spanned
     for _, one in loop.sums.values():  # series that are summed alike, side by side
@@ -640,7 +702,6 @@ def loop_expansion(motion: MotionProgram, order: int) -> LoopExpansion:
         list(loop.sums.values()),
         columns,
         loop.offsets,
-        len(motion.bends),
         bool(motion.power),
         [columns.index(x) for x in spanned],
         first,

@@ -122,9 +122,7 @@ class NamedRows(EquationsOfMotion):
         change = self.program.add(Derivative(square))
         self._roots[square] = self._stands(name, make, [square, change], LENGTHS, "V", rate)
 
-    def signal(
-        self, signal: Signal, arm: PlanarPoint | float, name: Name, x: Slot | None = None
-    ) -> Slot:
+    def signal(self, signal: Signal, name: Name, x: Slot | None = None) -> Slot:
         assert isinstance(signal, Law)
         slots = []
         if x is not None:
@@ -147,12 +145,6 @@ class NamedRows(EquationsOfMotion):
         if y in self._roots:
             return self.product(x, self.power_of(y, -1.0))
         return super().quotient(x, y)
-
-    def bends(self, slot: Slot, arm: float) -> None:
-        """Do nothing: symbols have no series."""
-
-    def bends_planar(self, slot: Slot, place: PlanarPoint) -> None:
-        """Do nothing: symbols have no series."""
 
     # names
 

@@ -23,11 +23,9 @@ from collections.abc import Sequence
 
 from robodyn.elements.base import Element
 from robodyn.elements.builder import Builder, Name, PlanarTerm, Term
-from robodyn.elements.link_rows import PlanarPoint
 from robodyn.elements.program import (
     Coefficient,
     Derivative,
-    Given,
     Inner,
     Moment,
     PlanarCoefficient,
@@ -48,7 +46,7 @@ class EquationsOfMotion(Builder):
     """Writes the program of a scene.
 
     `program.named` has the slots of x (n: E, or s), mu (r), gap (r), load (n: of coordinates,
-    without joint torques), bends (values not covered by a series), power, KE and PE.
+    without joint torques), edges (of pieces of tables, see `signal_rows`), power, KE and PE.
     """
 
     mechanism: Mechanism
@@ -90,7 +88,6 @@ class EquationsOfMotion(Builder):
                 self.F[k].append(((re, -im), self.P[j]))
         if chained:
             self._chain()
-        program.named["bends"] = []
         self.work = work
         self._scene_forces()
         self._joints(torques, steady)
@@ -141,26 +138,16 @@ class EquationsOfMotion(Builder):
         moment = program.number(-mechanism.moments[k])
         return program.sum((1.0, turning), *self.moments[k], constant=moment)
 
-    def signal(
-        self, signal: Signal, arm: PlanarPoint | float, name: Name, x: Slot | None = None
-    ) -> Slot:
-        """Return the value of a signal, at a spring's extension x.
-
-        `arm` converts it to a torque.
-        """
+    def signal(self, signal: Signal, name: Name, x: Slot | None = None) -> Slot:
+        """Return the value of a signal, at a spring's extension x."""
         from robodyn.mechanics.signal_rows import signal_rows  # only scenes with signals import it
 
+        own = {} if x is None else {"x": x, "v": self.rate(x)}
+        slot = signal_rows(self, signal, own)
         if isinstance(signal, Table):
             self.tables.append((signal, self.variable(signal.over) if x is None else x))
-        own = {} if x is None else {"x": x, "v": self.rate(x)}
-        slot, watched = signal_rows(self, signal, own)
         if isinstance(signal, Law):
             self.laws.append((signal, slot))
-        length = arm.reach if isinstance(arm, PlanarPoint) else arm
-        for each, scale in watched:
-            self.bends(each, length * scale)
-            if isinstance(signal, Table):
-                self.program.named.setdefault("lines", []).append(each)
         return slot
 
     def stored(self, law: Signal, x: Slot) -> Slot:
@@ -183,8 +170,6 @@ class EquationsOfMotion(Builder):
         for j, tau in enumerate(torques):
             if tau is not None:
                 self.torque(j, 1.0, tau, spends=not steady)
-                if not isinstance(self.program.rows[tau], Given):
-                    self.bends(tau, 1.0)
             if self.mechanism.damping[j]:
                 self.torque(j, self.number(-self.mechanism.damping[j]), self.v(j))
             for element in sorted(here[j], key=lambda x: x.rank):
@@ -318,7 +303,6 @@ class EquationsOfMotion(Builder):
         mu acts on the joints of f by their derivatives, and does work by the derivative by t.
         """
         from robodyn.mechanics.law_rows import LawRows
-        from robodyn.mechanics.signal_rows import degree
 
         assert row.law is not None
         program, laws = self.program, LawRows(self.program, self.variable)
@@ -340,9 +324,5 @@ class EquationsOfMotion(Builder):
                 self.moments[above].append((-c, pull))
         slot = laws.made.slot(value)
         if isinstance(row.law, Curve):
-            lines = laws.zigzag(row.law)
-            self.bends(lines, 1.0)
-            program.named.setdefault("lines", []).append(lines)
-        elif degree(row.law.node) is None:  # its series may tell nothing of what lies ahead
-            self.bends(program.add(Derivative(slot)), 1.0)
+            program.named.setdefault("edges", []).extend(laws.edges(row.law))
         return (program.number(-row.arm), slot), drift

@@ -6,9 +6,7 @@ code need slopes as rows, for coefficients of every order; numpy evaluates the s
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 
 from robodyn.elements.program import (
     Function,
@@ -18,11 +16,11 @@ from robodyn.elements.program import (
     Program,
     Quotient,
     Slot,
-    Step,
     Sum,
 )
 from robodyn.errors import InputError
 from robodyn.mechanics.expression_rows import ExpressionRows, Part, Slotted
+from robodyn.mechanics.signal_rows import edges, step
 from robodyn.scene.scene import Curve, Law
 
 
@@ -41,35 +39,21 @@ class LawRows:
         """Return c0 + xi (c1 + xi (c2 + xi c3)), xi = x - x_k in interval k."""
         made, x = self.made, self.variable(curve.over)
 
-        def step(values: Sequence[float], rise: float = 0.0) -> Part:
-            return Slotted(self.program.add(step_of(curve, x, values, rise)))
+        def of(values: Sequence[float], rise: float = 0.0) -> Part:
+            return Slotted(self.program.add(step(x, curve.x, curve.repeats, values, rise)))
 
         first, last = curve.x[0], curve.x[-1]
-        begins = step(curve.x[:-1], last - first if curve.repeats else 0.0)
+        begins = of(curve.x[:-1], last - first if curve.repeats else 0.0)
         xi = made.sum(Slotted(x), begins, -1.0)
         c0, *others = zip(*curve.pieces, strict=True)
         total: Part = 0.0
         for c in reversed(others):
-            total = made.product(xi, made.sum(step(c), total, 1.0))
-        return made.sum(step(c0, curve.rise), total, 1.0)
+            total = made.product(xi, made.sum(of(c), total, 1.0))
+        return made.sum(of(c0, curve.rise), total, 1.0)
 
-    def zigzag(self, curve: Curve) -> Slot:
-        """Return a zigzag between 1 and 2 from row to row, which shows when a series passes one."""
-        made, x, rows = self.made, self.variable(curve.over), curve.x
-        if curve.repeats and len(rows) % 2 == 0:  # it must meet its own beginning
-            k = max(range(len(rows) - 1), key=lambda k: rows[k + 1] - rows[k])
-            rows = (*rows[: k + 1], 0.5 * (rows[k] + rows[k + 1]), *rows[k + 1 :])
-        finer = curve._replace(x=rows)
-
-        def step(values: Sequence[float], rise: float = 0.0) -> Part:
-            return Slotted(self.program.add(step_of(finer, x, values, rise)))
-
-        span = rows[-1] - rows[0] if curve.repeats else 0.0
-        xi = made.sum(Slotted(x), step(rows[:-1], span), -1.0)
-        levels = [1.0 + k % 2 for k in range(len(rows))]
-        pairs = zip(pairwise(levels), pairwise(rows), strict=True)
-        slopes = [(d - c) / (b - a) for (c, d), (a, b) in pairs]
-        return made.slot(made.sum(step(levels[:-1]), made.product(xi, step(slopes)), 1.0))
+    def edges(self, curve: Curve) -> list[Slot]:
+        """Return the edges of a curve's interval; see `signal_rows.edges`."""
+        return edges(self.program, self.variable(curve.over), curve.x, curve.repeats)
 
     def slopes(self, value: Part, names: Sequence[str]) -> list[Part]:
         """Return the derivatives of a value by the variables `names`."""
@@ -131,16 +115,6 @@ class LawRows:
                 return made.sum(1.0, made.product(Slotted(slot), Slotted(slot)), -1.0)
         partner, sign = PARTNERS[name]
         return made.product(sign, Slotted(self.program.add(Function(partner, x))))
-
-
-def step_of(curve: Curve, x: Slot, values: Sequence[float], rise: float) -> Step:
-    """Return one value per interval of the curve; nan beyond a curve that does not repeat."""
-    inner = tuple(curve.x[1:-1])
-    if curve.repeats:
-        first, period = curve.x[0], curve.x[-1] - curve.x[0]
-        return Step(x, inner, tuple(values), first, period, rise)
-    end = math.nextafter(curve.x[-1], math.inf)
-    return Step(x, (curve.x[0], *inner, end), (math.nan, *values, math.nan))
 
 
 PARTNERS = {

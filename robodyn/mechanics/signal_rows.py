@@ -4,9 +4,8 @@ A table, linear on each piece from x_k on, is with values F_k and slopes s_k
 
     F = F_k + s_k xi      U = U_k + F_k xi + s_k xi^2/2      xi = x - x_k
 
-A zigzag between 1 and 2 from row to row shows the interval: its line at the start of a series step
-meets no other part of it, so a step that passes a row shows.  The energy of an expression is x
-times the integral of F(x u) over u from 0 to 1.
+The series of a step knows the piece on which it starts, and no row beyond: `edges` tell where it
+ends.  The energy of an expression is x times the integral of F(x u) over u from 0 to 1.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from itertools import accumulate, pairwise
 from typing import Any
 
 from robodyn.elements.link_rows import LinkRows
-from robodyn.elements.program import Product, Slot, Step
+from robodyn.elements.program import Product, Program, Slot, Step
 from robodyn.errors import InputError
 from robodyn.mechanics.expression_rows import ExpressionRows
 from robodyn.scene.expressions import fold
@@ -28,19 +27,18 @@ NODES = 40  # of the energy's rule, where F is no polynomial
 FLATTENED = 3  # u = s^3: what is not smooth where the spring is free is smooth in s
 
 
-def signal_rows(
-    rows: LinkRows, signal: Signal, own: Mapping[str, Slot]
-) -> tuple[Slot, list[tuple[Slot, float]]]:
-    """Return the slot of a signal, and slots that may bend within a step, with their arms.
+def signal_rows(rows: LinkRows, signal: Signal, own: Mapping[str, Slot]) -> Slot:
+    """Return the slot of a signal; add a table's edges to those of the program.
 
     `own` has a spring's x and v.
     """
-    if isinstance(signal, Table):
-        lines = _Lines(rows, signal, own)
-        return lines.value(), [(lines.zigzag(), lines.bend)]
-    slot = _read(rows, signal, own)
-    smooth = not signal.names or degree(signal.node) is not None
-    return slot, [] if smooth else [(slot, 1.0)]
+    if not isinstance(signal, Table):
+        return _read(rows, signal, own)
+    lines = _Lines(rows, signal, own)
+    value = lines.value()
+    between = edges(rows.program, lines.at, lines.x, signal.repeats)
+    rows.program.named.setdefault("edges", []).extend(between)
+    return value
 
 
 def stored_energy(rows: LinkRows, signal: Signal, x: Slot) -> Slot:
@@ -97,6 +95,38 @@ def _rule(degree: int | None) -> list[tuple[float, float]]:
     return list(zip(s.tolist(), w.tolist(), strict=True))
 
 
+def step(
+    at: Slot, x: Sequence[float], repeats: bool, values: Sequence[float], rise: float = 0.0
+) -> Step:
+    """Return one value per interval between rows x; nan beyond rows that do not repeat."""
+    inner = tuple(x[1:-1])
+    if repeats:
+        return Step(at, inner, tuple(values), x[0], x[-1] - x[0], rise)
+    end = math.nextafter(x[-1], math.inf)
+    return Step(at, (x[0], *inner, end), (math.nan, *values, math.nan))
+
+
+def distance_from_row(program: Program, at: Slot, x: Sequence[float], repeats: bool) -> Slot:
+    """Return xi, the distance of a variable from the row below it."""
+    rise = x[-1] - x[0] if repeats else 0.0
+    return program.sum((1.0, at), (-1.0, program.add(step(at, x, repeats, x[:-1], rise))))
+
+
+def edges(program: Program, at: Slot, x: Sequence[float], repeats: bool) -> list[Slot]:
+    """Return the distances of a variable from the rows below and above it, both positive.
+
+    They are in widths of the narrowest piece.
+    """
+    widths = [b - a for a, b in pairwise(x)]
+    scale = 1.0 / min(widths)
+    xi = distance_from_row(program, at, x, repeats)
+    wide = program.add(step(at, x, repeats, [width * scale for width in widths]))
+    return [
+        program.sum((program.number(scale), xi)),
+        program.sum((1.0, wide), (program.number(-scale), xi)),
+    ]
+
+
 class _Lines:
     """The rows of a table at the slot of its variable."""
 
@@ -105,31 +135,12 @@ class _Lines:
         self.at = own[table.over] if table.over in own else rows.variable(table.over)
         self.lines = table.lines
         self.x, self.F, self.slopes = self.lines.x, self.lines.first, self.lines.slopes
-        self.xi = self._beyond(self.x)
-
-    @property
-    def bend(self) -> float:
-        """The error of F next to a row if the zigzag is off by 1."""
-        bends = [abs(b - a) for a, b in pairwise(self.slopes)]
-        if self.table.repeats:
-            bends.append(abs(self.slopes[0] - self.slopes[-1]))
-        wide = max(b - a for a, b in pairwise(self.x))
-        ends = zip(self.lines.last, self.F[1:], strict=False)
-        jump = max((abs(b - a) for a, b in ends), default=0.0)
-        return 0.5 * wide * max(bends, default=0.0) + jump or 1.0
+        self.xi = distance_from_row(self.program, self.at, self.x, table.repeats)
 
     def value(self) -> Slot:
         """Return F."""
-        return self._line(self.x, self.F, self.slopes, self.xi)
-
-    def zigzag(self) -> Slot:
-        """Return a zigzag between 1 and 2 from row to row."""
-        x = self.x
-        if self.table.repeats and len(x) % 2 == 0:  # it must meet its own beginning
-            k = max(range(len(x) - 1), key=lambda k: x[k + 1] - x[k])
-            x = (*x[: k + 1], 0.5 * (x[k] + x[k + 1]), *x[k + 1 :])
-        values = [1.0 + k % 2 for k in range(len(x))]
-        return self._line(x, values, self._slopes(x, values), self._beyond(x))
+        rising = self.program.add(Product(self._step(self.slopes), self.xi))
+        return self.program.sum((1.0, self._step(self.F)), (1.0, rising))
 
     def energy(self) -> Slot:
         """Return U, zero at x = 0, or at the first row if the table does not contain 0."""
@@ -143,35 +154,10 @@ class _Lines:
                 free = U[k] - a * (self.F[k] - 0.5 * self.slopes[k] * a)
         square = self.program.add(Product(self.xi, self.xi))
         return self.program.sum(
-            (1.0, self._step(self.x, [u - free for u in U[:-1]])),
-            (1.0, self.program.add(Product(self._step(self.x, self.F), self.xi))),
-            (0.5, self.program.add(Product(self._step(self.x, self.slopes), square))),
+            (1.0, self._step([u - free for u in U[:-1]])),
+            (1.0, self.program.add(Product(self._step(self.F), self.xi))),
+            (0.5, self.program.add(Product(self._step(self.slopes), square))),
         )
 
-    @staticmethod
-    def _slopes(x: Sequence[float], y: Sequence[float]) -> list[float]:
-        rises = zip(pairwise(y), pairwise(x), strict=True)
-        return [(d - c) / (b - a) for (c, d), (a, b) in rises]
-
-    def _line(
-        self, x: Sequence[float], y: Sequence[float], slopes: Sequence[float], xi: Slot
-    ) -> Slot:
-        """Return y_k + slope_k xi."""
-        program = self.program
-        rising = program.add(Product(self._step(x, slopes), xi))
-        return program.sum((1.0, self._step(x, y[: len(slopes)])), (1.0, rising))
-
-    def _beyond(self, x: Sequence[float]) -> Slot:
-        """Return the distance of the variable from the row below it."""
-        rise = self.x[-1] - self.x[0] if self.table.repeats else 0.0
-        return self.program.sum((1.0, self.at), (-1.0, self._step(x, x[:-1], rise)))
-
-    def _step(self, x: Sequence[float], values: Sequence[float], rise: float = 0.0) -> Slot:
-        """Return one value per interval; nan beyond a table that does not repeat."""
-        inner = tuple(x[1:-1])
-        if self.table.repeats:
-            first, period = x[0], x[-1] - x[0]
-            return self.program.add(Step(self.at, inner, tuple(values), first, period, rise))
-        end = math.nextafter(x[-1], math.inf)
-        around = (math.nan, *values, math.nan)
-        return self.program.add(Step(self.at, (x[0], *inner, end), around))
+    def _step(self, values: Sequence[float], rise: float = 0.0) -> Slot:
+        return self.program.add(step(self.at, self.x, self.table.repeats, values, rise))

@@ -47,7 +47,7 @@ ORDER = 30
 TOLERANCE = 0.1  # of the series, in units of rounding
 SMALLEST_STEP = 1e-12  # s
 ROUNDING = 100.0 * float(np.finfo(np.longdouble).eps)  # part of a rate
-AGREE = 1e-9  # part of a torque's terms by which its series may miss it, where it does not bend
+AGREE = 1e-9  # part of an acceleration's terms by which its series may miss it
 TOO_NEAR = 1e-8  # s/L below which nothing is closed
 PASSES = 4  # of rates, each of which leaves a part of 1e-8 at most
 
@@ -147,7 +147,6 @@ class _Series:
         self.torques = actuation.function(mechanism.n)
         self.made: dict[tuple[float, ...] | None, MotionProgram] = {}
         MotionProgram(mechanism, actuation, False)  # every branch must have a series
-        self.lightest = min(mechanism.inertias.values())
 
     def __call__(self, t: Any, y: Long, stop: Any) -> tuple[Any, Long] | None:
         """Take a step from (t, y), at most to `stop`; return its length and the state after it.
@@ -157,64 +156,77 @@ class _Series:
         held = None if self.actuation.pieces is None else self.actuation.pieces.at(float(t))
         if held not in self.made:
             self.made[held] = MotionProgram(self.mechanism, self.actuation, False, held)
-        series, w, arms = self.expanded(self.made[held], t, y, self.order)
+        series, w = self.expanded(self.made[held], t, y, self.order)
         both, steady = (self.tolerance, self.tolerance), self.made[held].steady
         longest = longest_step(series, w, *both, slides=self.mechanism.slides, steady=steady)
         if not longest > SMALLEST_STEP:
             return None
         h = min(stop - t, LONG(longest))
         while h > SMALLEST_STEP:
-            new = _along(self.mechanism, series, y, h)
-            part = self.part(series, held, h, t + h, new) if arms else 1.0
+            new, bends, largest = _along(self.mechanism, series, y, h)
+            part = self.part(self.made[held], series, h, t + h, new, bends, largest)
             if part == 1.0:
                 return h, new
             h = h * part
         return None
 
+    def part(
+        self,
+        motion: MotionProgram,
+        series: Coefficients,
+        x: Any,
+        t: Any,
+        y: Long,
+        bends: Long,
+        largest: Long,
+    ) -> Any:
+        """Return 1 if the series holds up to x after its start, else the part of x to try next.
+
+        It ends at time t in state y.  No argument may stray, and its accelerations `bends` (n),
+        sums of terms up to `largest` (n), must be those of the state but for what rounding makes.
+        """
+        if not motion.checked:
+            return 1.0
+        part = strays(motion.spans, series.spanned, x)
+        try:
+            found, _ = self.expanded(motion, t, y, 1)
+        except (ArithmeticError, ValueError):  # outside the domain
+            return min(part, 0.5)
+        exact = np.array([2.0 * theta[2] for theta in found.theta])
+        small = ROUNDING * np.abs(y[self.mechanism.n :]).max() / x
+        agrees = (np.abs(bends - exact) <= AGREE * largest + small).all()
+        return part if agrees else min(part, 0.5)
+
     def expanded(
         self, motion: MotionProgram, t: Any, y: Long, order: int
-    ) -> tuple[Coefficients, list[Any], list[float]]:
+    ) -> tuple[Coefficients, list[Any]]:
+        """Return the series at (t, y) up to an order, and the links' rates there."""
         given: tuple[Sequence[float], Sequence[float]] = ((), ())
         if self.actuation.constants is None and self.actuation.linear:
             floats = y.astype(float).tolist()
             given = linear_piece(self.actuation, self.torques, float(t), floats, 1.0)
         start = motion.state(LONGS, t, list(y), given)
         numbers = [LONG(x) for x in motion.program.numbers]
-        return motion.expand(LONGS, numbers, order, start), list(start.w), motion.arms
-
-    def part(self, series: Coefficients, held: Any, x: Any, t: Any, y: Long) -> Any:
-        """Return 1 if the series still holds at x after its start, at time t and state y.
-
-        Otherwise return the fraction of x to try next.  Torques that may bend are compared with
-        their series there, and no argument may stray on the way.  Differences that change no rate
-        beyond rounding are ignored.
-        """
-        try:
-            found, _, arms = self.expanded(self.made[held], t, y, 1)
-        except (ArithmeticError, ValueError):  # outside the domain
-            return 0.5
-        rates = y[self.mechanism.n : 2 * self.mechanism.n]
-        small = ROUNDING * np.abs(rates).max() * self.lightest / x  # N m
-        way, part = strays(self.made[held].spans, arms, series.spanned, x, small, AGREE)
-        if way > 0.0:
-            return part
-        for each, known, arm in zip(series.watched, found.watched, arms, strict=True):
-            terms = np.array(each) * x ** np.arange(len(each))
-            if not abs(terms.sum() - known[0]) <= AGREE * np.abs(terms).max() + small / arm:
-                return 0.5
-        return 1.0
+        return motion.expand(LONGS, numbers, order, start), list(start.w)
 
 
-def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
-    """Return the state at time h after y, the start of the series."""
-    n = mechanism.n
+def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> tuple[Long, Long, Long]:
+    """Return the state at time h after y, the start of the series, and its accelerations (n).
+
+    The accelerations are those of links and slides; the third result (n) is their largest terms.
+    """
+    n, slides = mechanism.n, list(mechanism.slides)
     z = np.array(series.rho, LONG) + 1j * np.array(series.theta, LONG)
     orders = np.arange(z.shape[1]).astype(LONG)
     powers = h**orders
     turn = (z * powers).sum(axis=1)
     slope = (z[:, 1:] * (orders[1:] * powers[:-1])).sum(axis=1)
     way, rates = joint_ways(mechanism, y, turn, slope)
-    return np.concatenate([y[:n] + way, rates])
+    seconds = z[:, 2:] * (orders[2:] * orders[1:-1] * powers[:-2])
+    second = seconds.sum(axis=1)
+    bends = (turn.conj() * second).imag / np.abs(turn) ** 2
+    bends[slides] = second.imag[slides]
+    return np.concatenate([y[:n] + way, rates]), bends, np.abs(seconds).max(axis=1)
 
 
 class _Closing:

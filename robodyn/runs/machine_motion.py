@@ -250,10 +250,10 @@ class _Step(Items):
             turn = k.divide(k.number(TURN), self._fastest(k.number(SLOWEST)))
             longest = k.select(k.less(turn, longest), turn, longest)
         h = k.slot(k.select(go, k.select(k.less(longest, most), longest, most), k.number(0.0)))
-        self.reach(k.get(h))
         small = k.multiply(k.intrinsic("fabs", t), k.number(ULPS))
         small = k.select(k.less(k.number(1e-300), small), small, k.number(1e-300))
-        if scene.bends:
+        self.reach(k.get(h))
+        if scene.motion.checked:
             self._shorten(go, h, small)
         now = k.get(h)
         stuck = k.both(go, k.both(k.less(now, small), k.compare("une", now, most)))
@@ -301,19 +301,15 @@ class _Step(Items):
         return fast
 
     def _shorten(self, go: Word, h: Word, small: Word) -> None:
-        """Shorten the step until torques at its end equal their series and no argument strays."""
+        """Shorten the step until its series holds up to its end."""
         k = self.k
-        fast = self._fastest(k.number(0.0))
-        miss = k.add(self.get("atol"), k.multiply(self.get("rtol"), fast))
-        miss = k.multiply(miss, self.get("lightest"))
         with k.forever() as good:
             now = k.get(h)
-            self.put("miss", k.divide(miss, now))
-            self.call("compare")
-            poor = k.both(go, k.compare("oeq", self.get("agrees"), k.number(0.0)))
-            poor = k.both(poor, k.compare("oge", now, small))
+            self.call("holds")
+            part = self.get("part")
+            poor = k.both(k.both(go, k.less(part, k.number(1.0))), k.compare("oge", now, small))
             k.leave(k.invert(k.any(poor)), good)
-            k.set(h, k.select(poor, k.multiply(now, self.get("part")), now))
+            k.set(h, k.select(poor, k.multiply(now, part), now))
             self.reach(k.get(h))
 
     def _land(self, go: Word, h: Word) -> None:

@@ -9,7 +9,7 @@ matrix of coefficients, a row an order and a column a series.  The kernels
     evaluate(block)    the state at x after the start, from the series
     close(block)       that state moved to the nearest that closes, and its quality
     leaps(block)       none is left where the step between them may have leapt to another branch
-    compare(block)     whether the series gives the torques there (0 or 1)
+    holds(block)       1 if the series holds up to there, else the part of the step to try
 
 do so; `advance` (`machine_motion.py`) drives them.  Numbers are no part of the code: it serves all
 scenes of one shape.
@@ -30,7 +30,6 @@ from typing import NamedTuple
 from robodyn.engines.arithmetic import Planar
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.expansion import (
-    KINK,
     Coefficients,
     LoopExpansion,
     MotionProgram,
@@ -54,12 +53,12 @@ from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
 
+KINK = 1e-7  # an acceleration that misses its series by a smaller part does not bend
 ALIGNED = 8  # items, on which a vector of one lane and 8 numbers crosses no line of the cache
 # of a block, besides what its scene asks for
 COMMON = (
     "t", "bound", "direction", "status", "steps", "most_steps", "x", "t_there", "h", "longest",
-    "quality", "agrees", "part", "miss", "relative", "rtol", "atol", "suspect", "lightest",
-    "rounding", "converged", "base_t",
+    "quality", "part", "relative", "rtol", "atol", "suspect", "rounding", "converged", "base_t",
 )  # fmt: skip
 
 
@@ -92,10 +91,8 @@ class Scene:
         self.motion = motion or MotionProgram(mechanism, actuation, work, held)
         program = self.motion.program
         self.linear = actuation.constants is None and actuation.linear
-        self.bends = program.named["bends"]
         self.values = {f"c{i}": x for i, x in enumerate(program.numbers)}
         self.values |= {f"u{j}": x for j, x in enumerate(actuation.constants or ())}
-        self.values |= {f"arm{i}": program.arms[slot] for i, slot in enumerate(self.bends)}
         self.values |= kept or {}
         shapes = [program.shape, mechanism.above, mechanism.order, order, work, self.closes]
         shapes += [self.linear, rate_series, link]
@@ -183,12 +180,10 @@ class Scene:
         """Write the scene's numbers and tolerances into a block (items, ...)."""
         place, mechanism = self.place, self.mechanism
         size = loop_size(mechanism) if self.closes else 0.0
-        lightest = min(mechanism.inertias.values())
         limits = {
             "rtol": rtol,
             "atol": atol,
             "relative": max(math.sqrt(rtol), KINK),
-            "lightest": (self.order + 1) * lightest,
             "suspect": suspect_quality(mechanism) * project if self.closes else 0.0,
             "rounding": CLOSED * size,
             "converged": CONVERGED * size,
@@ -251,8 +246,8 @@ class Scene:
         k.done(k.whole(self.items))
         write_expand(self, module)
         write_evaluate(self, module)
-        if self.bends:
-            self._compare(module)
+        if self.motion.checked:
+            self._holds(module)
 
     def there(self, names: Sequence[str]) -> dict[str, str]:
         """Map input names to the items of the state at a step's end."""
@@ -267,50 +262,69 @@ class Scene:
             change = k.multiply(self.get(k, block, f"dtau{j}"), past)
             self.put(k, block, f"tau{j}", k.add(self.get(k, block, f"base{j}"), change))
 
-    def _terms(self, k: Kernel, block: Word, i: int, x: Word) -> tuple[Word, Word]:
-        """Return the sum of a watched series at x, and its largest term."""
-        with k.loop(k.whole(self.order)) as m:
-            total, most, power = (k.carried(k.number(i)) for i in (0.0, 0.0, 1.0))
-            c = k.load(self.row(k, block, m, 2 * self.mechanism.n + i))
-            term = k.multiply(c, power)
-            size = k.intrinsic("fabs", term)
-            k.becomes(total, k.add(total, term))
-            k.becomes(most, k.select(k.less(most, size), size, most))
-            k.becomes(power, k.multiply(power, x))
-        return total, most
+    def _holds(self, module: Module) -> None:
+        """Write `holds(block)`: 1 if the series holds over the step, else the part to try next.
 
-    def _compare(self, module: Module) -> None:
-        """Write `compare(block)`: do watched rows at the step's end equal their series?
-
-        Also, no argument of a steep row may stray within the step.  If they do not agree, the
-        fraction of the step to try next is stored.
+        No argument may stray, and the accelerations of the series at the step's end must be those
+        of the state there.  All are compared times the square of the step: angles, or m.
         """
-        k, block = self.kernel(module, "compare")
-        self.put(k, block, "part", k.number(0.5))
-        names = self.there([f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)])
-        watched = self.loop.columns[2 * self.mechanism.n :][: self.loop.watched]
-        starts = [series.first[0] for series in watched]
-        values = self.segment(k, block, starts, names).write(starts)
-        x, small, relative = (self.get(k, block, name) for name in ("x", "miss", "relative"))
-        agrees = k.all_lanes(True)
-        for i in range(len(self.bends)):
-            total, most = self._terms(k, block, i, x)
-            missed = k.intrinsic("fabs", k.subtract(total, values[i]))
-            allowed = k.divide(small, self.get(k, block, f"arm{i}"))
-            part = k.multiply(relative, most)
-            within = k.either(k.compare("ole", missed, allowed), k.compare("ole", missed, part))
-            agrees = k.both(agrees, within)
-        if spans := self.motion.spans:
-            graph, orders = Graph(), range(self.order)
-            series = [coefficients(graph, column, orders) for column in self.loop.spanned]
-            arms = [graph.variable(f"arm{i}") for i in range(len(self.bends))]
-            given = map(graph.variable, ("x", "miss", "relative"))
-            found = strays(spans, arms, series, *given)
-            way, part = read_segment(self, k, block).write([*found])
-            agrees = k.both(agrees, k.invert(k.less(k.number(0.0), way)))
-            self.put(k, block, "part", part)
-        self.put(k, block, "agrees", k.select(agrees, k.number(1.0), k.number(0.0)))
+        k, block = self.kernel(module, "holds")
+        n, slides, graph, orders = (
+            self.mechanism.n,
+            self.mechanism.slides,
+            Graph(),
+            range(self.order),
+        )
+        series = [coefficients(graph, column, orders) for column in self.loop.spanned]
+        found = strays(self.motion.spans, series, graph.variable("x"))
+        (part,) = read_segment(self, k, block).write([found])
+        x, names = self.get(k, block, "x"), [f"{z}{j}" for z in ("q", "qd") for j in range(n)]
+        there = self.there(names)
+
+        def read(name: str) -> Word:
+            if name.startswith("tau"):  # linear in time
+                change = k.multiply(self.get(k, block, f"d{name}"), x)
+                return k.add(self.get(k, block, name), change)
+            return self.get(k, block, there.get(name, name))
+
+        halves = [self.loop.columns[2 * j + 1].first[2] for j in range(n)]
+        exact = self.segment(k, block, halves, read).write(halves)
+        fast, square = k.number(0.0), k.multiply(k.number(2.0), k.multiply(x, x))
+        for j in range(n):
+            size = k.intrinsic("fabs", self.get(k, block, f"qd{j}"))
+            fast = k.select(k.less(fast, size), size, fast)
+        small = k.add(self.get(k, block, "atol"), k.multiply(self.get(k, block, "rtol"), fast))
+        small = k.multiply(small, k.multiply(k.number(self.order + 1.0), k.intrinsic("fabs", x)))
+        for j in range(n):
+            theta, bend, largest = self._bent(k, block, 2 * j + 1, x)
+            if j not in slides:
+                rho, inward, most = self._bent(k, block, 2 * j, x)
+                largest = k.select(k.less(largest, most), most, largest)
+                bend = k.subtract(k.multiply(rho, bend), k.multiply(theta, inward))
+                radius = k.add(k.multiply(rho, rho), k.multiply(theta, theta))
+                bend = k.divide(bend, radius)
+            missed = k.intrinsic("fabs", k.subtract(bend, k.multiply(square, exact[j])))
+            allowed = k.add(small, k.multiply(self.get(k, block, "relative"), largest))
+            agrees = k.compare("ole", missed, allowed)
+            half = k.select(k.less(part, k.number(0.5)), part, k.number(0.5))
+            part = k.select(agrees, part, half)
+        self.put(k, block, "part", part)
         k.done()
+
+    def _bent(self, k: Kernel, block: Word, column: int, x: Word) -> tuple[Word, Word, Word]:
+        """Return a series' value at x, x^2 times its second derivative, and that's largest term."""
+        with k.loop(k.whole(self.order + 2)) as m:
+            zero, one = k.number(0.0), k.number(1.0)
+            value, bend, largest, power, order = map(k.carried, (zero, zero, zero, one, zero))
+            term = k.multiply(k.load(self.row(k, block, m, column)), power)
+            second = k.multiply(term, k.multiply(order, k.subtract(order, one)))
+            size = k.intrinsic("fabs", second)
+            k.becomes(value, k.add(value, term))
+            k.becomes(bend, k.add(bend, second))
+            k.becomes(largest, k.select(k.less(largest, size), size, largest))
+            k.becomes(power, k.multiply(power, x))
+            k.becomes(order, k.add(order, one))
+        return value, bend, largest
 
 
 class Items:
@@ -429,7 +443,7 @@ def _longest(scene: Scene, k: Kernel, block: Word) -> None:
     tolerances = graph.variable("rtol"), graph.variable("atol")
     power: list[Value] = []
     if scene.loop.power:
-        power = coefficients(graph, 2 * len(rho) + scene.loop.watched, range(scene.order + 1))
+        power = coefficients(graph, 2 * len(rho), range(scene.order + 1))
     series = Coefficients(rho, theta, power, [])
     h = longest_step(series, w, *tolerances, rough, scene.mechanism.slides, steady)
     if power:  # it may be beyond the floats where the motion is not
@@ -482,8 +496,7 @@ def write_evaluate(scene: Scene, module: Module) -> None:
     turns = value_and_slope(graph, n)
     power: Value = 0.0
     if scene.loop.power:
-        column = 2 * n + scene.loop.watched
-        series = coefficients(graph, column, range(scene.order + 1))
+        series = coefficients(graph, 2 * n, range(scene.order + 1))
         power = integral(series, graph.variable("x"))
     steady = [graph.variable(f"u{j}") if x else 0.0 for j, x in enumerate(scene.loop.start.steady)]
     outputs = ends(scene.mechanism, turns, power, steady, scene.work, graph.variable)

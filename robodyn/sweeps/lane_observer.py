@@ -103,7 +103,7 @@ class LaneObserver(Observer):
         if self.scene.link >= 0:
             k.call("flips", block, own)
         k.call("energies", block)
-        KE, PE = get("longest"), get("miss")
+        KE, PE = get("longest"), get("part")
         E = k.add(KE, PE)
         items.widen("PE_low", "PE_high", PE, take)
         items.widen("E_low", "E_high", E, take)
@@ -157,7 +157,7 @@ class LaneObserver(Observer):
         state = [graph.variable(name) for name in names]
         found = energies(mechanism, number, state[: mechanism.n], state[mechanism.n :])
         segment = self.scene.segment(k, block, found, {name: f"to_{name}" for name in names})
-        for name, word in zip(("longest", "miss"), segment.write(found), strict=True):
+        for name, word in zip(("longest", "part"), segment.write(found), strict=True):
             self.scene.put(k, block, name, word)
         k.done()
 
@@ -178,7 +178,7 @@ class LaneObserver(Observer):
             for side in ("low", "high"):
                 put(f"{side}{m}", get(name))
         k.call("energies", block)
-        KE, PE = get("longest"), get("miss")
+        KE, PE = get("longest"), get("part")
         E = k.add(KE, PE)
         for name in ("start", "E_low", "E_high"):
             put(name, E)
