@@ -26,7 +26,7 @@ import numpy as np
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.time_samples import FUNCTIONS
-from robodyn.runs.state_columns import PREFIX, ROUGH, StateColumns, variables
+from robodyn.runs.state_columns import PREFIX, StateColumns, variables
 from robodyn.scene.constants import numbers_of
 from robodyn.scene.expressions import COMPARISONS, fold, names_of, value_in, walk
 from robodyn.scene.expressions import OPERATIONS as NUMBER_OPERATIONS
@@ -309,7 +309,8 @@ def _part(tree: Node, n: int, columns: StateColumns | None) -> Part:
             if x == "t":
                 return value, EPS * np.abs(t)
             if x.startswith(PREFIX):
-                return value, ROUGH * np.abs(value).max(axis=-1, keepdims=True)
+                assert columns is not None
+                return value, columns.noise(x.removeprefix(PREFIX), t, y, off)
             return value, off[..., _place(x, n)]
 
         return np.atleast_1d(fold(tree, leaf, _bounded)[1])

@@ -232,6 +232,7 @@ class SignSearch:
                 open_[which] = False
 
         tell(~values.any(axis=1), ZERO)
+        tell(np.isinf(noises).all(axis=1), HIDDEN)
         finite = np.asarray(np.isfinite(values).all(axis=1))
         if not finite.all():
             tell(np.isnan(values).all(axis=1), UNDEFINED)

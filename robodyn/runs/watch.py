@@ -142,13 +142,14 @@ class EventWatch:
         for each in self.own:
             if each.touched is not None:
                 self._end_touch(each, each.touched[1])
-        found = []
+        found, computed = [], {x.function.name for x in self.own if x.function.computed}
         for name, times in self.grazes.items():
             limit = "rounding hides whether it passes"
             found.append(f"{name} touches zero at t = {_listed(times)} s: {limit}")
         for name, spans in self.hidden.items():
             told = [f"{begin:.9g} to {end:.9g}" for begin, end in spans]
-            found.append(f"{name} is zero to rounding from t = {_listed(told)} s")
+            zero = "zero or undefined" if name in computed else "zero"
+            found.append(f"{name} is {zero} to rounding from t = {_listed(told)} s")
         for name, times in self.lost.items():
             found.append(f"{name} passes zero too often to be followed, from t = {_listed(times)}")
         blurred = [event for event in self.found if event.apart > self.instant]
