@@ -81,7 +81,7 @@ class Change(NamedTuple):
 
 @dataclass
 class Watched:
-    """A function that is watched: its last known sign, 0 if unknown, and its zeros.
+    """A watched function: its last known sign, 0 if unknown, and how often its event `happened`.
 
     Rounding has hidden its sign over the span `touched` up to now.  `known` is the time of an event
     that came with the end of a phase.
@@ -96,18 +96,19 @@ class Watched:
 
 @dataclass
 class EventWatch:
-    """Watches event functions and keeps their events; functions in `stops` end the run.
+    """Watches event functions and keeps their events.
 
-    `found` has the first events in the order of time.  `grazes` has, by name, times at which a
-    function touches zero without crossing it, as far as rounding shows.  `hidden` has spans in
-    which rounding hides its sign for long.  `lost` has times from which it changes sign too often
-    to follow.  A condition that holds at the start is no event.  Events keep the first `width`
-    numbers of a state (None: all).  `columns` computes columns of states that functions name.
+    If it `ends`, the event of the last function ends the run.  `found` has the first events in the
+    order of time.  `grazes` has, by name, times at which a function touches zero without crossing
+    it, as far as rounding shows.  `hidden` has spans in which rounding hides its sign for long.
+    `lost` has times from which it changes sign too often to follow.  A condition that holds at the
+    start is no event.  Events keep the first `width` numbers of a state (None: all).  `columns`
+    computes columns of states that functions name.
     """
 
     functions: Sequence[EventFunction]
     t_end: float
-    stops: frozenset[int] = frozenset()
+    ends: bool = False
     width: int | None = None
     columns: StateColumns | None = None
 
@@ -128,7 +129,7 @@ class EventWatch:
     @property
     def may_end(self) -> bool:
         """Whether an event may end the run, or a guard a phase of it."""
-        return bool(self.stops) or len(self.watched) > len(self.functions)
+        return self.ends or len(self.watched) > len(self.functions)
 
     def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
         """Return how often each event happened, including the events in `others`."""
@@ -201,15 +202,14 @@ class EventWatch:
     def _cut(self, changes: Sequence[Sequence[Change]]) -> Passing | None:
         """Return the first zero that ends the segment; at one instant, an event before a guard."""
         own = len(self.functions)
-        ending = [i for i in range(len(self.watched)) if i in self.stops or i >= own]
+        ending = range(own - self.ends, len(self.watched))
         each = [x for i in ending for x in self._passings(i, changes[i], None)]
         if not each:
             return None
         t = min((x.t for x in each), key=lambda t: t * self.forward)
         now = [x._replace(t=t) for x in each if (x.t - t) * self.forward <= self.instant]
         guard = next((x for x in now if x.place >= own), None)
-        stops = (x for x in now if x.place in self.stops)
-        return next((x for x in stops if self._counts(x, guard)), guard)
+        return next((x for x in now if x.place < own and self._counts(x, guard)), guard)
 
     def _counts(self, one: Passing, cut: Passing | None) -> bool:
         """Return whether a zero counts although a guard may `cut` the segment there.
@@ -266,7 +266,7 @@ class EventWatch:
         if spans and abs(span[0] - spans[-1][1]) <= self.instant:
             spans[-1] = spans[-1][0], t  # which it goes on, as where a joint starts that was held
         elif abs(t - span[0]) > LONG * abs(self.t_end):
-            self.hidden[name] = [*spans, (span[0], t)]
+            self.hidden.setdefault(name, []).append((span[0], t))
         elif grazes and not (each.function.has_one_sign or each.function.computed):
             times, middle = self.grazes.setdefault(name, []), 0.5 * (span[0] + span[1])
             if not times or abs(middle - times[-1]) > self.instant:
@@ -296,7 +296,7 @@ class EventWatch:
             if not lost:  # a run may take long to tell it at its end
                 remark = f"{function.name} passes zero too often to be followed, as at "
                 warnings.warn(f"{remark}t = {segment.begin:.9g} s", RobodynWarning, stacklevel=2)
-            self.lost[function.name] = [*lost, segment.begin]
+            self.lost.setdefault(function.name, []).append(segment.begin)
         # stretches of one sign in a row are one
         kind, one = found.kind, np.abs(found.kind) == 1.0
         begins = np.ones(len(kind), bool)
