@@ -91,9 +91,8 @@ def event_function(
     Columns of states are taken from `columns`, which belong to a run; without them the function is
     checked only.  Raises InputError that names `where` if the text is neither.
     """
-    tree, way, strict = _read(mechanism, text, where)
-
-    own, *parts = (_part(node, mechanism.n, columns) for node in (tree, *switches(tree)))
+    (tree, *cuts), way, strict = _read(mechanism, text, where)
+    own, *parts = (_part(node, mechanism.n, columns) for node in (tree, *cuts))
     return EventFunction(
         own.values,
         own.noise,
@@ -107,8 +106,8 @@ def event_function(
 
 
 @lru_cache(maxsize=256)
-def _read(mechanism: Mechanism, text: str, where: str) -> tuple[Node, int, bool]:
-    """Return the tree of an event's function, its way, and whether the comparison is strict."""
+def _read(mechanism: Mechanism, text: str, where: str) -> tuple[list[Node], int, bool]:
+    """Return the trees of a function and its switches, its way, and whether it is strict."""
     try:
         constants = {**CONSTANTS, **numbers_of(mechanism.description.constants)}
         found = expressions(text, variables(mechanism), constants)
@@ -136,7 +135,7 @@ def _read(mechanism: Mechanism, text: str, where: str) -> tuple[Node, int, bool]
             raise InputError(repr(text), where=where, limit="compares a comparison")
         way, strict = WAYS[operation], operation in "<>"
         tree = "-", left, right
-    return tree, way, strict
+    return [tree, *switches(tree)], way, strict
 
 
 def event_functions(
@@ -292,8 +291,8 @@ def _part(tree: Node, n: int, columns: StateColumns | None) -> Part:
 
     def values(t: Array, y: Array) -> Array:
         known = {name: variable(name, t, y) for name in names}
-        found = value_in(tree, known, OPERATIONS)
-        return np.broadcast_to(np.asarray(found, float), t.shape)
+        found = np.asarray(value_in(tree, known, OPERATIONS), float)
+        return found if found.shape == t.shape else np.broadcast_to(found, t.shape)
 
     def noise(t: Array, y: Array, large: Array) -> Array:
         off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)

@@ -232,10 +232,10 @@ class SignSearch:
                 open_[which] = False
 
         tell(~values.any(axis=1), ZERO)
-        tell(np.isinf(noises).all(axis=1), HIDDEN)
         finite = np.asarray(np.isfinite(values).all(axis=1))
         if not finite.all():
             tell(np.isnan(values).all(axis=1), UNDEFINED)
+            tell(np.isinf(noises).all(axis=1), HIDDEN)
             endless = np.where(np.isinf(values), np.sign(values), 0.0).sum(axis=1)
             tell(np.abs(endless) == DEGREE + 1, np.sign(endless))
             values = np.where(finite[:, None], values, 0.0)
@@ -283,8 +283,9 @@ class SignSearch:
         kept = ~passes & (first != 0.0)
         self.take(begin[kept], end[kept], first[kept], begin[kept])
         rest = ~passes & (first == 0.0)
-        blurs = boxes.some(rest).blurs(begin[rest])
-        self.take(begin[rest], end[rest], last[rest], end[rest], blurs)
+        if rest.any():
+            blurs = boxes.some(rest).blurs(begin[rest])
+            self.take(begin[rest], end[rest], last[rest], end[rest], blurs)
 
     def _bent(self, boxes: Boxes, near: Array) -> tuple[Array, Array]:
         """Find the roots in boxes with at most one extremum, which rounding may hide nearby.

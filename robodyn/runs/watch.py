@@ -337,14 +337,16 @@ def signs_along(
     They are cut where the function bends or jumps.  `known` (m,) has the signs that are certain on
     each whole step, or 0.  Other steps are cut into `parts` (m,) first.
     """
-    step = np.repeat(np.arange(len(segment)), parts)
-    part = np.arange(len(step)) + 1 - np.repeat(np.cumsum(parts) - parts, parts)
-    ends = segment.t[step] + np.diff(segment.t)[step] * (part / parts[step])
-    ends = np.where(part == parts[step], segment.t[step + 1], ends)
-    begins, known = np.append(segment.t[0], ends[:-1]), known[step]
+    begin, end = segment.t[:-1], segment.t[1:]
+    if (parts > 1).any():
+        step = np.repeat(np.arange(len(parts)), parts)
+        part = np.arange(len(step)) + 1 - np.repeat(np.cumsum(parts) - parts, parts)
+        within = begin[step] + (end - begin)[step] * (part / parts[step])
+        end = np.where(part == parts[step], end[step], within)
+        begin, known = np.append(begin[0], end[:-1]), known[step]
     search, sure = SignSearch(_sampled(function, segment), budget), known != 0.0
-    search.take(begins[sure], ends[sure], known[sure])
-    begin, end = begins[~sure], ends[~sure]
+    search.take(begin[sure], end[sure], known[sure])
+    begin, end = begin[~sure], end[~sure]
     for switch in function.switches:
         begin, end = _split(switch, segment, begin, end, budget)
     return search.stretches(begin, end)
