@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -125,3 +127,24 @@ def test_a_sweep_counts_events_of_columns() -> None:
     ]
     first = [run.events[0].t for run in single]
     np.testing.assert_allclose(table["low_first"], first, atol=1e-9)
+
+
+HANGING: dict[str, Any] = {
+    "gravity": 9.81,
+    "links": [{"name": x, "m": 1, "l": 1, "r": 0.5, "I": 0.1} for x in "ab"],
+    "points": {"P": {"link": "b", "at": [1, 0]}},
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("method", ["DOP853", "taylor"])
+def test_a_column_that_is_undefined_at_rest_makes_no_events(method: str) -> None:
+    """The path of a point that stands has no curvature: rounding alone would give it one."""
+    rest = [-np.pi / 2, 0.0], [0.0, 0.0]
+    events = {"straight": "P_kappa", "bent": "P_kappa - 1"}
+    run = robodyn.simulate(
+        robodyn.load(HANGING), *rest, 1.0, events=events, until="P_kappa > 1", method=method
+    )
+    assert run.t[-1] == 1.0
+    assert not run.events
+    assert any("undefined to rounding from t = 0" in x for x in run.report.remarks)

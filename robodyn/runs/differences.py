@@ -413,9 +413,9 @@ def tell(
     """
     report.sensitivity_errors = found.errors
     report.remarks = [*report.remarks, *found.withheld]
-    if events is None or report.ended_by not in {events.functions[i].name for i in events.stops}:
+    if events is None or not events.ends or report.ended_by != events.functions[-1].name:
         return
-    g = events.functions[min(events.stops)]
+    g = events.functions[-1]
     if g.computed:  # its columns may depend on the numbers by themselves too
         return
     t, (q, qd) = t[-1:], np.split(y[-1:, : 2 * moving.n], 2, axis=1)

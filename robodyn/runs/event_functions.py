@@ -26,9 +26,10 @@ import numpy as np
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.time_samples import FUNCTIONS
-from robodyn.runs.state_columns import PREFIX, ROUGH, StateColumns, variables
+from robodyn.runs.state_columns import PREFIX, StateColumns, variables
 from robodyn.scene.constants import numbers_of
-from robodyn.scene.expressions import changed, code_of, fold, names_of, walk
+from robodyn.scene.expressions import COMPARISONS, fold, names_of, value_in, walk
+from robodyn.scene.expressions import OPERATIONS as NUMBER_OPERATIONS
 from robodyn.scene.quantities import expressions
 from robodyn.scene.syntax import CONSTANTS, Node, NotAllowedError
 from robodyn.tables.arrays import Array
@@ -38,8 +39,6 @@ Values = Callable[[Array, Array], Array]
 _NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)
 LARGEST = 1e300  # of numbers in an event: sums of what they make stay among the floats
 WAYS = {">": 1, ">=": 1, "<": -1, "<=": -1}
-_SCOPE = {"__builtins__": {}, **{f"_{name}": each for name, each in FUNCTIONS.items()}}
-_SCOPE |= {"_pow": np.power, "_where": np.where}
 
 
 @dataclass(frozen=True)
@@ -89,18 +88,26 @@ def event_function(
 ) -> EventFunction:
     """Return the event function of an expression or a comparison.
 
-    Columns of states are taken from `columns`, which belong to a run.  Raises InputError that names
-    `where` if the text is neither.
+    Columns of states are taken from `columns`, which belong to a run; without them the function is
+    checked only.  Raises InputError that names `where` if the text is neither.
     """
-    tree, way, strict = _read(mechanism, text, where)
-    if columns is not None and any(x.startswith(PREFIX) for x in names_of(tree)):
-        return _made(mechanism.n, name, tree, way, strict, columns)
-    return _kept(mechanism.n, name, tree, way, strict)
+    (tree, *cuts), way, strict = _read(mechanism, text, where)
+    own, *parts = (_part(node, mechanism.n, columns) for node in (tree, *cuts))
+    return EventFunction(
+        own.values,
+        own.noise,
+        name=name,
+        way=way,
+        strict=strict,
+        switches=tuple(parts),
+        has_one_sign=has_one_sign(tree),
+        computed=any(x.startswith(PREFIX) for x in names_of(tree)),
+    )
 
 
 @lru_cache(maxsize=256)
-def _read(mechanism: Mechanism, text: str, where: str) -> tuple[Node, int, bool]:
-    """Return the tree of an event's function, its way, and whether the comparison is strict."""
+def _read(mechanism: Mechanism, text: str, where: str) -> tuple[list[Node], int, bool]:
+    """Return the trees of a function and its switches, its way, and whether it is strict."""
     try:
         constants = {**CONSTANTS, **numbers_of(mechanism.description.constants)}
         found = expressions(text, variables(mechanism), constants)
@@ -128,35 +135,7 @@ def _read(mechanism: Mechanism, text: str, where: str) -> tuple[Node, int, bool]
             raise InputError(repr(text), where=where, limit="compares a comparison")
         way, strict = WAYS[operation], operation in "<>"
         tree = "-", left, right
-    return tree, way, strict
-
-
-@lru_cache(maxsize=256)
-def _kept(n: int, name: str, tree: Node, way: int, strict: bool) -> EventFunction:
-    return _made(n, name, tree, way, strict, None)
-
-
-def _made(
-    n: int, name: str, tree: Node, way: int, strict: bool, columns: StateColumns | None
-) -> EventFunction:
-    def parts(node: Node) -> dict[str, Any]:
-        return {"values": _vectorised(node, n, columns), "noise": bound_of(node, n, columns)}
-
-    cuts = tuple(Part(**parts(x)) for x in switches(tree))
-    return EventFunction(
-        **parts(tree),
-        name=name,
-        way=way,
-        strict=strict,
-        switches=cuts,
-        has_one_sign=has_one_sign(tree),
-        computed=bool(_computed(tree)),
-    )
-
-
-def _computed(tree: Node) -> list[str]:
-    """Return the variables of an expression that are columns of states, sorted."""
-    return sorted(x for x in names_of(tree) if x.startswith(PREFIX))
+    return [tree, *switches(tree)], way, strict
 
 
 def event_functions(
@@ -168,7 +147,8 @@ def event_functions(
         raise InputError("events", value=kind, limit="must be a mapping of names to expressions")
     found = []
     for name, text in given.items():
-        _check(name, text)
+        must_be_text("name of an event", name)
+        must_be_text(f"event {name}", text)
         if not _NAME.fullmatch(name):
             limit = "must be a letter, then letters, digits, _ or -"
             raise InputError("name of an event", value=name, limit=limit)
@@ -180,38 +160,6 @@ def must_be_text(what: str, value: object) -> None:
     """Raise InputError if a value is not text."""
     if not isinstance(value, str):
         raise InputError(what, value=repr(value), limit="must be text, such as 'q1 > 90deg'")
-
-
-def _check(name: object, text: object) -> None:
-    must_be_text("name of an event", name)
-    must_be_text(f"event {name}", text)
-
-
-def _for_arrays(node: tuple[Any, ...]) -> Node:
-    """Rewrite `a if b else c` and comparisons for numpy arrays."""
-    if node[0] in WAYS:
-        return "*", node, 1.0
-    return ("where", *node[1:]) if node[0] == "if" else node
-
-
-def _vectorised(tree: Node, n: int, columns: StateColumns | None) -> Values:
-    lines = [
-        f"{name}{k} = y[:, {k + first}]"
-        for name, first in (("q", 0), ("qd", n))
-        for k in range(n)
-        if f"{name}{k}" in names_of(tree)
-    ]
-    lines += [f"{x} = columns({x.removeprefix(PREFIX)!r}, t, y)" for x in _computed(tree)]
-    body = "\n    ".join([*lines, f"return {code_of(changed(tree, _for_arrays))}"])
-    scope: dict[str, Any] = {**_SCOPE, "columns": None if columns is None else columns.values}
-    exec(compile(f"def values(t, y):\n    {body}\n", "<robodyn event>", "exec"), scope)
-    function = scope["values"]
-
-    def values(t: Array, y: Array) -> Array:
-        found = np.asarray(function(t, y), float)
-        return found if found.shape == t.shape else np.broadcast_to(found, t.shape)
-
-    return values
 
 
 def named_events(mechanism: Mechanism, texts: Iterable[str], taken: str) -> dict[str, str]:
@@ -295,11 +243,22 @@ def _whole(x: Node) -> Node:
     return "sin", ("*", math.pi, x)
 
 
-Bounded = tuple[Any, Any]  # values, and bounds of their errors
-
 EPS = float(np.finfo(float).eps)
 STATE = 8.0 * EPS  # of the largest of the angles, or rates, that a series or an interpolant adds
-# of functions, by their argument, how far it may be off, and the value
+OPERATIONS: dict[str, Callable[..., Any]] = {  # on arrays
+    **NUMBER_OPERATIONS,
+    **FUNCTIONS,
+    "pow": np.power,
+    "if": np.where,
+    **{name: lambda a, b, holds=holds: holds(a, b) * 1.0 for name, holds in COMPARISONS.items()},
+}
+
+
+def _positive(x: Any) -> Any:
+    return np.maximum(x, 0.0)
+
+
+# slopes of functions, by their argument, how far it may be off, and the value
 SLOPES: dict[str, Callable[[Any, Any, Any], Any]] = {
     "sin": lambda x, dx, value: np.minimum(np.abs(np.cos(x)) + dx, 1.0),
     "cos": lambda x, dx, value: np.minimum(np.abs(np.sin(x)) + dx, 1.0),
@@ -318,80 +277,92 @@ SLOPES: dict[str, Callable[[Any, Any, Any], Any]] = {
 }
 
 
-def _positive(x: Any) -> Any:
-    return np.maximum(x, 0.0)
+def _part(tree: Node, n: int, columns: StateColumns | None) -> Part:
+    """Return the part of an event that an expression is, for a mechanism of n joints."""
+    names = names_of(tree)
 
+    def variable(name: str, t: Array, y: Array) -> Array:
+        if name == "t":
+            return t
+        if name.startswith(PREFIX):
+            assert columns is not None
+            return columns.values(name.removeprefix(PREFIX), t, y)
+        return np.asarray(y[..., _place(name, n)])
 
-def bound_of(
-    tree: Node, n: int, columns: StateColumns | None = None
-) -> Callable[[Array, Array, Array], Array]:
-    """Return a function that bounds the rounding error of an expression: see `Part.noise`."""
+    def values(t: Array, y: Array) -> Array:
+        known = {name: variable(name, t, y) for name in names}
+        found = np.asarray(value_in(tree, known, OPERATIONS), float)
+        return found if found.shape == t.shape else np.broadcast_to(found, t.shape)
 
-    def bound(t: Array, y: Array, large: Array) -> Array:
+    def noise(t: Array, y: Array, large: Array) -> Array:
         off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)
         np.maximum(off, large[:, None, : 2 * n], out=off)
         for part in (off[..., :n], off[..., n:]) if n > 1 else ():
             part[:] = np.maximum.reduce(part, axis=-1, keepdims=True)
         off *= STATE
-        known = _known(t, y, off, n)
 
-        def each(name: str) -> Bounded:
-            if columns is None or not name.startswith(PREFIX):
-                return known(name)
-            values = columns.values(name.removeprefix(PREFIX), t, y)
-            return values, ROUGH * np.abs(values).max(axis=-1, keepdims=True)
+        def leaf(x: float | str) -> tuple[Any, Any]:
+            if not isinstance(x, str):
+                return x, 0.0
+            value = variable(x, t, y)
+            if x == "t":
+                return value, EPS * np.abs(t)
+            if x.startswith(PREFIX):
+                assert columns is not None
+                return value, columns.noise(x.removeprefix(PREFIX), t, y, off)
+            return value, off[..., _place(x, n)]
 
-        return np.atleast_1d(_bounded(tree, each)[1])
+        return np.atleast_1d(fold(tree, leaf, _bounded)[1])
 
-    return bound
-
-
-def _known(t: Array, y: Array, off: Array, n: int) -> Callable[[str], Bounded]:
-    def known(name: str) -> Bounded:
-        if name == "t":
-            return t, EPS * np.abs(t)
-        column = int(name.lstrip("qd")) + n * name.startswith("qd")
-        return y[..., column], off[..., column]
-
-    return known
+    return Part(values, noise)
 
 
-def _bounded(tree: Node, known: Callable[[str], Bounded]) -> Bounded:
-    return fold(tree, lambda x: known(x) if isinstance(x, str) else (x, 0.0), _operated)
+def _place(name: str, n: int) -> int:
+    """Return the place of q1.. or qd1.. in a state (q, qd) of n joints, here named from 0."""
+    return int(name.lstrip("qd")) + n * name.startswith("qd")
 
 
-def _operated(node: tuple[Any, ...], parts: list[Bounded]) -> Bounded:
+def _bounded(node: tuple[Any, ...], parts: list[tuple[Any, Any]]) -> tuple[Any, Any]:
+    """Return the value of an operation and the bound of its error, from those of its parts."""
     operation, (a, da), (b, db) = node[0], parts[0], parts[-1]
+    if operation == "log" and len(parts) > 1:
+        return _bounded(("/",), [_bounded(("log",), [part]) for part in parts])
+    value = OPERATIONS[operation](*(x for x, _ in parts))
     match operation:
         case "neg":
-            return -a, da
+            return value, da
         case "<" | "<=" | ">" | ">=":
-            return (a > b if operation[0] == ">" else a < b) * 1.0, 0.0
+            return value, 0.0
         case "if":
-            _, (x, dx), _ = parts
-            chosen = np.asarray(a) != 0.0
-            return np.where(chosen, x, b), np.where(chosen, dx, db)
-        case "**" | "pow":
-            return _power(parts[0], parts[1])
+            return value, np.where(np.asarray(a) != 0.0, parts[1][1], db)
+        case "min" | "max":
+            return value, np.maximum.reduce(np.broadcast_arrays(*(error for _, error in parts)))
         case "+" | "-":
-            value = a + b if operation == "+" else a - b
             # of a plain number there is none: a sum less, at many small calls
             error = da if isinstance(db, float) and db == 0.0 else da + db
         case "*":
-            value, error = a * b, abs(a) * db + abs(b) * da + da * db
+            error = abs(a) * db + abs(b) * da + da * db
         case "/":
-            value = np.divide(a, b)
             error = np.divide(da + abs(value) * db, _positive(abs(b) - db))
         case "%":
-            value, error = np.mod(a, b), da + np.abs(np.floor(np.divide(a, b))) * db
+            error = da + np.abs(np.floor(np.divide(a, b))) * db
+        case "**" | "pow":
+            error = _power(a, da, b, db)
+        case "hypot":
+            error = sum(error for _, error in parts)
+        case "atan2":
+            nearest = _positive(np.abs(a) - da) ** 2 + _positive(np.abs(b) - db) ** 2
+            error = ((np.abs(b) + db) * da + (np.abs(a) + da) * db) / nearest
+        case "log":
+            error = np.divide(da, _positive(np.abs(a) - da))
         case _:
-            return _called(operation, parts)
-    return value, error + EPS * abs(value)
+            error = SLOPES[operation](a, da, value) * da
+    rounding = EPS if operation in ("+", "-", "*", "/", "%") else 2.0 * EPS
+    return value, error + rounding * abs(value)
 
 
-def _power(base: Bounded, exponent: Bounded) -> Bounded:
-    (a, da), (b, db) = base, exponent
-    value = np.power(a, b)
+def _power(a: Any, da: Any, b: Any, db: Any) -> Any:
+    """Return by how much a^b may be off where a and b are by da and db."""
     ends = _positive(abs(a) - da), abs(a) + da
     varies = bool(np.any(db))
 
@@ -404,31 +375,4 @@ def _power(base: Bounded, exponent: Bounded) -> Bounded:
     if varies:
         steepest = np.maximum(*(np.abs(np.log(x)) for x in ends))
         error = error + largest(b) * steepest * db
-    return value, error + 2.0 * EPS * abs(value)
-
-
-def _called(name: str, args: list[Bounded]) -> Bounded:
-    (x, dx), *others = args
-    match name:
-        case "min" | "max":
-            reduce = np.minimum.reduce if name == "min" else np.maximum.reduce
-            values = np.broadcast_arrays(*(a for a, _ in args))
-            errors = np.broadcast_arrays(*(da for _, da in args))
-            return reduce(values), np.maximum.reduce(errors)
-        case "hypot":
-            value = np.sqrt(sum(a**2 for a, _ in args))
-            error = sum(da for _, da in args)
-        case "atan2":
-            b, db = others[0]
-            value = np.arctan2(x, b)
-            nearest = _positive(np.abs(x) - dx) ** 2 + _positive(np.abs(b) - db) ** 2
-            error = ((np.abs(b) + db) * dx + (np.abs(x) + dx) * db) / nearest
-        case "log":
-            value, error = np.log(x), np.divide(dx, _positive(np.abs(x) - dx))
-            if others:
-                base = _called("log", others)
-                return _operated(("/",), [(value, error + 2.0 * EPS * np.abs(value)), base])
-        case _:
-            value = FUNCTIONS[name](x)
-            error = SLOPES[name](x, dx, value) * dx
-    return value, error + 2.0 * EPS * np.abs(value)
+    return error

@@ -45,7 +45,7 @@ from robodyn.runs.segments import Segment
 from robodyn.runs.series_engine import SeriesEngine, check_served
 from robodyn.runs.series_steps import SeriesSteps
 from robodyn.runs.settings import EvenTimes, Settings, check_run
-from robodyn.runs.watch import Cut, Event, EventWatch
+from robodyn.runs.watch import Event, EventWatch, Passing
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
@@ -237,7 +237,7 @@ class Run:
         self.outcome = Outcome.LAW if isinstance(error, LawError) else Outcome.FRICTION
         self.report.advice = f"{error.what} = {error.value}: {error.limit}"
 
-    def _leg(self, due: Due, keeps: bool) -> Generator[Segment, None, Cut | None]:
+    def _leg(self, due: Due, keeps: bool) -> Generator[Segment, None, Passing | None]:
         """Yield the segments of one leg; return the cut that ended it, or None at the run's end."""
         events, mechanism = self.events, self.mechanism
         if self.phases is not None and events is not None:
@@ -270,7 +270,7 @@ class Run:
             if self.t != self.t_end and self._hopeless(segment):
                 return None
 
-    def _goes_on(self, cut: Cut) -> bool:
+    def _goes_on(self, cut: Passing) -> bool:
         """Enter the leg that follows a cut; return False if the cut ends the run."""
         assert self.events is not None
         place = cut.place - len(self.events.functions)

@@ -16,7 +16,7 @@ All boxes of a function are examined together, round by round.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -64,20 +64,27 @@ TO_COEFFICIENTS: Array = _coefficients()
 DERIVATIVE: Array = _derivative()
 
 
-class Stretches(NamedTuple):
-    """Spans of time, in order, on which a function has one sign; 0 if rounding hides it.
+HIDDEN, ZERO, UNDEFINED = 0, 2, 3  # kinds of stretches beside the signs -1 and 1
 
-    `sure` (k,) is a time at which the sign is certain, `blur` (k,) the uncertainty of `begin` in s.
-    With sign 0, the function `stays` at zero, or has no value if it is not `defined`.
+
+class Stretches(NamedTuple):
+    """Spans of time, in order, on which a function is of one kind (k,).
+
+    The kind is its sign, HIDDEN if rounding hides that, ZERO if the function stays at zero, or
+    UNDEFINED.  `sure` (k,) is a time at which the sign is certain, `blur` (k,) the uncertainty of
+    `begin` in s.
     """
 
     begin: Array
     end: Array
-    sign: NDArray[np.int64]
+    kind: Array
     sure: Array
     blur: Array
-    stays: NDArray[np.bool_]
-    defined: NDArray[np.bool_]
+
+    @property
+    def sign(self) -> Array:
+        """The sign (k,), 0 if it is none."""
+        return np.where(np.abs(self.kind) == 1.0, self.kind, 0.0)
 
 
 @dataclass
@@ -88,7 +95,7 @@ class Budget:
     """
 
     least: float
-    left: int = MOST_BOXES
+    left: int
     spent: bool = False
 
 
@@ -111,18 +118,31 @@ class Boxes(NamedTuple):
     error: Array
     noise: Array
 
+    @classmethod
+    def through(cls, begin: Array, end: Array, values: Array, off: Array) -> Boxes:
+        """Return boxes from begin to end (m,) with values (m, nodes), which err by `off` (m,)."""
+        size = np.abs(c := values @ TO_COEFFICIENTS)
+        noise = off + ROUNDING * size.sum(axis=1)
+        return cls(begin, end, c, noise + 2.0 * size[:, -3:].sum(axis=1), noise)
+
     def some(self, which: Any) -> Boxes:
         return Boxes(*(x[which] for x in self))
+
+    def certain(self) -> Array:
+        """Return the sign (m,) of functions that cannot change it; 0 if they may."""
+        size = np.abs(self.c)
+        sure = 2.0 * size[:, 0] > size.sum(axis=1) + self.error
+        return np.where(sure, np.sign(self.c[:, 0]), 0.0)
 
     def place(self, t: Array) -> Array:
         """Map times (m,) to x in [-1, 1]."""
         x = 2.0 * (t - self.begin) / (self.end - self.begin) - 1.0
         return np.minimum(1.0, np.maximum(-1.0, x))
 
-    def signs(self, t: Array) -> NDArray[np.int64]:
+    def signs(self, t: Array) -> Array:
         """Return the sign at one time (m,) in each box; 0 if the error hides it."""
         value = evaluated(self.c, self.place(t))
-        return np.where(np.abs(value) <= self.error, 0.0, np.sign(value)).astype(np.int64)
+        return np.where(np.abs(value) <= self.error, 0.0, np.sign(value))
 
     def blurs(self, t: Array) -> Array:
         """Return how far rounding may move roots at t (m,): twice the noise over the slope, s."""
@@ -162,193 +182,142 @@ def evaluated(c: Array, x: Array) -> Array:
     return np.asarray((c * np.cos(np.arccos(x)[:, None] * _k)).sum(axis=-1))
 
 
-def certain(values: Array, off: Array) -> NDArray[np.int64]:
-    """Return the sign (...) of functions that cannot change it on their box; 0 if they may.
+class SignSearch:
+    """Search for the stretches of equal sign of a function over boxes of times.
 
-    `values` (..., DEGREE + 1) are taken at the nodes; each may be wrong by `off` (...).
+    `sampled(times)` takes times (m, nodes) and returns values of the function and bounds of their
+    rounding, each (m, nodes).
     """
-    size = np.abs(c := values @ TO_COEFFICIENTS)
-    total, tail = size.sum(axis=-1), size[..., -3:].sum(axis=-1)
-    sure = 2.0 * size[..., 0] > total + off + ROUNDING * total + 2.0 * tail
-    return np.where(sure, np.sign(c[..., 0]), 0.0).astype(np.int64)
 
-
-class _Found:
-    """Collects stretches and sorts them by time."""
-
-    def __init__(self) -> None:
-        self.blocks: list[Array] = []
+    def __init__(self, sampled: Sampled, budget: Budget) -> None:
+        self.sampled, self.budget = sampled, budget
+        self._blocks = [np.empty((5, 0))]
 
     def take(
-        self,
-        begin: Array,
-        end: Array,
-        sign: Any,
-        sure: Array | None = None,
-        blur: Any = 0.0,
-        stays: bool = False,
-        defined: bool = True,
+        self, begin: Array, end: Array, kind: Any, sure: Array | None = None, blur: Any = 0.0
     ) -> None:
-        if len(begin):
-            block = np.empty((7, len(begin)))
-            block[0], block[1], block[2], block[4], block[5], block[6] = (
-                begin, end, sign, blur, stays, defined,
-            )  # fmt: skip
-            block[3] = begin + 0.5 * (end - begin) if sure is None else sure
-            self.blocks.append(block)
+        """Add stretches (k,); without `sure` their sign is certain in the middle."""
+        block = np.empty((5, len(begin)))
+        middle = begin + 0.5 * (end - begin) if sure is None else sure
+        block[0], block[1], block[2], block[3], block[4] = begin, end, kind, middle, blur
+        self._blocks.append(block)
 
-    def ordered(self, forward: float) -> Stretches:
-        if not self.blocks:
-            self.blocks.append(np.zeros((7, 0)))
-        columns = np.concatenate(self.blocks, axis=1)
-        columns = columns[:, np.argsort(columns[0] * forward, kind="stable")]
-        begin, end, sign, sure, blur, stays, defined = columns
-        known = stays != 0.0, defined != 0.0
-        return Stretches(begin, end, sign.astype(np.int64), sure, blur, *known)
+    def stretches(self, begin: Array, end: Array) -> Stretches:
+        """Return the stretches of boxes from begin (m,) to end (m,), and all taken before."""
+        todo = [(begin, end)] if len(begin) else []
+        while todo:
+            begin, end = todo.pop()
+            if len(begin) > AT_ONCE:
+                todo.append((begin[AT_ONCE:], end[AT_ONCE:]))
+                begin, end = begin[:AT_ONCE], end[:AT_ONCE]
+            self.budget.left -= len(begin)
+            again = self._look(begin, end)
+            if len(again[0]):
+                todo.append(again)
+        columns = np.concatenate(self._blocks, axis=1)
+        backwards = bool((columns[1] < columns[0]).any())
+        order = np.argsort(-columns[0] if backwards else columns[0], kind="stable")
+        return Stretches(*columns[:, order])
 
+    @np.errstate(all="ignore")
+    def _look(self, begin: Array, end: Array) -> tuple[Array, Array]:
+        """Examine boxes once; return begin and end of the narrower boxes to examine next."""
+        values, noises = self.sampled(node_times(begin, end))
+        open_: NDArray[np.bool_] = np.ones(len(begin), bool)
 
-def stretches(
-    sampled: Sampled,
-    begin: Array,
-    end: Array,
-    budget: Budget,
-    known: NDArray[np.int64] | None = None,
-) -> Stretches:
-    """Return stretches of equal sign of a function over consecutive boxes.
+        def tell(which: Any, kind: Any) -> None:
+            which = which & open_
+            if which.any():
+                self.take(begin[which], end[which], np.broadcast_to(kind, which.shape)[which])
+                open_[which] = False
 
-    Boxes go from begin (m,) to end (m,).  Boxes whose sign is `known` (m,), not 0, are not
-    examined.
-    """
-    found, forward = _Found(), -1.0 if len(end) and end[0] < begin[0] else 1.0
-    if known is not None:
-        sure = known != 0
-        found.take(begin[sure], end[sure], known[sure])
-        begin, end = begin[~sure], end[~sure]
-    todo = [(begin, end)] if len(begin) else []
-    while todo:
-        begin, end = todo.pop()
-        if len(begin) > AT_ONCE:
-            todo.append((begin[AT_ONCE:], end[AT_ONCE:]))
-            begin, end = begin[:AT_ONCE], end[:AT_ONCE]
-        budget.left -= len(begin)
-        again = _look(sampled, begin, end, budget, found)
-        if len(again[0]):
-            todo.append(again)
-    return found.ordered(forward)
-
-
-@np.errstate(all="ignore")
-def _look(
-    sampled: Sampled, begin: Array, end: Array, budget: Budget, found: _Found
-) -> tuple[Array, Array]:
-    """Examine boxes once; return begin and end of the narrower boxes to examine next."""
-    values, noises = sampled(node_times(begin, end))
-    open_: NDArray[np.bool_] = np.ones(len(begin), bool)
-
-    def tell(those: Any, sign: Any, **how: Any) -> None:
-        which: NDArray[np.bool_] = those & open_
-        if which.any():
-            sign = sign[which] if isinstance(sign, np.ndarray) else sign
-            found.take(begin[which], end[which], sign, **how)
+        tell(~values.any(axis=1), ZERO)
+        finite = np.asarray(np.isfinite(values).all(axis=1))
+        if not finite.all():
+            tell(np.isnan(values).all(axis=1), UNDEFINED)
+            tell(np.isinf(noises).all(axis=1), HIDDEN)
+            endless = np.where(np.isinf(values), np.sign(values), 0.0).sum(axis=1)
+            tell(np.abs(endless) == DEGREE + 1, np.sign(endless))
+            values = np.where(finite[:, None], values, 0.0)
+        boxes = Boxes.through(begin, end, values, noises.max(axis=1))
+        sure = boxes.certain()
+        tell(sure != 0.0, sure)
+        if not open_.any():
+            return begin[:0], end[:0]
+        size, error = np.abs(boxes.c), boxes.error
+        steady = size[:, 1] > size[:, 2:] @ SLOPES[2:] + SLOPES[-1] * error
+        if (which := finite & open_ & steady).any():
+            self._monotone(boxes.some(which), begin[which], end[which])
             open_[which] = False
+        # halves would tell no more; states brought onto closures scatter by more than rounding
+        scatters = size[:, 9:].max(axis=1) > FLAT * size[:, 1:9].max(axis=1)
+        scatters &= np.abs(values).max(axis=1) <= SCATTER * noises.min(axis=1)
+        hidden = scatters | (size[:, 1:].sum(axis=1) <= noises.min(axis=1))
+        tell(finite & (hidden | (np.abs(values) <= noises).all(axis=1)), HIDDEN)
+        near = np.where(size[:, 2] > 0.0, 2.0 * np.sqrt(error / size[:, 2]), 1.0)
+        bent = 4.0 * size[:, 2] > size[:, 3:] @ BENDS[3:] + BENDS[-1] * error
+        narrow = begin[:0], end[:0]
+        if (which := finite & open_ & bent & (near < 0.5)).any():
+            narrow = self._bent(boxes.some(which), near[which])
+            open_[which] = False
+        units = 8.0 * np.spacing(np.maximum(np.abs(begin), np.abs(end)))
+        tell(np.abs(end - begin) <= np.maximum(self.budget.least, units), HIDDEN)
+        if open_.any() and self.budget.left <= 0:
+            self.budget.spent = True
+            tell(open_, HIDDEN)
+        begin, end = begin[open_], end[open_]
+        middle = begin + 0.5 * (end - begin)
+        first, last = (narrow[0], begin, middle), (narrow[1], middle, end)
+        return np.concatenate(first), np.concatenate(last)
 
-    tell(~values.any(axis=1), 0, stays=True)
-    finite = np.asarray(np.isfinite(values).all(axis=1))
-    if not finite.all():
-        tell(np.isnan(values).all(axis=1), 0, stays=True, defined=False)
-        endless = np.isinf(values).all(axis=1)
-        tell(endless & (np.abs(np.sign(values).sum(axis=1)) == DEGREE + 1), np.sign(values[:, 0]))
-    c = np.where(finite[:, None], values, 0.0) @ TO_COEFFICIENTS
-    size, noise = np.abs(c), noises.max(axis=1)
-    total = size.sum(axis=1)
-    error = noise + ROUNDING * total + 2.0 * size[:, -3:].sum(axis=1)
-    tell(finite & (2.0 * size[:, 0] > total + error), np.sign(c[:, 0]))
-    if not open_.any():
-        return begin[:0], end[:0]
-    boxes = Boxes(begin, end, c, error, noise + ROUNDING * total)
-    steady = size[:, 1] > size[:, 2:] @ SLOPES[2:] + SLOPES[-1] * error
-    which = np.asarray(finite & open_ & steady)
-    if which.any():
-        _monotone(boxes.some(which), begin[which], end[which], found)
-        open_[which] = False
-    # halves would tell no more of it; states brought onto closures scatter by more than rounding
-    scatters = size[:, 9:].max(axis=1) > FLAT * size[:, 1:9].max(axis=1)
-    scatters &= np.abs(values).max(axis=1) <= SCATTER * noises.min(axis=1)
-    hidden = scatters | (size[:, 1:].sum(axis=1) <= noises.min(axis=1))
-    tell(finite & (hidden | (np.abs(values) <= noises).all(axis=1)), 0)
-    near = np.where(size[:, 2] > 0.0, 2.0 * np.sqrt(error / size[:, 2]), 1.0)
-    bent = 4.0 * size[:, 2] > size[:, 3:] @ BENDS[3:] + BENDS[-1] * error
-    narrow: Sequence[Array] = (begin[:0], end[:0])
-    which = np.asarray(finite & open_ & bent & (near < 0.5))
-    if which.any():
-        narrow = _bent(boxes.some(which), near[which], found)
-        open_[which] = False
-    units = 8.0 * np.spacing(np.maximum(np.abs(begin), np.abs(end)))
-    tell(np.abs(end - begin) <= np.maximum(budget.least, units), 0)
-    if open_.any() and budget.left <= 0:
-        budget.spent = True
-        tell(open_, 0)
-    begin, end = begin[open_], end[open_]
-    middle = begin + 0.5 * (end - begin)
-    first, last = [narrow[0], begin, middle], [narrow[1], middle, end]
-    return np.concatenate(first), np.concatenate(last)
+    def _monotone(self, boxes: Boxes, begin: Array, end: Array) -> None:
+        """Find the roots in parts of boxes in which f is monotone."""
+        first, last = boxes.signs(begin), boxes.signs(end)
+        passes = first * last < 0.0
+        if passes.any():
+            some, low, high = boxes.some(passes), begin[passes], end[passes]
+            middle = some.roots(low, high)
+            self.take(low, middle, first[passes], low)
+            self.take(middle, high, last[passes], high, some.blurs(middle))
+        # one that is hidden at an end has the sign of the other until there
+        kept = ~passes & (first != 0.0)
+        self.take(begin[kept], end[kept], first[kept], begin[kept])
+        rest = ~passes & (first == 0.0)
+        if rest.any():
+            blurs = boxes.some(rest).blurs(begin[rest])
+            self.take(begin[rest], end[rest], last[rest], end[rest], blurs)
 
+    def _bent(self, boxes: Boxes, near: Array) -> tuple[Array, Array]:
+        """Find the roots in boxes with at most one extremum, which rounding may hide nearby.
 
-def _monotone(boxes: Boxes, begin: Array, end: Array, found: _Found) -> None:
-    """Find the roots in parts of boxes in which f is monotone."""
-    if not len(begin):
-        return
-    first, last = boxes.signs(begin), boxes.signs(end)
-    passes = first * last < 0
-    if passes.any():
-        some, low, high = boxes.some(passes), begin[passes], end[passes]
-        middle = some.roots(low, high)
-        found.take(low, middle, first[passes], low)
-        found.take(middle, high, last[passes], high, some.blurs(middle))
-    # one that is hidden at an end has the sign of the other until there
-    kept = ~passes & (first != 0)
-    found.take(begin[kept], end[kept], first[kept], begin[kept])
-    rest = ~passes & (first == 0)
-    if rest.any():
-        blurs = boxes.some(rest).blurs(begin[rest])
-        found.take(begin[rest], end[rest], last[rest], end[rest], blurs)
-
-
-def _bent(boxes: Boxes, near: Array, found: _Found) -> tuple[Array, Array]:
-    """Find the roots in boxes with at most one extremum, which rounding may hide nearby.
-
-    Returns the narrow boxes around extrema that need a closer look.
-    """
-    slopes = boxes._replace(c=boxes.c @ DERIVATIVE)
-    ends = [evaluated(slopes.c, np.full(len(near), x)) for x in (-1.0, 1.0)]
-    turns = ends[0] * ends[1] < 0.0
-    if not turns.all():
+        Returns the narrow boxes around extrema that need a closer look.
+        """
+        slopes = boxes._replace(c=boxes.c @ DERIVATIVE)
+        ends = [evaluated(slopes.c, np.full(len(near), x)) for x in (-1.0, 1.0)]
+        turns = ends[0] * ends[1] < 0.0
         plain = boxes.some(~turns)
-        _monotone(plain, plain.begin, plain.end, found)
+        self._monotone(plain, plain.begin, plain.end)
         boxes, slopes, near = boxes.some(turns), slopes.some(turns), near[turns]
-    if not len(near):
-        return near, near
-    top = slopes.roots(boxes.begin, boxes.end)
-    seen = boxes.signs(top) != 0
-    if seen.any():
+        top = slopes.roots(boxes.begin, boxes.end)
+        seen = boxes.signs(top) != 0.0
         clear = boxes.some(seen)
-        _monotone(clear, clear.begin, top[seen], found)
-        _monotone(clear, top[seen], clear.end, found)
-    hidden, top, near = boxes.some(~seen), top[~seen], near[~seen]
-    half = 0.5 * (hidden.end - hidden.begin) * near
-    forward = np.sign(half)
-    low = np.maximum(hidden.begin * forward, (top - half) * forward) * forward
-    high = np.minimum(hidden.end * forward, (top + half) * forward) * forward
-    before, after = low != hidden.begin, high != hidden.end
-    _monotone(hidden.some(before), hidden.begin[before], low[before], found)
-    _monotone(hidden.some(after), high[after], hidden.end[after], found)
-    return low, high
+        self._monotone(clear, clear.begin, top[seen])
+        self._monotone(clear, top[seen], clear.end)
+        hidden, top, near = boxes.some(~seen), top[~seen], near[~seen]
+        half = 0.5 * (hidden.end - hidden.begin) * near
+        forward = np.sign(half)
+        low = np.maximum(hidden.begin * forward, (top - half) * forward) * forward
+        high = np.minimum(hidden.end * forward, (top + half) * forward) * forward
+        before, after = low != hidden.begin, high != hidden.end
+        self._monotone(hidden.some(before), hidden.begin[before], low[before])
+        self._monotone(hidden.some(after), high[after], hidden.end[after])
+        return low, high
 
 
 @np.errstate(all="ignore")
 def brackets(
     f: Function,
-    met: Callable[[Array, NDArray[np.int64]], Array],
+    met: Callable[[Array, NDArray[np.int64]], NDArray[np.bool_]],
     low: Array,
     high: Array,
     guess: Array,
@@ -365,36 +334,26 @@ def brackets(
     unit = np.spacing(np.maximum(np.abs(low), np.abs(high)))
     points = guess[:, None] + (2.0 * unit * np.sign(high - low))[:, None] * CLOSE
     for _ in range(NEWTON):
-        inside = (points - low[left, None]) * (high[left, None] - points) > 0.0
-        values = np.full(points.shape, np.nan)
+        a, b = low[left, None], high[left, None]
+        points = np.minimum(np.maximum(points, np.minimum(a, b)), np.maximum(a, b))
+        points = np.concatenate([a, points, b], axis=1)
+        values = np.where(points == a, first[left, None], last[left, None])
+        inside = (points != a) & (points != b)
         if inside.any():
             values[inside] = f(points[inside])
-            times = np.concatenate([low[left, None], points, high[left, None]], axis=1)
-            sizes = np.concatenate([first[left, None], values, last[left, None]], axis=1)
-            there = np.zeros(times.shape, bool)
-            there[:, 1:-1] = met(values, left[:, None]) & inside
-            there[:, -1] = True
-            after = there.argmax(axis=1)
-            kept = np.ones(times.shape, bool)
-            kept[:, 1:-1] = inside
-            # the last of those before it that is inside
-            before = np.where(kept & (np.arange(times.shape[1]) < after[:, None]), 1, 0)
-            before = times.shape[1] - 1 - before[:, ::-1].argmax(axis=1)
-            row = np.arange(len(left))
-            low[left], first[left] = times[row, before], sizes[row, before]
-            high[left], last[left] = times[row, after], sizes[row, after]
-        a, b = low[left], high[left]
-        width, known = b - a, ~(np.isnan(first[left]) | np.isnan(last[left]))
-        unknown = left[~known]
+        there = (points == b) | (met(values, left[:, None]) & (points != a))
+        row, after = np.arange(len(left)), there.argmax(axis=1)
+        low[left], first[left] = points[row, after - 1], values[row, after - 1]
+        high[left], last[left] = points[row, after], values[row, after]
+        unknown = left[np.isnan(first[left]) | np.isnan(last[left])]
         if len(unknown):
-            ends = f(np.concatenate([low[unknown], high[unknown]])).reshape(2, -1)
-            first[unknown], last[unknown] = ends
-        unit = np.spacing(np.maximum(np.abs(a), np.abs(b)))
-        done = (np.abs(width) <= 4.0 * unit) | (known & ~inside.any(axis=1))
-        left, a, width = left[~done], a[~done], width[~done]
+            ends = f(np.concatenate([low[unknown], high[unknown]]))
+            first[unknown], last[unknown] = ends.reshape(2, -1)
+        far = np.maximum(np.abs(low[left]), np.abs(high[left]))
+        left = left[np.abs(high[left] - low[left]) > 4.0 * np.spacing(far)]
         if not len(left):
             break
-        fa, fb = first[left], last[left]
+        a, width, fa, fb = low[left], high[left] - low[left], first[left], last[left]
         part = np.where(np.isfinite(fa - fb) & (fa != fb), fa / (fa - fb), 0.5)
         guess = a + np.minimum(1.0, np.maximum(0.0, part)) * width
         points = guess[:, None] + width[:, None] * SPREAD

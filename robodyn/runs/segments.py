@@ -6,7 +6,7 @@ Rows, events and statistics of a run all read segments.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -115,56 +115,32 @@ class Segment:
         return self.within(places, times.ravel()).reshape(*times.shape, -1), times
 
 
-MOVED = ("t", "t_old", "y", "y_old", "f", "h_previous")  # of an explicit solver, by a step
+def kept_step(solver: Any) -> Any:
+    """Return a copy of a scipy solver after a step, whose dense output can be asked for later."""
+    step = object.__new__(type(solver))
+    vars(step).update(vars(solver))  # each step makes all of these anew, but for its stages
+    for stages in ("K", "K_extended"):
+        if hasattr(solver, stages):
+            setattr(step, stages, getattr(solver, stages).copy())
+    step.fun = lambda t, y: solver.fun(t, y)  # by its present way past a singularity
+    return step
 
 
-class KeptStep:
-    """A step of a scipy solver whose dense output can be asked for later."""
-
-    __slots__ = ("K", "dense", "f", "h_previous", "solver", "t", "t_old", "y", "y_old")
-
-    def __init__(self, solver: Any) -> None:
-        # one by one: there are as many of these as steps
-        self.solver, self.t, self.t_old, self.y = solver, solver.t, solver.t_old, solver.y
-        self.dense: Any = None
-        self.K = getattr(solver, "K", None)
-        if self.K is None:  # of an implicit method the step's polynomial is there
-            self.dense = solver.dense_output()
-            return
-        self.K, self.f, self.h_previous = self.K.copy(), solver.f, solver.h_previous
-        self.y_old = solver.y_old
-
-    def dense_output(self) -> Any:
-        """Return the solver's dense output for this step.
-
-        If the solver has gone on, its attributes are set back to this step for the call.
-        """
-        if self.dense is None:
-            solver: Any = self.solver
-            now = {name: getattr(solver, name) for name in MOVED}
-            stages = solver.K.copy()
-            try:
-                for name in MOVED:
-                    setattr(solver, name, getattr(self, name))
-                solver.K[:] = self.K
-                self.dense = solver.dense_output()
-            finally:
-                for name, value in now.items():
-                    setattr(solver, name, value)
-                solver.K[:] = stages
-        return self.dense
-
-
-def solver_segment(begun: Array, steps: Sequence[KeptStep]) -> Segment:
-    """Return the segment of some solver steps that start from the state `begun` (N,)."""
-    close = steps[0].solver.projection
+def solver_segment(begun: Array, steps: Sequence[Any]) -> Segment:
+    """Return the segment of kept steps of a solver that start from the state `begun` (N,)."""
+    close = steps[0].projection
     t = np.array([steps[0].t_old, *(step.t for step in steps)])
     y = np.array([begun, *(step.y for step in steps)])
+
+    @cache
+    def dense(j: int) -> Any:
+        """Return the polynomial of step j, not projected onto closures."""
+        return steps[j].dense_output()
 
     def plain(places: Places, times: Array) -> Array:
         """Return states of the method's polynomial, not projected onto closures."""
         asked, which = np.unique(places, return_inverse=True)
-        each = [steps[j].dense_output() for j in asked.tolist()]
+        each = [dense(j) for j in asked.tolist()]
         if type(each[0]).__name__ != "Dop853DenseOutput":
             pairs = zip(which.tolist(), times.tolist(), strict=True)
             return np.array([each[k](at) for k, at in pairs])

@@ -41,7 +41,6 @@ from robodyn.tables.arrays import Array
 from robodyn.tables.named_columns import Columns
 
 UNTIL = "until"  # the name of the event that ends a run
-NONE: frozenset[int] = frozenset()
 
 
 @dataclass(eq=False, repr=False)
@@ -273,10 +272,9 @@ def watched_events(
     if not events and until is None:
         return None
     own = StateColumns(mechanism)
-    functions, stops = event_functions(mechanism, events, own), NONE
+    functions = event_functions(mechanism, events, own)
     if until is not None:
         must_be_text(UNTIL, until)
-        stops = frozenset([len(functions)])
         functions = *functions, event_function(mechanism, UNTIL, until, UNTIL, own)
     computed = own if any(x.computed for x in functions) else None
-    return EventWatch(functions, t_end, stops, 2 * mechanism.n, computed)
+    return EventWatch(functions, t_end, until is not None, 2 * mechanism.n, computed)

@@ -34,7 +34,7 @@ from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.run_control import Steps
 from robodyn.runs.report import Outcome
 from robodyn.runs.right_hand_side import RightHandSide
-from robodyn.runs.segments import KeptStep, Segment, solver_segment
+from robodyn.runs.segments import Segment, kept_step, solver_segment
 from robodyn.tables.arrays import Array
 
 METHODS: dict[str, type[OdeSolver]] = {"DOP853": DOP853, "RK45": RK45, "Radau": Radau}
@@ -359,7 +359,7 @@ class SolverSteps:
             raise self.error
         if self.outcome is not None:
             return None
-        solver, steps = self.solver, list[KeptStep]()
+        solver, steps = self.solver, list[Any]()
         most = self.evaluations + left
         with _quiet():
             try:
@@ -372,7 +372,7 @@ class SolverSteps:
                     solver.step()
                     if solver.status == "failed":
                         break
-                    steps.append(KeptStep(solver))
+                    steps.append(kept_step(solver))
                     if solver.nfev > most or enough(solver):
                         break
             except StiffError:

@@ -60,6 +60,23 @@ class StateColumns:
             self._last = t, y, self._state(t, y)
         return self._last[2].columns([name])[..., 0]
 
+    def noise(self, name: str, t: Array, y: Array, off: Array) -> Array:
+        """Return the rounding (m, 1) of column `name` on boxes of states y (m, k, 2n or more).
+
+        States may be `off` (m, 1, 2n).  The rounding is inf if it leaves nothing of a column that
+        is undefined somewhere, as the curvature of the path of a point that stands.
+        """
+        values = self.values(name, t, y)
+        noise: Array = ROUGH * np.abs(values).max(axis=-1, keepdims=True)
+        family = find(self.mechanism, name, [])
+        if family is None or not family.gaps:
+            return noise
+        moved = y.copy()
+        moved[..., : off.shape[-1]] += off
+        scatter = np.abs(self._state(t, moved).columns([name])[..., 0] - values)
+        tells = (scatter < np.abs(values)).any(axis=-1, keepdims=True)
+        return np.where(tells, noise, np.inf)
+
     def _state(self, t: Array, y: Array) -> State:
         assert self._torques is not None
         n, times = self.mechanism.n, np.broadcast_to(t, y.shape[:-1])

@@ -7,8 +7,8 @@ values prove that its sign does not change.  Otherwise `roots.py` looks closer, 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,13 +17,16 @@ from numpy.typing import NDArray
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.runs.event_functions import EventFunction, Part
 from robodyn.runs.roots import (
+    HIDDEN,
     MORE_BOXES,
     MOST_BOXES,
+    UNDEFINED,
+    ZERO,
+    Boxes,
     Budget,
+    SignSearch,
     Stretches,
     brackets,
-    certain,
-    stretches,
 )
 from robodyn.runs.segments import Places, Segment
 from robodyn.runs.state_columns import StateColumns
@@ -51,56 +54,61 @@ class Event(NamedTuple):
     apart: float = 0.0
 
 
-class Cut(NamedTuple):
-    """The index of the function that cuts a segment, and the time of the cut."""
-
-    place: int
-    t: float
-
-
 class Passing(NamedTuple):
     """A zero of function `place` at time t, uncertain by `apart`; `sign` is the sign after it."""
 
     place: int
     t: float
     apart: float
-    sign: int
+    sign: float
 
 
 class Change(NamedTuple):
-    """A stretch from `begin` to `end` on which a function has a sign, or 0 if rounding hides it.
+    """A stretch from `begin` to `end` of a kind (see `Stretches`), on which a function has a sign.
 
-    If the function `passes` zero at its begin, t is the time of the zero and `blur` its
-    uncertainty.  With sign 0 the function `stays` at zero, or has no value there unless it is
-    `defined`.
+    A comparison that stays at zero or is undefined for a while has a sign too: that of whether it
+    holds.  Otherwise the sign is 0 there.  t is the time of the zero with which the stretch begins,
+    if any, and `blur` its uncertainty.
     """
 
     begin: float
     end: float
-    sign: int
-    passes: bool = False
-    t: float = 0.0
+    kind: float
+    sign: float
+    t: float
     blur: float = 0.0
-    stays: bool = False
-    defined: bool = True
+
+
+@dataclass
+class Watched:
+    """A watched function: its last known sign, 0 if unknown, and how often its event `happened`.
+
+    Rounding has hidden its sign over the span `touched` up to now.  `known` is the time of an event
+    that came with the end of a phase.
+    """
+
+    function: EventFunction
+    sign: float = 0.0
+    touched: tuple[float, float] | None = None
+    known: float = np.inf
+    happened: int = 0
 
 
 @dataclass
 class EventWatch:
-    """Watches event functions and keeps their events; functions in `stops` end the run.
+    """Watches event functions and keeps their events.
 
-    `found` has the first events in the order of time.  `happened` counts all events of each
-    function.  `grazes` has, by name, times at which a function touches zero without crossing it, as
-    far as rounding shows.  `hidden` has spans in which rounding hides its sign for long.  `lost`
-    has times from which it changes sign too often to follow.  `signs` has the last known sign of
-    each function, 0 if unknown; a condition that holds at the start is no event.  Events keep the
-    first `width` numbers of a state (None: all).  `columns` computes columns of states that
-    functions name.
+    If it `ends`, the event of the last function ends the run.  `found` has the first events in the
+    order of time.  `grazes` has, by name, times at which a function touches zero without crossing
+    it, as far as rounding shows.  `hidden` has spans in which rounding hides its sign for long.
+    `lost` has times from which it changes sign too often to follow.  A condition that holds at the
+    start is no event.  Events keep the first `width` numbers of a state (None: all).  `columns`
+    computes columns of states that functions name.
     """
 
     functions: Sequence[EventFunction]
     t_end: float
-    stops: frozenset[int] = frozenset()
+    ends: bool = False
     width: int | None = None
     columns: StateColumns | None = None
 
@@ -109,34 +117,40 @@ class EventWatch:
         self.grazes: dict[str, list[float]] = {}
         self.hidden: dict[str, list[tuple[float, float]]] = {}
         self.lost: dict[str, list[float]] = {}
-        self.happened = [0] * len(self.functions)
-        self.signs = self.happened.copy()
-        self.cut: dict[int, float] = {}  # when a function's event came with the end of a phase
-        self.length = abs(self.t_end)
-        self.instant = APART * self.length
-        self.watched = self.functions
-        self.may_end = bool(self.stops)  # whether an event may end the run, or a phase of it
-        self._touched: list[tuple[float, float] | None] = [None] * len(self.signs)
+        self.watched = [Watched(function) for function in self.functions]  # guards follow them
+        self.instant = APART * abs(self.t_end)
+        self.forward = -1.0 if self.t_end < 0.0 else 1.0
+
+    @property
+    def own(self) -> list[Watched]:
+        """The functions that are no guards."""
+        return self.watched[: len(self.functions)]
+
+    @property
+    def may_end(self) -> bool:
+        """Whether an event may end the run, or a guard a phase of it."""
+        return self.ends or len(self.watched) > len(self.functions)
 
     def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
         """Return how often each event happened, including the events in `others`."""
-        pairs = zip(self.functions, self.happened, strict=True)
-        counts = {function.name: count for function, count in pairs}
+        counts = {each.function.name: each.happened for each in self.own}
         for event in others:
             counts[event.name] = counts.get(event.name, 0) + 1
         return counts
 
     def remarks(self) -> list[str]:
         """Return remarks on events that rounding hides, or whose times are uncertain."""
-        for i, touched in enumerate(self._touched):
-            self._hidden_until(i, touched[1] if touched else 0.0)
-        found = []
+        for each in self.own:
+            if each.touched is not None:
+                self._end_touch(each, each.touched[1])
+        found, computed = [], {x.function.name for x in self.own if x.function.computed}
         for name, times in self.grazes.items():
             limit = "rounding hides whether it passes"
             found.append(f"{name} touches zero at t = {_listed(times)} s: {limit}")
         for name, spans in self.hidden.items():
             told = [f"{begin:.9g} to {end:.9g}" for begin, end in spans]
-            found.append(f"{name} is zero to rounding from t = {_listed(told)} s")
+            zero = "zero or undefined" if name in computed else "zero"
+            found.append(f"{name} is {zero} to rounding from t = {_listed(told)} s")
         for name, times in self.lost.items():
             found.append(f"{name} passes zero too often to be followed, from t = {_listed(times)}")
         blurred = [event for event in self.found if event.apart > self.instant]
@@ -147,88 +161,66 @@ class EventWatch:
                 f"{worst.apart:.1g} s open"
                 + (f", and {len(blurred) - 1} more" * (len(blurred) > 1))
             )
-        if sum(self.happened) > MOST:
+        if sum(each.happened for each in self.own) > MOST:
             found.append(f"the first {MOST} events are kept")
         return found
 
     def guard(self, guards: Sequence[EventFunction]) -> None:
         """Also watch `guards`, positive now; a change of their sign ends the leg."""
-        own = len(self.functions)
-        self.watched = [*self.functions, *guards]
-        self.may_end = bool(self.stops or guards)
-        self.signs = [*self.signs[:own], *(1 for _ in guards)]
-        self._touched = [*self._touched[:own], *(None for _ in guards)]
+        self.watched = [*self.own, *(Watched(guard, 1.0) for guard in guards)]
 
     # -- along a segment ---------------------------------------------------------------------------
 
     @np.errstate(all="ignore")  # values may be huge, or none
-    def look(self, segment: Segment) -> Cut | None:
-        """Record the events along a segment; return the cut if one of them ends it."""
+    def look(self, segment: Segment) -> Passing | None:
+        """Record the events along a segment; return the zero that ends it, if one does."""
         if not self.watched or not len(segment):
             return None
         parts = _parts(segment, (self.width or segment.y.shape[1]) // 2)
-        changes = [self._changes(i, segment, parts) for i in range(len(self.watched))]
-        forward, own, cut = segment.forward, len(self.functions), None
-        if self.may_end:
-            ending = [i for i in range(len(self.watched)) if i in self.stops or i >= own]
-            each = [x for i in ending for x in self._passings(i, changes[i], None)]
-            first = min(each, key=lambda x: x.t * forward, default=None)
-            if first is not None:
-                cut = self._ends(first.t, each, forward)
-        until = None if cut is None else cut.t
-        passed = [x for i in range(own) for x in self._passings(i, changes[i], until, take=True)]
-        passed.sort(key=lambda x: x.t * forward)
-        told = [x for x in passed if self._counts(x, cut)]
-        if cut is not None and cut.place >= own:
-            self._end_phase(cut, passed)
+        changes = [self._changes(each, segment, parts) for each in self.watched]
+        cut = self._cut(changes) if self.may_end else None
+        until, own = None if cut is None else cut.t, range(len(self.functions))
+        passed = [x for i in own for x in self._passings(i, changes[i], until, take=True)]
+        passed.sort(key=lambda x: x.t * self.forward)
+        passed = [x for x in passed if self._counts(x, cut)]
+        told = [x for x in passed if abs(x.t - self.watched[x.place].known) > self.instant]
+        if cut is not None and cut.place >= len(self.functions):
+            # the motion goes on in another mode there
+            for each in self.own:
+                self._end_touch(each, cut.t)
+            for x in passed:
+                if x.t == cut.t:
+                    self.watched[x.place].sign, self.watched[x.place].known = 0.0, cut.t
         states = segment.at(np.array([x.t for x in told])) if told else ()
-        for one, y in zip(told, states, strict=True):
-            self._tell(one, y)
-        if cut is None:
+        for x, y in zip(told, states, strict=True):
+            each = self.watched[x.place]
+            each.happened += 1
+            if len(self.found) < MOST:
+                self.found.append(Event(each.function.name, x.t, y[: self.width], x.apart))
+        return cut
+
+    def _cut(self, changes: Sequence[Sequence[Change]]) -> Passing | None:
+        """Return the first zero that ends the segment; at one instant, an event before a guard."""
+        own = len(self.functions)
+        ending = range(own - self.ends, len(self.watched))
+        each = [x for i in ending for x in self._passings(i, changes[i], None)]
+        if not each:
             return None
-        return Cut(cut.place, cut.t)
+        t = min((x.t for x in each), key=lambda t: t * self.forward)
+        now = [x._replace(t=t) for x in each if (x.t - t) * self.forward <= self.instant]
+        guard = next((x for x in now if x.place >= own), None)
+        return next((x for x in now if x.place < own and self._counts(x, guard)), guard)
 
-    def _ends(self, t: float, each: Sequence[Passing], forward: float) -> Passing:
-        """Choose what ends the segment at the instant t: an event before a guard."""
-        now = [x._replace(t=t) for x in each if (x.t - t) * forward <= self.instant]
-        guard = next((x for x in now if x.place >= len(self.functions)), None)
-        stops = (x for x in now if x.place in self.stops)
-        found = next((x for x in stops if self._passes(x, guard)), guard)
-        assert found is not None
-        return found
-
-    def _passes(self, one: Passing, cut: Passing | None) -> bool:
+    def _counts(self, one: Passing, cut: Passing | None) -> bool:
         """Return whether a zero counts although a guard may `cut` the segment there.
 
         At that instant the motion may turn back or stay, which only the next segment shows.  Only a
         comparison with equality holds already at zero.
         """
-        function = self.watched[one.place]
+        function = self.watched[one.place].function
         holds = one.sign == function.way and not function.strict
         at_end = cut is not None and cut.place >= len(self.functions) and one.t == cut.t
         return not at_end or holds
-
-    def _counts(self, one: Passing, cut: Passing | None) -> bool:
-        known = abs(one.t - self.cut.get(one.place, np.inf)) <= self.instant
-        return self._passes(one, cut) and not known
-
-    def _tell(self, one: Passing, y: Array) -> None:
-        i = one.place
-        self.happened[i] += 1
-        if len(self.found) < MOST:
-            name = self.functions[i].name
-            self.found.append(Event(name, one.t, y[: self.width], one.apart))
-
-    def _end_phase(self, cut: Passing, passed: Sequence[Passing]) -> None:
-        """Reset the signs of functions that pass zero at the instant of a cut.
-
-        The motion goes on in another mode there.
-        """
-        for i in range(len(self.functions)):
-            self._hidden_until(i, cut.t)
-        for each in passed:
-            if each.t == cut.t and self._passes(each, cut):
-                self.signs[each.place], self.cut[each.place] = 0, cut.t
 
     def _passings(
         self, i: int, changes: Sequence[Change], until: float | None, take: bool = False
@@ -237,151 +229,149 @@ class EventWatch:
 
         With `take`, its last sign is stored, and spans hidden by rounding are recorded.
         """
-        function, sign, touched = self.watched[i], self.signs[i], self._touched[i]
-        found: list[Passing] = []
+        each, found = self.watched[i] if take else replace(self.watched[i]), list[Passing]()
         for change in changes:
-            now = change.sign or self._kept_sign(function, change)
-            begin = change.t if change.passes else change.begin
-            if until is not None and (begin - until) * self._forward > self.instant:
+            if until is not None and (change.t - until) * self.forward > self.instant:
                 break
-            if not now:
-                if not change.defined and self._lasts(change):
-                    sign, touched = 0, None
-                elif sign or not change.stays:
-                    first = touched or (change.begin, change.end)
-                    touched = first[0], change.end
-                if take:
-                    self._touched[i] = touched
+            sign, touched = change.sign, each.touched
+            if not sign:
+                if change.kind == UNDEFINED and self._lasts(change.begin, change.end):
+                    each.sign, each.touched = 0.0, None
+                elif each.sign or change.kind == HIDDEN:
+                    each.touched = (touched or change)[0], change.end
                 continue
-            told = function.has_one_sign or function.computed
             if take:
-                self._touched[i] = touched
-                told = self._hidden_until(i, change.begin) or told
-            if sign not in (0, now):
-                near = until is not None and abs(begin - until) <= self.instant
-                if function.way in (0, now):
+                self._end_touch(each, change.begin, grazes=sign == each.sign)
+            each.touched = None
+            if each.sign not in (0.0, sign):
+                near = until is not None and abs(change.t - until) <= self.instant
+                if each.function.way in (0, sign):
                     width = abs(touched[1] - touched[0]) if touched else 0.0
-                    t = until if near and until is not None else begin
-                    found.append(Passing(i, t, max(change.blur, width), now))
+                    t = until if near and until is not None else change.t
+                    found.append(Passing(i, t, max(change.blur, width), sign))
                 if near:  # whether it goes on beyond the cut the next segment tells
                     break
-            elif touched and sign and i < len(self.functions) and not told and take:
-                self._graze(function.name, 0.5 * (touched[0] + touched[1]))
-            sign, touched = now, None
-        if take:
-            self.signs[i] = sign
+            each.sign = sign
         return found
 
-    def _kept_sign(self, function: EventFunction, change: Change) -> int:
-        """Return the sign of a comparison that stays at zero or is undefined.
+    def _end_touch(self, each: Watched, t: float, grazes: bool = False) -> None:
+        """End at t the span on which rounding hides the sign of a function.
 
-        It is `way` if the comparison holds there and -`way` if not; 0 if the function is no
-        comparison.
+        It is recorded if it is long.  Otherwise the function may touch zero there, if it `grazes`.
         """
-        if not function.way or not self._lasts(change):
-            return 0
-        return -function.way if function.strict or not change.defined else function.way
+        span, each.touched, name = each.touched, None, each.function.name
+        if span is None:
+            return
+        spans = self.hidden.get(name, [])
+        if spans and abs(span[0] - spans[-1][1]) <= self.instant:
+            spans[-1] = spans[-1][0], t  # which it goes on, as where a joint starts that was held
+        elif abs(t - span[0]) > LONG * abs(self.t_end):
+            self.hidden.setdefault(name, []).append((span[0], t))
+        elif grazes and not (each.function.has_one_sign or each.function.computed):
+            times, middle = self.grazes.setdefault(name, []), 0.5 * (span[0] + span[1])
+            if not times or abs(middle - times[-1]) > self.instant:
+                times.append(middle)
 
-    def _lasts(self, change: Change) -> bool:
-        return change.stays and abs(change.end - change.begin) > self.instant
-
-    @property
-    def _forward(self) -> float:
-        return -1.0 if self.t_end < 0.0 else 1.0
-
-    def _graze(self, name: str, t: float) -> None:
-        """Record that a function touches zero at t."""
-        times = self.grazes.setdefault(name, [])
-        if not times or abs(t - times[-1]) > self.instant:
-            times.append(t)
-
-    def _hidden_until(self, i: int, t: float) -> bool:
-        """End a span hidden by rounding; return whether it was recorded as long."""
-        touched, self._touched[i] = self._touched[i], None
-        if not touched or i >= len(self.functions):
-            return False
-        spans = self.hidden.get(self.functions[i].name, [])
-        if spans and abs(touched[0] - spans[-1][1]) <= self.instant:
-            touched = spans.pop()  # which it goes on, as where a joint starts that was held
-        elif abs(t - touched[0]) <= LONG * self.length:
-            return False
-        self.hidden[self.functions[i].name] = [*spans, (touched[0], t)]
-        return True
+    def _lasts(self, begin: Any, end: Any) -> Any:
+        return abs(end - begin) > self.instant
 
     # -- signs of one function ---------------------------------------------------------------------
 
-    def _changes(self, i: int, segment: Segment, parts: Places) -> list[Change]:
-        """Return the stretches of equal sign of a function along a segment.
+    def _changes(self, each: Watched, segment: Segment, parts: Places) -> list[Change]:
+        """Return the stretches of equal sign of a function, with each zero on the closed states.
 
         Chebyshev points decide for steps whose entry in `parts` (m,) is 1.
         """
-        function, (nodes, times) = self.watched[i], segment.nodes
-        known = (parts == 1).astype(np.int64)
+        function = each.function
+        known = (parts == 1) * 1.0
         for part in (*function.switches, function):
-            known = np.where(known != 0, _seen(part, segment, nodes, times), 0)
-        first = int(known[0])
-        goes_on = self.signs[i] in (0, first) and self._touched[i] is None
-        if first and goes_on and (known == first).all():
-            return [Change(segment.begin, segment.end, first)]
-        budget = Budget(LEAST * abs(segment.end - segment.begin))
-        most = MOST_BOXES + MORE_BOXES * len(segment)
-        budget.left = most >> min(len(self.lost.get(function.name, ())), LESS)
-        found = signs_along(function, segment, _pieces(segment, known, parts), budget)
+            known = np.where(known != 0.0, _seen(part, segment), 0.0)
+        first = float(known[0])
+        if first and each.sign in (0.0, first) and not each.touched and (known == first).all():
+            return [Change(segment.begin, segment.end, first, first, segment.begin)]
+        lost, most = self.lost.get(function.name, []), MOST_BOXES + MORE_BOXES * len(segment)
+        budget = Budget(LEAST * abs(segment.end - segment.begin), most >> min(len(lost), LESS))
+        found = signs_along(function, segment, known, parts, budget)
         if budget.spent:
-            if function.name not in self.lost:  # a run may take long to tell it at its end
+            if not lost:  # a run may take long to tell it at its end
                 remark = f"{function.name} passes zero too often to be followed, as at "
                 warnings.warn(f"{remark}t = {segment.begin:.9g} s", RobodynWarning, stacklevel=2)
             self.lost.setdefault(function.name, []).append(segment.begin)
-        return self._sharp(i, segment, found)
-
-    def _sharp(self, i: int, segment: Segment, found: Stretches) -> list[Change]:
-        """Return stretches with each zero located on the closed states."""
-        function, last, before = self.watched[i], self.signs[i], -1
-        sign, goes_on = found.sign, np.zeros(len(found.sign), bool)
-        goes_on[1:] = (sign[1:] == sign[:-1]) & (sign[1:] != 0)
-        which = (~goes_on).nonzero()[0]
-        ends = np.append(which[1:], len(sign)) - 1
-        changes: list[Change] = []
-        passing: list[tuple[int, int, int]] = []  # place among changes, stretches before and after
-        for k, end in zip(which.tolist(), ends.tolist(), strict=True):
-            blur, stays = float(found.blur[k]), bool(found.stays[k])
-            change = Change(
-                float(found.begin[k]), float(found.end[end]), int(sign[k]), blur=blur, stays=stays,
-                defined=bool(found.defined[k]),
-            )  # fmt: skip
-            now = change.sign or self._kept_sign(function, change)
-            if now:
-                if last not in (0, now):
-                    if before < 0:
-                        change = change._replace(passes=True, t=segment.begin)
-                    else:
-                        passing.append((len(changes), before, k))
-                        change = change._replace(passes=True)
-                last, before = now, end
-            changes.append(change)
-        if passing:
-            at, before_, after = np.array(passing).T
-            to = np.array([changes[j].sign or self._kept_sign(function, changes[j]) for j in at])
+        # stretches of one sign in a row are one
+        kind, one = found.kind, np.abs(found.kind) == 1.0
+        begins = np.ones(len(kind), bool)
+        begins[1:] = (kind[1:] != kind[:-1]) | ~one[1:]
+        which = begins.nonzero()[0]
+        ends = np.append(which[1:], len(kind))[: len(which)] - 1
+        begin, end, kind = found.begin[which], found.end[ends], kind[which]
+        holds = np.where((kind == UNDEFINED) | function.strict, -function.way, function.way)
+        kept = (kind >= ZERO) & self._lasts(begin, end)
+        sign = np.where(one[which], kind, np.where(kept, holds, 0.0))
+        told, t = sign.nonzero()[0], begin.copy()
+        before = np.append(each.sign, sign[told])[:-1]
+        passes = (before != 0.0) & (before != sign[told])
+        t[told[:1][passes[:1]]] = segment.begin
+        if (turns := passes[1:].nonzero()[0]).size:
+            after, to = told[1:][turns], sign[told[1:][turns]]
             equal = bool(function.way) and not function.strict
 
-            def met(values: Array, k: NDArray[np.int64]) -> Array:
-                met: Array = values * to[k] >= 0.0 if equal else values * to[k] > 0.0
-                return met
+            def met(values: Array, k: Places) -> NDArray[np.bool_]:
+                towards = values * to[k]
+                return np.asarray(towards >= 0.0 if equal else towards > 0.0)
 
-            sure = found.sure[before_], found.sure[after]
-            _, _, times = brackets(_along(function, segment), met, *sure, found.begin[after])
-            for j, t in zip(at.tolist(), times.tolist(), strict=True):
-                changes[j] = changes[j]._replace(t=t)
-        return changes
+            sure = found.sure[ends[told[:-1][turns]]], found.sure[which[after]]
+            _, _, t[after] = brackets(_along(function, segment), met, *sure, begin[after])
+        columns = begin, end, kind, sign, t, found.blur[which]
+        return [Change(*row) for row in np.transpose(columns).tolist()]
 
 
-def _along(part: Part, segment: Segment) -> Any:
+def signs_along(
+    function: EventFunction,
+    segment: Segment,
+    known: Array,
+    parts: Places,
+    budget: Budget,
+) -> Stretches:
+    """Return stretches of equal sign of a function along a segment.
+
+    They are cut where the function bends or jumps.  `known` (m,) has the signs that are certain on
+    each whole step, or 0.  Other steps are cut into `parts` (m,) first.
+    """
+    begin, end = segment.t[:-1], segment.t[1:]
+    if (parts > 1).any():
+        step = np.repeat(np.arange(len(parts)), parts)
+        part = np.arange(len(step)) + 1 - np.repeat(np.cumsum(parts) - parts, parts)
+        within = begin[step] + (end - begin)[step] * (part / parts[step])
+        end = np.where(part == parts[step], end[step], within)
+        begin, known = np.append(begin[0], end[:-1]), known[step]
+    search, sure = SignSearch(_sampled(function, segment), budget), known != 0.0
+    search.take(begin[sure], end[sure], known[sure])
+    begin, end = begin[~sure], end[~sure]
+    for switch in function.switches:
+        begin, end = _split(switch, segment, begin, end, budget)
+    return search.stretches(begin, end)
+
+
+def _along(part: Part, segment: Segment) -> Callable[[Array], Array]:
     """Return a function of times that gives the values of `part` along a segment."""
     return lambda t: part.values(t, segment.at(t))
 
 
-def _seen(part: Part, segment: Segment, nodes: Array, times: Array) -> NDArray[np.int64]:
+def _sampled(part: Part, segment: Segment) -> Callable[[Array], tuple[Array, Array]]:
+    """Return a function of times (m, nodes): the values of `part`, and bounds of their rounding."""
+
+    def sampled(times: Array) -> tuple[Array, Array]:
+        y = segment.at(times.ravel())
+        values = part.values(times.ravel(), y).reshape(times.shape)
+        large = segment.largest(segment.places(times[:, -1]))
+        return values, part.noise(times, y.reshape(*times.shape, -1), large)
+
+    return sampled
+
+
+def _seen(part: Part, segment: Segment) -> Array:
     """Return the sign (m,) that `part` has for certain on each whole step; 0 if uncertain."""
+    nodes, times = segment.nodes
     m, k, width = nodes.shape
     values = part.values(times.ravel(), nodes.reshape(-1, width)).reshape(m, k)
     off = np.maximum.reduce(part.noise(times, nodes, segment.largest(np.arange(m))), axis=1)
@@ -389,7 +379,7 @@ def _seen(part: Part, segment: Segment, nodes: Array, times: Array) -> NDArray[n
     if ends.any():
         there = part.values(segment.t[1:], segment.y[1:, :width])
         off += MISSED * np.abs(values[:, -1] - there)
-    return certain(values, off)
+    return Boxes.through(times[:, 0], times[:, -1], values, off).certain()
 
 
 def _parts(segment: Segment, n: int) -> Places:
@@ -400,68 +390,20 @@ def _parts(segment: Segment, n: int) -> Places:
     return np.minimum(MOST_PARTS, 1 + ways // FAR).astype(np.int64)
 
 
-def _pieces(
-    segment: Segment, known: NDArray[np.int64], parts: Places
-) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return begin, end (k,) of the parts of steps, and their known signs (k,), 0 if unknown."""
-    begin, end = segment.t[:-1], segment.t[1:]
-    if not (parts > 1).any():
-        return begin, end, known
-    step = np.repeat(np.arange(len(begin)), parts)
-    k, width = np.arange(len(step)) - np.repeat(np.cumsum(parts) - parts, parts), end - begin
-    ends = begin[step] + width[step] * ((k + 1) / parts[step])
-    ends = np.where(k + 1 == parts[step], end[step], ends)
-    begins = np.where(k == 0, begin[step], np.concatenate([begin[:1], ends[:-1]]))
-    return begins, ends, known[step]
-
-
-def signs_along(
-    function: EventFunction,
-    segment: Segment,
-    pieces: tuple[Array, Array, NDArray[np.int64]],
-    budget: Budget,
-) -> Stretches:
-    """Return stretches of equal sign of a function along a segment.
-
-    They are cut where the function bends or jumps.  `pieces` is (begin (k,), end (k,), known signs
-    (k,) or 0).
-    """
-    begin, end, known = pieces
-    if function.switches:
-        cut = begin[known == 0], end[known == 0]
-        for switch in function.switches:
-            cut = _cut(switch, segment, *cut, budget)
-        kept, (low, high) = known != 0, cut
-        begin, end = np.concatenate([begin[kept], low]), np.concatenate([end[kept], high])
-        known = np.concatenate([known[kept], np.zeros(len(low), np.int64)])
-    return stretches(_sampled(function, segment), begin, end, budget, known)
-
-
-def _sampled(part: Part, segment: Segment) -> Any:
-    def sampled(times: Array) -> tuple[Array, Array]:
-        y = segment.at(times.ravel())
-        values = part.values(times.ravel(), y).reshape(times.shape)
-        large = segment.largest(segment.places(times[:, -1]))
-        return values, part.noise(times, y.reshape(*times.shape, -1), large)
-
-    return sampled
-
-
-def _cut(
+def _split(
     switch: Part, segment: Segment, begin: Array, end: Array, budget: Budget
 ) -> tuple[Array, Array]:
-    """Cut pieces at the zeros of a switch; each cut lies between two neighbouring floats."""
-    found = stretches(_sampled(switch, segment), begin, end, budget)
-    shown = (found.sign != 0) | found.stays  # what rounding hides is passed over
+    """Cut boxes at the zeros of a switch; each cut lies between two neighbouring floats."""
+    found = SignSearch(_sampled(switch, segment), budget).stretches(begin, end)
+    shown = found.kind != HIDDEN  # what rounding hides is passed over
     sign, sure, at = found.sign[shown], found.sure[shown], found.begin[shown]
     turns = (sign[1:] != sign[:-1]).nonzero()[0]
     if not len(turns):
         return begin, end
     to = sign[turns + 1]
 
-    def met(values: Array, k: NDArray[np.int64]) -> Array:
-        met: Array = np.sign(values) == to[k]
-        return met
+    def met(values: Array, k: Places) -> NDArray[np.bool_]:
+        return np.asarray(np.sign(values) == to[k])
 
     ends = sure[turns], sure[turns + 1], at[turns + 1]
     low, high, _ = brackets(_along(switch, segment), met, *ends)
