@@ -86,6 +86,16 @@ class TestBalance:
         assert motion.report.largest_gap < 3e-14
 
 
+def test_rows_do_not_steer_the_steps():
+    """A narrow pulse bounds steps from where they start, however many rows are asked for."""
+    pendulum = load(ROOT / "robots/pendulum.yaml")
+    tau, ends = "20*exp(-((t-5)/0.01)**2)", []
+    for times in ([10.0], np.linspace(0.0, 10.0, 203)):
+        motion = simulate(pendulum, [-1.5], [0.0], 10.0, tau, "taylor", 1e-8, 1e-8, t_eval=times)
+        ends.append([motion.report.steps, motion.q[-1, 0], motion.qd[-1, 0]])
+    assert ends[0] == ends[1]
+
+
 @pytest.mark.parametrize("k", [1, 2, 4, 8, 12])
 def test_by_a_torque_that_grows_as_a_power_of_time(k: int) -> None:
     """Of E = exp(i c t^(k + 2)) all orders but a few vanish, and tell of no step.

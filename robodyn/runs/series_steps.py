@@ -79,6 +79,7 @@ class SeriesSteps:
         self.evaluations = 0
         self.reached: tuple[float, Array] | None = None  # of which torques are not told yet
         self.idle = 0  # times in a row that nothing led on
+        self.bound = self.t  # until where the next steps may go
         self.most_ahead = max(1, min(MOST_LOOKED_AT, KEPT // mechanism.n))
         # of steps at a time, those beyond the end are lost
         self.ahead = AHEAD if self.may_end else self.most_ahead
@@ -131,14 +132,20 @@ class SeriesSteps:
         reach(self.actuation, t, y)
 
     def _bound(self) -> float:
-        """Return the latest time at which the next steps must end."""
+        """Return the latest time at which the next steps must end.
+
+        It stands until it is reached: where rows are asked for is no part of the motion.
+        """
         actuation = self.actuation
         if self.t_end < 0.0 and kink_at(actuation.jumps, self.t) is not None:
             self.t = math.nextafter(self.t, -math.inf)  # what is at a jump is what follows it
-        bound = next_stop(actuation.stops, actuation.leaves, self.t, self.t_end)
-        if abs(bound - self.t) > (longest := float(self.settings.max_step)):
-            bound = self.t + math.copysign(longest, self.t_end)
-        return bound
+        longest = float(self.settings.max_step)
+        ahead = (self.bound - self.t) * math.copysign(1.0, self.t_end)
+        if ahead <= 0.0 or longest < math.inf:
+            self.bound = next_stop(actuation.stops, actuation.leaves, self.t, self.t_end)
+            if abs(self.bound - self.t) > longest:
+                self.bound = self.t + math.copysign(longest, self.t_end)
+        return self.bound
 
     def _leads_on(self, t: float, y: Array) -> bool:
         """Return whether a series may start at (t, y).
