@@ -25,7 +25,6 @@ import numpy as np
 
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.time_samples import FUNCTIONS
 from robodyn.runs.state_columns import PREFIX, ROUGH, StateColumns, variables
 from robodyn.scene.constants import numbers_of
 from robodyn.scene.expressions import changed, code_of, fold, names_of, walk
@@ -38,6 +37,19 @@ Values = Callable[[Array, Array], Array]
 _NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)
 LARGEST = 1e300  # of numbers in an event: sums of what they make stay among the floats
 WAYS = {">": 1, ">=": 1, "<": -1, "<=": -1}
+_SAME = ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "sqrt", "sign", "floor")
+FUNCTIONS: dict[str, Callable[..., Any]] = {  # of expressions, on arrays
+    **{name: getattr(np, name) for name in _SAME},
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "abs": np.abs,
+    "min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
+    "max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
+    "hypot": lambda *x: np.sqrt(sum(each**2 for each in x)),
+    "log": lambda x, *base: np.log(x) / np.log(*base) if base else np.log(x),
+}
 _SCOPE = {"__builtins__": {}, **{f"_{name}": each for name, each in FUNCTIONS.items()}}
 _SCOPE |= {"_pow": np.power, "_where": np.where}
 
@@ -140,7 +152,7 @@ def _made(
     n: int, name: str, tree: Node, way: int, strict: bool, columns: StateColumns | None
 ) -> EventFunction:
     def parts(node: Node) -> dict[str, Any]:
-        return {"values": _vectorised(node, n, columns), "noise": bound_of(node, n, columns)}
+        return {"values": vectorised(node, n, columns), "noise": bound_of(node, n, columns)}
 
     cuts = tuple(Part(**parts(x)) for x in switches(tree))
     return EventFunction(
@@ -194,7 +206,8 @@ def _for_arrays(node: tuple[Any, ...]) -> Node:
     return ("where", *node[1:]) if node[0] == "if" else node
 
 
-def _vectorised(tree: Node, n: int, columns: StateColumns | None) -> Values:
+def vectorised(tree: Node, n: int, columns: StateColumns | None = None) -> Values:
+    """Return an expression as a function of arrays t (k,), y (k, 2n or more); nan if undefined."""
     lines = [
         f"{name}{k} = y[:, {k + first}]"
         for name, first in (("q", 0), ("qd", n))
@@ -245,7 +258,7 @@ def switches(tree: Node) -> list[Node]:
 
 def _switches(node: tuple[Any, ...], parts: list[dict[Node, None]]) -> dict[Node, None]:
     found = {switch: None for part in parts for switch in part}
-    return found | dict.fromkeys(_own(*node))
+    return found | dict.fromkeys(switches_of(*node))
 
 
 def has_one_sign(node: Node) -> bool:
@@ -260,7 +273,7 @@ def has_one_sign(node: Node) -> bool:
     return False
 
 
-def _own(operation: str, *x: Node) -> list[Node]:
+def switches_of(operation: str, *x: Node) -> list[Node]:
     """Return the switches of an operation itself, without those of its operands."""
     match operation:
         case "<" | "<=" | ">" | ">=":
