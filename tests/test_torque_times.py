@@ -23,12 +23,12 @@ from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.kinks import NEAR, kink_at, next_kink, next_stop
-from robodyn.mechanics.torque_times import over_a_run
 from robodyn.runs.accuracy import AUTO, settings_for
 from robodyn.runs.benchmark import reference
 from robodyn.runs.readers import missed_work
 from robodyn.runs.report import Outcome
 from robodyn.runs.settings import METHODS, Settings
+from robodyn.runs.torques_over_time import over_a_run
 
 pytestmark = pytest.mark.filterwarnings("ignore:the torque changes too fast")
 PENDULUM = load(ROOT / "robots/pendulum.yaml")
@@ -136,6 +136,20 @@ def test_at_a_switching_time_the_side_that_was_reached():
     found.told.reach(5.0, [])
     assert [torque(t, [0, 0]) for t in (4.9, 5.0, 5.1)] == [[1.0], [20.0], [20.0]]
     found.told.begin([], -10.0)
+
+
+def test_what_touches_a_whole_number_holds_for_that_time_alone():
+    """exp(-((t - 5)/0.1)**2) is 1 in the middle of the run, and cos(t) where floats round it up."""
+    for text, before in (("floor(exp(-((t-5)/0.1)**2))", 0.0), ("floor(cos(t))", -1.0)):
+        found = over(text)
+        torque = found.function(1)
+        for start in (0.0, *found.kinks):
+            found.told.reach(start, [])
+        assert torque(9.0, [0, 0]) == [before]
+        found.told.begin([], 10.0)
+        pieces = np.array([0.0, *found.kinks, 10.0])
+        ones = [x == (1.0,) for x in found.pieces.values]
+        assert np.diff(pieces)[ones].sum() < 1e-7
 
 
 def test_what_cannot_be_told_stays_as_it_is():

@@ -63,7 +63,6 @@ from robodyn.runs.march import run
 from robodyn.runs.motion_columns import (
     applied_torques,
     motion_columns,
-    over_run,
 )
 from robodyn.runs.report import Outcome, Report
 from robodyn.runs.settings import (
@@ -75,6 +74,7 @@ from robodyn.runs.settings import (
     Stabilize,
 )
 from robodyn.runs.simulation import UNTIL, watched_events
+from robodyn.runs.torques_over_time import over_run
 from robodyn.runs.watch import Event, EventWatch
 from robodyn.scene.constants import check_apart
 from robodyn.scene.quantities import parse_vector, value_from

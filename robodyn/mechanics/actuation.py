@@ -28,8 +28,8 @@ from robodyn.tables.short_repr import short_repr
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from robodyn.mechanics.kinks import Held
     from robodyn.mechanics.run_control import Control, Steps
-    from robodyn.mechanics.torque_times import Held
 
 T = TypeVar("T")
 Change = Callable[[list[Node]], list[Node]]  # of expressions into others
@@ -64,7 +64,7 @@ class Actuation:
     linear: bool = False  # in time between kinks, whatever the state is
     span: tuple[str, float, float] | None = None  # what is defined from when to when, s
     control: Control | None = None
-    pieces: Held | None = None  # of an expression over a run; see `torque_times.py`
+    pieces: Held | None = None  # of an expression over a run; see `runs/torques_over_time.py`
     leaves: tuple[float, ...] = ()
     told_by_leaves: bool = True  # else it changes too fast for them
     given: Actuation | None = None  # what was given, where this was made of it for a run

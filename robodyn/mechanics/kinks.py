@@ -49,6 +49,33 @@ class Pieces:
             self.first = self.piece(t)
 
 
+class Held(Pieces):
+    """Values of the switches of torques over time, constant in each piece.
+
+    At a kink that is reached, the later values hold.
+    """
+
+    restarts = True  # a torque may jump there
+
+    def __init__(self, kinks: Sequence[float], values: Sequence[tuple[float, ...]]) -> None:
+        super().__init__(kinks)
+        self.values = values
+        self.begin((), 1.0)
+
+    def begin(self, y: Sequence[float], t_end: float) -> None:
+        """Start a run; see `Steps`."""
+        self.forward = t_end >= 0.0
+        self.reach(0.0, y)
+
+    def reach(self, t: float, y: Sequence[float]) -> None:
+        """Reach a kink; see `Steps`."""
+        self.come_to(t, self.forward)
+
+    def at(self, t: float) -> tuple[float, ...]:
+        """Return the values of all switches at t, not beyond a kink not yet reached."""
+        return self.values[self.piece(t)]
+
+
 class Ahead:
     """The times of the piece between two of the increasing `jumps`.
 

@@ -23,13 +23,13 @@ from robodyn.elements.contacts import HARD
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.torque_times import over_a_run
 from robodyn.runs.march import Record, run
 from robodyn.runs.readers import joined
 from robodyn.runs.report import Outcome
 from robodyn.runs.segments import Segment
 from robodyn.runs.series_engine import check_served
 from robodyn.runs.settings import Settings
+from robodyn.runs.torques_over_time import over_a_run
 from robodyn.tables.arrays import Array
 
 AUTO = "auto"

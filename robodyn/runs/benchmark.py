@@ -31,12 +31,12 @@ from robodyn.mechanics.kinks import next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.mechanics.torque_rows import linear_piece
-from robodyn.mechanics.torque_times import over_a_scene_run
 from robodyn.runs.march import run
 from robodyn.runs.report import Outcome, Report
 from robodyn.runs.series_engine import check_served
 from robodyn.runs.series_steps import reach
 from robodyn.runs.settings import METHODS, Settings
+from robodyn.runs.torques_over_time import over_run
 from robodyn.tables.arrays import Array
 
 Long = NDArray[Any]  # longdouble
@@ -69,7 +69,7 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
         raise _lost(mechanism, "has joints that stick or end: the reference is of smooth motions")
     if actuation.states:
         raise _lost(mechanism, "has a controller that integrates: the reference is of q and qd")
-    actuation = over_a_scene_run(mechanism, actuation, state.tolist(), float(times[-1]))
+    actuation = over_run(mechanism, actuation, state, float(times[-1]))
     with np.errstate(all="ignore"):
         try:
             first = followed(mechanism, state, times, actuation, ORDER, TOLERANCE)
@@ -342,7 +342,7 @@ def benchmark(
         report = record.settle()
         return took, outcome, report, np.concatenate(rows or [np.zeros((0, len(state)))])
 
-    over = over_a_scene_run(mechanism, actuation, state.tolist(), t_end)
+    over = over_run(mechanism, actuation, state, t_end)
     methods, left_out = list(METHODS), list[str]()
     try:
         check_served(mechanism, over)

@@ -25,7 +25,6 @@ import numpy as np
 
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.time_samples import FUNCTIONS
 from robodyn.runs.state_columns import PREFIX, StateColumns, variables
 from robodyn.scene.constants import numbers_of
 from robodyn.scene.expressions import COMPARISONS, fold, names_of, value_in, walk
@@ -193,7 +192,7 @@ def switches(tree: Node) -> list[Node]:
 
 def _switches(node: tuple[Any, ...], parts: list[dict[Node, None]]) -> dict[Node, None]:
     found = {switch: None for part in parts for switch in part}
-    return found | dict.fromkeys(_own(*node))
+    return found | dict.fromkeys(switches_of(*node))
 
 
 def has_one_sign(node: Node) -> bool:
@@ -208,7 +207,7 @@ def has_one_sign(node: Node) -> bool:
     return False
 
 
-def _own(operation: str, *x: Node) -> list[Node]:
+def switches_of(operation: str, *x: Node) -> list[Node]:
     """Return the switches of an operation itself, without those of its operands."""
     match operation:
         case "<" | "<=" | ">" | ">=":
@@ -245,9 +244,19 @@ def _whole(x: Node) -> Node:
 
 EPS = float(np.finfo(float).eps)
 STATE = 8.0 * EPS  # of the largest of the angles, or rates, that a series or an interpolant adds
+_SAME = ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "sqrt", "sign", "floor")
 OPERATIONS: dict[str, Callable[..., Any]] = {  # on arrays
     **NUMBER_OPERATIONS,
-    **FUNCTIONS,
+    **{name: getattr(np, name) for name in _SAME},
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "abs": np.abs,
+    "min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
+    "max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
+    "hypot": lambda *x: np.sqrt(sum(each**2 for each in x)),
+    "log": lambda x, *base: np.log(x) / np.log(*base) if base else np.log(x),
     "pow": np.power,
     "if": np.where,
     **{name: lambda a, b, holds=holds: holds(a, b) * 1.0 for name, holds in COMPARISONS.items()},
@@ -277,22 +286,30 @@ SLOPES: dict[str, Callable[[Any, Any, Any], Any]] = {
 }
 
 
-def _part(tree: Node, n: int, columns: StateColumns | None) -> Part:
-    """Return the part of an event that an expression is, for a mechanism of n joints."""
+def values_of(tree: Node, n: int, columns: StateColumns | None = None) -> Values:
+    """Return an expression as a function of times t (k,) and states y (k, 2n or more)."""
     names = names_of(tree)
 
-    def variable(name: str, t: Array, y: Array) -> Array:
-        if name == "t":
-            return t
-        if name.startswith(PREFIX):
-            assert columns is not None
-            return columns.values(name.removeprefix(PREFIX), t, y)
-        return np.asarray(y[..., _place(name, n)])
-
     def values(t: Array, y: Array) -> Array:
-        known = {name: variable(name, t, y) for name in names}
+        known = {name: _variable(name, t, y, n, columns) for name in names}
         found = np.asarray(value_in(tree, known, OPERATIONS), float)
         return found if found.shape == t.shape else np.broadcast_to(found, t.shape)
+
+    return values
+
+
+def _variable(name: str, t: Array, y: Array, n: int, columns: StateColumns | None) -> Array:
+    """Return the values of a variable at times t and states y."""
+    if name == "t":
+        return t
+    if name.startswith(PREFIX):
+        assert columns is not None
+        return columns.values(name.removeprefix(PREFIX), t, y)
+    return np.asarray(y[..., _place(name, n)])
+
+
+def _part(tree: Node, n: int, columns: StateColumns | None) -> Part:
+    """Return the part of an event that an expression is, for a mechanism of n joints."""
 
     def noise(t: Array, y: Array, large: Array) -> Array:
         off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)
@@ -304,7 +321,7 @@ def _part(tree: Node, n: int, columns: StateColumns | None) -> Part:
         def leaf(x: float | str) -> tuple[Any, Any]:
             if not isinstance(x, str):
                 return x, 0.0
-            value = variable(x, t, y)
+            value = _variable(x, t, y, n, columns)
             if x == "t":
                 return value, EPS * np.abs(t)
             if x.startswith(PREFIX):
@@ -314,7 +331,7 @@ def _part(tree: Node, n: int, columns: StateColumns | None) -> Part:
 
         return np.atleast_1d(fold(tree, leaf, _bounded)[1])
 
-    return Part(values, noise)
+    return Part(values_of(tree, n, columns), noise)
 
 
 def _place(name: str, n: int) -> int:

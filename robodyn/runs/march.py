@@ -35,7 +35,6 @@ from robodyn.runs.motion_columns import (
     check_span,
     check_start,
     no_hold,
-    over_run,
 )
 from robodyn.runs.phases import Phases
 from robodyn.runs.readers import NO_TIMES, STEPS_AT_ONCE, Rows, RunStatistics, Sink
@@ -45,6 +44,7 @@ from robodyn.runs.segments import Segment
 from robodyn.runs.series_engine import SeriesEngine, check_served
 from robodyn.runs.series_steps import SeriesSteps
 from robodyn.runs.settings import EvenTimes, Settings, check_run
+from robodyn.runs.torques_over_time import over_run
 from robodyn.runs.watch import Event, EventWatch, Passing
 from robodyn.tables.arrays import Array
 

@@ -19,7 +19,6 @@ from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import Control
-from robodyn.mechanics.torque_times import harmless_torque, over_a_scene_run
 from robodyn.tables.arrays import Array
 
 
@@ -65,16 +64,6 @@ TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors 
 @lru_cache
 def _none(n: int) -> Actuation:
     return Actuation((0.0,) * n)
-
-
-def over_run(
-    mechanism: Mechanism, actuation: Actuation, state: Array, t_end: float, atol: float
-) -> Actuation:
-    """Prepare torques for a run from `state` (2n,): see `torque_times.over_a_scene_run`."""
-    if not actuation.lines and not mechanism.timed:
-        return actuation
-    small = harmless_torque(mechanism, atol, t_end)
-    return over_a_scene_run(mechanism, actuation, state.tolist(), float(t_end), small)
 
 
 def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:

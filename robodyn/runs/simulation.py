@@ -23,7 +23,6 @@ from robodyn.runs.motion_columns import (
     as_actuation,
     motion_columns,
     motion_values,
-    over_run,
 )
 from robodyn.runs.readers import joined
 from robodyn.runs.report import Outcome, Report
@@ -35,6 +34,7 @@ from robodyn.runs.settings import (
     Settings,
 )
 from robodyn.runs.state_columns import StateColumns
+from robodyn.runs.torques_over_time import over_run
 from robodyn.runs.watch import Event, EventWatch
 from robodyn.scene.constants import check_apart
 from robodyn.tables.arrays import Array

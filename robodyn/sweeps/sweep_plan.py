@@ -30,7 +30,8 @@ from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import InputError
 from robodyn.loops.assembly_plan import assembly_plan, with_independent
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.runs.motion_columns import TOO_FAST, as_actuation, over_run
+from robodyn.runs.motion_columns import TOO_FAST, as_actuation
+from robodyn.runs.torques_over_time import over_run
 from robodyn.scene.scene import Tables
 from robodyn.scene.scene_values import SceneValues, read_numbers
 from robodyn.tables.arrays import Array
