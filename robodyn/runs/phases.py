@@ -256,16 +256,7 @@ class Phases:
         before = self._energy(self.moving, y)
         guard, (q, qd) = self.guards[place], self._split(y := y.copy())
         joint, end = guard.joint, (guard.joint, guard.side)
-        # contacts that remain: joints at rest, ends touched, and ends that press
-        rests = {j for j in self.still if j in self.dry}
-        touches, pushing, released = set(self.touches), set(self.mode.pressed), None
-        if guard.kind == "slips":
-            rests.add(joint)
-        elif guard.kind in ("presses", "apart"):
-            pushing ^= {end}
-        elif guard.kind == "pauses":
-            rests.discard(joint)
-            touches, released = {x for x in touches if x[0] != joint}, joint
+        rests, touches, pushing = self._left_by(guard)
         inside = guard.kind == "inside"
         meets = inside and guard.side * qd[joint] > 0.0
         # a joint that starts from rest slips at least until its rate is more than is missed
@@ -295,12 +286,7 @@ class Phases:
         if hits:
             met = touches | stands | set(hits)
             rests, touches = rest & set(self.dry), {x for x in met if x[0] in rest}
-        starting: dict[int, int] = {}
-        if guard.kind == "holds":
-            forces = self._forces(np.array([t]), y[None])[0]
-            still = sticking.Standing(self.mode, self.still)
-            found = sticking.starting_at(self.mechanism, still, q, forces, self.bounds, joint, t)
-            starting = {j: 1 if rate > 0.0 else -1 for j, rate in found.items()}
+        starting = self._let_go(t, y, joint) if guard.kind == "holds" else {}
         begun = self.started if self.idle and not hits else set()  # and have not moved since
         touches |= {x for x in sticking.touching(self.mechanism, q, qd, t) if x[0] in rest - begun}
         starting |= {j: way for j, way in self.mode.slips if j in (begun & rest) - rests}
@@ -308,11 +294,36 @@ class Phases:
         if begins and self.doubts < DOUBTS:
             starting = {joint: guard.side}
         was, stood = self.mode, {*self.still, *self.paused}
+        released = joint if guard.kind == "pauses" else None
         self._enter(t, rests, touches, pushing, starting, released)
         self._note(t, was, stood)
         if len(y) > 2 * self.mechanism.n:  # what is lost at once is work as well
             self.y[-1] += self._energy(self.moving, self.y) - before
         return self.y
+
+    def _left_by(self, guard: Guard) -> tuple[set[int], set[End], set[End]]:
+        """Return the contacts that remain when a guard ends the phase.
+
+        They are the dry joints at rest, the ends that joints touch, and those that they press.
+        """
+        rests = {joint for joint in self.still if joint in self.dry}
+        touches, pushing = set(self.touches), set(self.mode.pressed)
+        match guard.kind:
+            case "slips":
+                rests.add(guard.joint)
+            case "presses" | "apart":
+                pushing ^= {(guard.joint, guard.side)}
+            case "pauses":
+                rests.discard(guard.joint)
+                touches = {end for end in touches if end[0] != guard.joint}
+        return rests, touches, pushing
+
+    def _let_go(self, t: float, y: Array, joint: int) -> dict[int, int]:
+        """Return the directions of the joints that start when what holds `joint` gives way."""
+        forces, q = self._forces(np.array([t]), y[None])[0], self._split(y)[0]
+        standing = sticking.Standing(self.mode, self.still)
+        rates = sticking.starting_at(self.mechanism, standing, q, forces, self.bounds, joint, t)
+        return {j: 1 if rate > 0.0 else -1 for j, rate in rates.items()}
 
     def _onto_ends(
         self, t: float, q: Array, qd: Array, touches: set[End], hits: list[End]
