@@ -20,7 +20,7 @@ from each_case import each
 import robodyn
 from robodyn.mechanics import actuation
 from robodyn.mechanics.mechanism import build
-from robodyn.runs.event_functions import event_function, vectorised
+from robodyn.runs.event_functions import event_function, values_of
 from robodyn.scene.description import from_text
 from robodyn.scene.expressions import OPERATIONS, SCOPE, code_of, fold, value_in, walk
 from robodyn.scene.quantities import (
@@ -194,7 +194,7 @@ def test_folds_of_one_tree_agree() -> None:
                 code = eval(code_of(tree), {"__builtins__": {}, **SCOPE, **states, "t": one})
                 assert float(code) == found[-1] or math.isnan(found[-1]), text
         with np.errstate(all="ignore"):
-            arrays = vectorised(tree, 2)(t, np.tile([0.4, 0.02, -1.5, 0.1], (4, 1)))
+            arrays = values_of(tree, 2)(t, np.tile([0.4, 0.02, -1.5, 0.1], (4, 1)))
         operations = {x[0] for x in walk(tree) if type(x) is tuple}
         near = all(abs(x) < 1e9 for x in found)  # nan is not
         if near and operations.isdisjoint(JUMPS):

@@ -43,7 +43,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.runs.march import run
 from robodyn.runs.report import Outcome
 from robodyn.runs.right_hand_side import right_hand_side
-from robodyn.runs.segments import KeptStep, solver_segment
+from robodyn.runs.segments import kept_step, solver_segment
 from robodyn.runs.settings import Settings
 from robodyn.runs.solvers import METHODS, projected
 
@@ -317,7 +317,7 @@ def four_bar_errors(method, projection, fraction=1.0):
             before = solver.y
             solver.step()
         assert solver.t == pytest.approx(t + (1 - fraction) * h, rel=1e-12)
-        segment = solver_segment(before, [KeptStep(solver)])
+        segment = solver_segment(before, [kept_step(solver)])
         y = solver.y if fraction == 1.0 else segment.at(np.array([t]))[0]
         sizes.append(h)
         errors.append(np.linalg.norm(y - exact))
@@ -366,7 +366,7 @@ class TestDenseOutput:
         while solver.status == "running":
             before = solver.y.copy()
             assert solver.step() is None
-            yield solver_segment(before, [KeptStep(solver)])
+            yield solver_segment(before, [kept_step(solver)])
 
     @EACH_METHOD
     @pytest.mark.parametrize("name", ["four-bar", "slider-crank", "five-bar"])

@@ -8,7 +8,7 @@ import pytest
 from each_case import each
 from scipy.integrate import solve_ivp
 
-from robodyn.runs.segments import KeptStep, solver_segment
+from robodyn.runs.segments import kept_step, solver_segment
 from robodyn.runs.solvers import EXPLICIT, METHODS, STIFF_STEPS, StiffError, projected
 
 EACH_METHOD = each("method", METHODS)
@@ -149,7 +149,7 @@ class TestProjection:
             3.0,
             exact(0.0),
             projection=onto_circle,
-            look=lambda solver: steps.append(KeptStep(solver)),
+            look=lambda solver: steps.append(kept_step(solver)),
         )
         between = np.linspace(0.0, 3.0, 500)
         found = solver_segment(exact(0.0), steps).at(between).T
@@ -179,7 +179,7 @@ class TestDenseOutput:
         for _ in range(12):
             begun = solver.y
             assert solver.step() is None
-        segment = solver_segment(begun, [KeptStep(solver)])
+        segment = solver_segment(begun, [kept_step(solver)])
         times = np.linspace(solver.t_old, solver.t, 7)
         many = segment.at(times)
         assert many.shape == (7, 2)
