@@ -171,6 +171,18 @@ class TestLoads:
         gained = 0.5 * INERTIA * (motion.qd[-1, 0] ** 2 - 9.0)
         assert gained == pytest.approx(0.6, abs=1e-7)
 
+    @EVERY
+    @pytest.mark.parametrize("wide", [1e-6, 1e-9, 1e-12])
+    def test_rows_far_nearer_than_the_others(self, method, wide, tmp_path):
+        """1 N m up to 0.3 rad, -1 N m beyond: after 4 sqrt(2 0.3/a), a = 1/I, at rest at 0."""
+        rows = [(-10.0, 1.0), (0.3 - wide, 1.0), (0.3 + wide, -1.0), (10.0, -1.0)]
+        file = table(tmp_path, "edge.csv", "q1,M", rows)
+        mech = arm(f"loads: [{{link: arm, torque: {{table: {file}, over: q1, column: M}}}}]")
+        motion = run(mech, 0.0, 0.0, 4.0 * math.sqrt(0.6 * INERTIA), method)
+        assert motion.outcome.label == "finished"
+        assert abs(motion.q[-1, 0]) < 1e-8
+        assert abs(motion.qd[-1, 0]) < 1e-5
+
     def test_time_is_a_column_or_zero(self, robodyn: Run, tmp_path):
         scene = tmp_path / "arm.yaml"
         scene.write_text(ARM + 'loads: [{link: arm, at: [1, 0], force: [0, "2 + 3*t"]}]\n')

@@ -24,6 +24,7 @@ from robodyn.scene.scene import Law, Signal, Table
 from robodyn.scene.syntax import Node
 
 NODES = 40  # of the energy's rule, where F is no polynomial
+RESOLVED = 1e-6  # of x: 1e-8 of that, by which steps pass a row, is some 50 roundings
 FLATTENED = 3  # u = s^3: what is not smooth where the spring is free is smooth in s
 
 
@@ -115,10 +116,10 @@ def distance_from_row(program: Program, at: Slot, x: Sequence[float], repeats: b
 def edges(program: Program, at: Slot, x: Sequence[float], repeats: bool) -> list[Slot]:
     """Return the distances of a variable from the rows below and above it, both positive.
 
-    They are in widths of the narrowest piece.
+    They are in widths of the narrowest piece, or of RESOLVED of the largest x if that is wider.
     """
     widths = [b - a for a, b in pairwise(x)]
-    scale = 1.0 / min(widths)
+    scale = 1.0 / max(min(widths), RESOLVED * max(-x[0], x[-1]))
     xi = distance_from_row(program, at, x, repeats)
     wide = program.add(step(at, x, repeats, [width * scale for width in widths]))
     return [

@@ -247,7 +247,7 @@ class _Step(Items):
         go = k.both(active, known)
         most = k.intrinsic("fabs", k.subtract(self.get("bound"), t))
         if scene.closes:
-            turn = k.divide(k.number(TURN), self._fastest(k.number(SLOWEST)))
+            turn = k.divide(k.number(TURN), scene.fastest(k, self.block, SLOWEST))
             longest = k.select(k.less(turn, longest), turn, longest)
         h = k.slot(k.select(go, k.select(k.less(longest, most), longest, most), k.number(0.0)))
         small = k.multiply(k.intrinsic("fabs", t), k.number(ULPS))
@@ -291,14 +291,6 @@ class _Step(Items):
     def _end(self, mask: Word, status: Status) -> None:
         k = self.k
         self.put("status", k.select(mask, k.number(float(status)), self.get("status")))
-
-    def _fastest(self, least: Word) -> Word:
-        """Return the largest of the joints' rates, or `least`."""
-        k, fast = self.k, least
-        for j in range(self.scene.mechanism.n):
-            size = k.intrinsic("fabs", self.get(f"qd{j}"))
-            fast = k.select(k.less(fast, size), size, fast)
-        return fast
 
     def _shorten(self, go: Word, h: Word, small: Word) -> None:
         """Shorten the step until its series holds up to its end."""

@@ -262,6 +262,14 @@ class Scene:
             change = k.multiply(self.get(k, block, f"dtau{j}"), past)
             self.put(k, block, f"tau{j}", k.add(self.get(k, block, f"base{j}"), change))
 
+    def fastest(self, k: Kernel, block: Word, least: float) -> Word:
+        """Return the largest of the joints' rates at the start of the step, or `least`."""
+        fast = k.number(least)
+        for j in range(self.mechanism.n):
+            size = k.intrinsic("fabs", self.get(k, block, f"qd{j}"))
+            fast = k.select(k.less(fast, size), size, fast)
+        return fast
+
     def _holds(self, module: Module) -> None:
         """Write `holds(block)`: 1 if the series holds over the step, else the part to try next.
 
@@ -269,12 +277,7 @@ class Scene:
         of the state there.  All are compared times the square of the step: angles, or m.
         """
         k, block = self.kernel(module, "holds")
-        n, slides, graph, orders = (
-            self.mechanism.n,
-            self.mechanism.slides,
-            Graph(),
-            range(self.order),
-        )
+        n, graph, orders = self.mechanism.n, Graph(), range(self.order)
         series = [coefficients(graph, column, orders) for column in self.loop.spanned]
         found = strays(self.motion.spans, series, graph.variable("x"))
         (part,) = read_segment(self, k, block).write([found])
@@ -289,15 +292,12 @@ class Scene:
 
         halves = [self.loop.columns[2 * j + 1].first[2] for j in range(n)]
         exact = self.segment(k, block, halves, read).write(halves)
-        fast, square = k.number(0.0), k.multiply(k.number(2.0), k.multiply(x, x))
-        for j in range(n):
-            size = k.intrinsic("fabs", self.get(k, block, f"qd{j}"))
-            fast = k.select(k.less(fast, size), size, fast)
+        square, fast = k.multiply(k.number(2.0), k.multiply(x, x)), self.fastest(k, block, 0.0)
         small = k.add(self.get(k, block, "atol"), k.multiply(self.get(k, block, "rtol"), fast))
         small = k.multiply(small, k.multiply(k.number(self.order + 1.0), k.intrinsic("fabs", x)))
         for j in range(n):
             theta, bend, largest = self._bent(k, block, 2 * j + 1, x)
-            if j not in slides:
+            if j not in self.mechanism.slides:
                 rho, inward, most = self._bent(k, block, 2 * j, x)
                 largest = k.select(k.less(largest, most), most, largest)
                 bend = k.subtract(k.multiply(rho, bend), k.multiply(theta, inward))
@@ -312,7 +312,7 @@ class Scene:
         k.done()
 
     def _bent(self, k: Kernel, block: Word, column: int, x: Word) -> tuple[Word, Word, Word]:
-        """Return a series' value at x, x^2 times its second derivative, and that's largest term."""
+        """Return a series at x, x^2 times its second derivative, and the largest term of that."""
         with k.loop(k.whole(self.order + 2)) as m:
             zero, one = k.number(0.0), k.number(1.0)
             value, bend, largest, power, order = map(k.carried, (zero, zero, zero, one, zero))

@@ -170,9 +170,9 @@ def missed_work(torques: Torques, apart: float, t: Array, q: Array, qd: Array) -
     a single rule.
     """
     missed = np.zeros(len(t) - 1)
+    u, weights = np.polynomial.legendre.leggauss(POINTS)
+    u, weights = 0.5 * (u + 1.0), 0.5 * weights
     for k in np.flatnonzero(np.abs(np.diff(t)) > LONG * apart).tolist():
-        u, weights = np.polynomial.legendre.leggauss(POINTS)
-        u, weights = 0.5 * (u + 1.0), 0.5 * weights
         (q0, q1), (qd0, qd1), h = q[k : k + 2], qd[k : k + 2], float(t[k + 1] - t[k])
         panels = max(2, int(abs(h) / (POINTS * apart)) + 1)
         part = ((np.arange(panels)[:, None] + u) / panels).ravel()

@@ -297,7 +297,7 @@ def _found(
     for part, decides in parts.sought.items():
         turns = turns_of(function(part), edges, _inside(points, edges))
         if turns is None and decides:
-            limit = f"switches too often from 0 to {t_end:g} s to be followed"
+            limit = f"switches too often, over some 20,000 times from 0 to {t_end:g} s"
             raise InputError("tau", limit=f"{limit}; take a slower torque or a shorter time")
         if turns is None:  # what is smooth is left to the control of the steps' errors
             continue
