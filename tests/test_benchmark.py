@@ -241,6 +241,18 @@ def test_the_uncertainty_bounds_the_error_of_an_exact_pendulum():
     assert float(max(errors)) <= found.uncertainty + 2 * EPS  # half a unit of doubles around 4
 
 
+def test_the_uncertainty_bounds_the_error_where_a_series_shows_nothing_of_a_force():
+    """The series of x^39 from x = 0 has no term below the 39th; the energy tells of the force."""
+    link = "{name: block, joint: prismatic, axis: [0, 1], m: 1, l: 0, r: 0, I: 0}"
+    mech = load(f"gravity: 9.81\nlinks:\n  - {link}\n")
+    found = reference(
+        mech, np.array([0.0, 5.0]), np.array([10.0 / 9.81]), as_actuation(mech, "-q1**39")
+    )
+    ((x, v),) = found.y
+    energy = 0.5 * v**2 + 9.81 * x + x**40 / 40.0
+    assert abs(energy - 12.5) < 20.0 * max(found.uncertainty, 2.2e-16)
+
+
 def test_damping_and_a_torque():
     mech = mechanism(DISC % 0.35)
     times = np.array([0.5, 2.0])

@@ -115,6 +115,24 @@ def test_by_a_torque_that_grows_as_a_power_of_time(k: int) -> None:
             assert abs(motion.q[-1, 1] - exact) < 10.0 * tolerance * max(1.0, abs(exact))
 
 
+@pytest.mark.parametrize(
+    ("a", "b", "rate", "end"), [(0.0, -9.81, 5.0, 10.0 / 9.81), (180.0, -90.0, 15.0, 1.0)]
+)
+def test_a_high_power_acts_within_a_step(a: float, b: float, rate: float, end: float) -> None:
+    """Without it the block is where it began at the end of a step, and in its middle too.
+
+    The series of x^39 from x = 0 has no term below the 39th.
+    """
+    link = "{name: block, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0}"
+    block = load(f"gravity: 0\nlinks:\n  - {link}\n")
+    start, tau = ([0.0], [rate], end, f"{a}*t + {b} - q1**39"), "DOP853"
+    exact = simulate(block, *start, tau, 1e-13, 1e-13).qd[-1, 0]
+    for tolerance in (1e-3, 1e-6, 1e-9):
+        with case(tolerance):
+            motion = simulate(block, *start, "taylor", tolerance, tolerance)
+            assert abs(motion.qd[-1, 0] - exact) < 100.0 * tolerance
+
+
 class TestChangePoints:
     @pytest.mark.parametrize("tolerance", [1e-6, 1e-13])
     @pytest.mark.parametrize("n", [1, 2, 5])

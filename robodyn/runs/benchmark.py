@@ -31,6 +31,7 @@ from robodyn.mechanics.kinks import next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.mechanics.torque_rows import linear_piece
+from robodyn.runs.machine_motion import SEEN
 from robodyn.runs.march import run
 from robodyn.runs.report import Outcome, Report
 from robodyn.runs.series_engine import check_served
@@ -47,7 +48,7 @@ ORDER = 30
 TOLERANCE = 0.1  # of the series, in units of rounding
 SMALLEST_STEP = 1e-12  # s
 ROUNDING = 100.0 * float(np.finfo(np.longdouble).eps)  # part of a rate
-AGREE = 1e-9  # part of an acceleration's terms by which its series may miss it
+AGREE = 1e-15  # part of an acceleration's terms by which its series may miss it
 TOO_NEAR = 1e-8  # s/L below which nothing is closed
 PASSES = 4  # of rates, each of which leaves a part of 1e-8 at most
 
@@ -163,39 +164,32 @@ class _Series:
             return None
         h = min(stop - t, LONG(longest))
         while h > SMALLEST_STEP:
-            new, bends, largest = _along(self.mechanism, series, y, h)
-            part = self.part(self.made[held], series, h, t + h, new, bends, largest)
+            part = self.part(self.made[held], series, t, y, h)
             if part == 1.0:
-                return h, new
+                return h, _along(self.mechanism, series, y, h)[0]
             h = h * part
         return None
 
-    def part(
-        self,
-        motion: MotionProgram,
-        series: Coefficients,
-        x: Any,
-        t: Any,
-        y: Long,
-        bends: Long,
-        largest: Long,
-    ) -> Any:
-        """Return 1 if the series holds up to x after its start, else the part of x to try next.
+    def part(self, motion: MotionProgram, series: Coefficients, t: Any, y: Long, h: Any) -> Any:
+        """Return 1 if the series holds from (t, y) over a step h, else the part of h to try next.
 
-        It ends at time t in state y.  No argument may stray, and its accelerations `bends` (n),
-        sums of terms up to `largest` (n), must be those of the state but for what rounding makes.
+        No argument may stray.  At the places `SEEN` the accelerations of the series must be those
+        of the state there, but for what rounding makes.
         """
         if not motion.checked:
             return 1.0
-        part = strays(motion.spans, series.spanned, x)
-        try:
-            found, _ = self.expanded(motion, t, y, 1)
-        except (ArithmeticError, ValueError):  # outside the domain
-            return min(part, 0.5)
-        exact = np.array([2.0 * theta[2] for theta in found.theta])
-        small = ROUNDING * np.abs(y[self.mechanism.n :]).max() / x
-        agrees = (np.abs(bends - exact) <= AGREE * largest + small).all()
-        return part if agrees else min(part, 0.5)
+        part = strays(motion.spans, series.spanned, h)
+        for x in (place * h for place in SEEN):
+            there, bends, largest = _along(self.mechanism, series, y, x)
+            try:
+                found, _ = self.expanded(motion, t + x, there, 1)
+            except (ArithmeticError, ValueError):  # outside the domain
+                return min(part, 0.5)
+            exact = np.array([2.0 * theta[2] for theta in found.theta])
+            small = ROUNDING * np.abs(there[self.mechanism.n :]).max() / x
+            if not (np.abs(bends - exact) <= AGREE * largest + small).all():
+                return min(part, 0.5)
+        return part
 
     def expanded(
         self, motion: MotionProgram, t: Any, y: Long, order: int

@@ -27,6 +27,7 @@ from robodyn.loops.misses import SLOWEST, TURN, orientation
 from robodyn.loops.projection import PASSES
 from robodyn.runs.machine_steps import ALIGNED, Items, Scene
 
+SEEN = (0.29, 0.5, 1.0)  # of a step: at its middle, too, a motion may be back where it began
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 RUNNING = -1.0
 KEPT = 128  # codes in a process
@@ -252,9 +253,10 @@ class _Step(Items):
         h = k.slot(k.select(go, k.select(k.less(longest, most), longest, most), k.number(0.0)))
         small = k.multiply(k.intrinsic("fabs", t), k.number(ULPS))
         small = k.select(k.less(k.number(1e-300), small), small, k.number(1e-300))
-        self.reach(k.get(h))
         if scene.motion.checked:
             self._shorten(go, h, small)
+        else:
+            self.reach(k.get(h))
         now = k.get(h)
         stuck = k.both(go, k.both(k.less(now, small), k.compare("une", now, most)))
         self._end(stuck, Status.STUCK)
@@ -293,16 +295,23 @@ class _Step(Items):
         self.put("status", k.select(mask, k.number(float(status)), self.get("status")))
 
     def _shorten(self, go: Word, h: Word, small: Word) -> None:
-        """Shorten the step until its series holds up to its end."""
+        """Shorten the step until its series holds, and write the state at its end.
+
+        No argument may stray within the step.  At its middle, at its end, and at one place between
+        them and its start the accelerations of the series must be those of the states.
+        """
         k = self.k
         with k.forever() as good:
             now = k.get(h)
-            self.call("holds")
+            self.put("x", k.multiply(now, self.get("direction")))
+            self.call("strays")
+            for place in SEEN:
+                self.reach(k.multiply(now, k.number(place)))
+                self.call("agrees")
             part = self.get("part")
             poor = k.both(k.both(go, k.less(part, k.number(1.0))), k.compare("oge", now, small))
             k.leave(k.invert(k.any(poor)), good)
             k.set(h, k.select(poor, k.multiply(now, part), now))
-            self.reach(k.get(h))
 
     def _land(self, go: Word, h: Word) -> None:
         """If the step's end is no good start, take the best of some shorter steps."""

@@ -9,7 +9,8 @@ matrix of coefficients, a row an order and a column a series.  The kernels
     evaluate(block)    the state at x after the start, from the series
     close(block)       that state moved to the nearest that closes, and its quality
     leaps(block)       none is left where the step between them may have leapt to another branch
-    holds(block)       1 if the series holds up to there, else the part of the step to try
+    strays(block)      the part of the step within which no argument of a function strays
+    agrees(block)      half of the step, if there the accelerations are not those of the series
 
 do so; `advance` (`machine_motion.py`) drives them.  Numbers are no part of the code: it serves all
 scenes of one shape.
@@ -53,7 +54,7 @@ from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
 
-KINK = 1e-7  # an acceleration that misses its series by a smaller part does not bend
+BENT = 1e-10  # part of an acceleration by which its series may miss it, at any tolerance
 ALIGNED = 8  # items, on which a vector of one lane and 8 numbers crosses no line of the cache
 # of a block, besides what its scene asks for
 COMMON = (
@@ -183,7 +184,7 @@ class Scene:
         limits = {
             "rtol": rtol,
             "atol": atol,
-            "relative": max(math.sqrt(rtol), KINK),
+            "relative": max(10.0 * rtol, BENT),
             "suspect": suspect_quality(mechanism) * project if self.closes else 0.0,
             "rounding": CLOSED * size,
             "converged": CONVERGED * size,
@@ -247,7 +248,8 @@ class Scene:
         write_expand(self, module)
         write_evaluate(self, module)
         if self.motion.checked:
-            self._holds(module)
+            self._strays(module)
+            self._agrees(module)
 
     def there(self, names: Sequence[str]) -> dict[str, str]:
         """Map input names to the items of the state at a step's end."""
@@ -270,19 +272,23 @@ class Scene:
             fast = k.select(k.less(fast, size), size, fast)
         return fast
 
-    def _holds(self, module: Module) -> None:
-        """Write `holds(block)`: 1 if the series holds over the step, else the part to try next.
-
-        No argument may stray, and the accelerations of the series at the step's end must be those
-        of the state there.  All are compared times the square of the step: angles, or m.
-        """
-        k, block = self.kernel(module, "holds")
-        n, graph, orders = self.mechanism.n, Graph(), range(self.order)
+    def _strays(self, module: Module) -> None:
+        """Write `strays(block)`: the part of the step, 1 or less, in which no argument strays."""
+        k, block = self.kernel(module, "strays")
+        graph, orders = Graph(), range(self.order)
         series = [coefficients(graph, column, orders) for column in self.loop.spanned]
         found = strays(self.motion.spans, series, graph.variable("x"))
-        (part,) = read_segment(self, k, block).write([found])
-        x, names = self.get(k, block, "x"), [f"{z}{j}" for z in ("q", "qd") for j in range(n)]
-        there = self.there(names)
+        self.put(k, block, "part", read_segment(self, k, block).write([found])[0])
+        k.done()
+
+    def _agrees(self, module: Module) -> None:
+        """Write `agrees(block)`: the part becomes one half at most if accelerations differ at x.
+
+        They are those of the series and of the state there, times the square of x: angles, or m.
+        """
+        k, block = self.kernel(module, "agrees")
+        n, x = self.mechanism.n, self.get(k, block, "x")
+        there = self.there([f"{z}{j}" for z in ("q", "qd") for j in range(n)])
 
         def read(name: str) -> Word:
             if name.startswith("tau"):  # linear in time
@@ -295,6 +301,8 @@ class Scene:
         square, fast = k.multiply(k.number(2.0), k.multiply(x, x)), self.fastest(k, block, 0.0)
         small = k.add(self.get(k, block, "atol"), k.multiply(self.get(k, block, "rtol"), fast))
         small = k.multiply(small, k.multiply(k.number(self.order + 1.0), k.intrinsic("fabs", x)))
+        part = self.get(k, block, "part")
+        half = k.select(k.less(part, k.number(0.5)), part, k.number(0.5))
         for j in range(n):
             theta, bend, largest = self._bent(k, block, 2 * j + 1, x)
             if j not in self.mechanism.slides:
@@ -305,9 +313,7 @@ class Scene:
                 bend = k.divide(bend, radius)
             missed = k.intrinsic("fabs", k.subtract(bend, k.multiply(square, exact[j])))
             allowed = k.add(small, k.multiply(self.get(k, block, "relative"), largest))
-            agrees = k.compare("ole", missed, allowed)
-            half = k.select(k.less(part, k.number(0.5)), part, k.number(0.5))
-            part = k.select(agrees, part, half)
+            part = k.select(k.compare("ole", missed, allowed), part, half)
         self.put(k, block, "part", part)
         k.done()
 
