@@ -23,12 +23,12 @@ from robodyn.engines.coupling_laws import check_laws
 from robodyn.engines.row_values import near_table_end, rows_of
 from robodyn.errors import LawError, RobodynError, SingularError
 from robodyn.loops import loop_rates
-from robodyn.loops.misses import Misses
 from robodyn.loops.projection import Projection, best_closing
 from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
+from robodyn.runs.legs import Leg, System
 from robodyn.runs.motion_columns import (
     TOO_FAST,
     applied_torques,
@@ -39,9 +39,9 @@ from robodyn.runs.motion_columns import (
 from robodyn.runs.phases import Phases
 from robodyn.runs.readers import NO_TIMES, STEPS_AT_ONCE, Rows, RunStatistics, Sink
 from robodyn.runs.report import InterruptedRun, Outcome, Report
-from robodyn.runs.right_hand_side import RightHandSide, right_hand_side
+from robodyn.runs.right_hand_side import RightHandSide
 from robodyn.runs.segments import Segment
-from robodyn.runs.series_engine import SeriesEngine, check_served
+from robodyn.runs.series_engine import check_served
 from robodyn.runs.series_steps import SeriesSteps
 from robodyn.runs.settings import EvenTimes, Settings, check_run
 from robodyn.runs.torques_over_time import over_run
@@ -100,10 +100,7 @@ class Run:
             self.events = events or EventWatch([], t_end, width=2 * mechanism.n)
             self.phases = Phases(mechanism, actuation, self.y, t_end, settings.atol)
             self.y = self.phases.y
-        # per mode
-        self._sides: dict[Mechanism, RightHandSide] = {}
-        self._engines: dict[Mechanism, SeriesEngine | None] = {}
-        self._misses: dict[Mechanism, Misses] = {}
+        self._systems: dict[Mechanism, System] = {}  # by what moves
         self._recent = NO_TIMES  # times of steps not yet looked at for an end
         self._longest = 0.0  # of the steps before them, s
         self._check_start()
@@ -134,7 +131,7 @@ class Run:
             check_served(self.mechanism, self.actuation)
             return
         with np.errstate(all="ignore"):  # rates that leave the floats end the run
-            side = self._side(mechanism)
+            side = self._system(mechanism).side
             self.report.evaluator = side.kind
             if not np.isfinite(side.rates(0.0, y)).all():
                 check_start(mechanism, self.actuation, 0.0, y)
@@ -148,61 +145,22 @@ class Run:
         """What moves now: the mechanism, or one of its modes."""
         return self.mechanism if self.phases is None else self.phases.moving
 
-    def _met(self, mechanism: Mechanism) -> Misses | None:
-        """Return the change points met so far by a mechanism; None if it has no closures."""
-        if mechanism.rows and mechanism not in self._misses:
-            self._misses[mechanism] = Misses(mechanism)
-        return self._misses.get(mechanism)
+    def _system(self, mechanism: Mechanism) -> System:
+        """Return the equations of motion of a mode, made once per run."""
+        if mechanism not in self._systems:
+            self._systems[mechanism] = System(mechanism, self.actuation, self.settings, self.work)
+        return self._systems[mechanism]
 
-    def _side(self, mechanism: Mechanism) -> RightHandSide:
-        """Return the right-hand side dy/dt of a mechanism, made once per run."""
-        if mechanism not in self._sides:
-            drifts = self.settings.stabilize == "baumgarte" and mechanism.rows
-            self._sides[mechanism] = right_hand_side(
-                mechanism,
-                self.actuation,
-                work=self.work,
-                baumgarte=self.settings.baumgarte if drifts else 0.0,
-                misses=self._met(mechanism),
-            )
-        return self._sides[mechanism]
-
-    def _steps(self, mechanism: Mechanism, due: Due, keeps: bool) -> SeriesSteps | SolverSteps:
+    def _steps(self, system: System, due: Due, keeps: bool) -> SeriesSteps | SolverSteps:
         """Return a stepper for a leg that begins at the current state."""
-        settings, events = self.settings, self.events
-        projects = settings.stabilize == "projection" and bool(mechanism.rows)
-        keeps = keeps or events is not None
-        may_end = events is not None and events.may_end
-        if settings.method == "taylor":
-            return SeriesSteps(
-                mechanism,
-                self.actuation,
-                self.t,
-                self.y,
-                self.t_end,
-                settings,
-                projects,
-                partial(self._side, mechanism),
-                self._engines,
-                self._met(mechanism),
-                due,
-                keeps,
-                may_end,
-            )
+        events = self.events
+        ends = events is not None and events.may_end
+        leg = Leg(system, self.t, self.y, self.t_end, keeps or events is not None, ends)
+        if self.settings.method == "taylor":
+            return SeriesSteps(leg, due)
         from robodyn.runs.solvers import SolverSteps
 
-        return SolverSteps(
-            settings.method,
-            self._side(mechanism),
-            mechanism,
-            (self.t, self.y, self.t_end),
-            (settings.rtol, settings.atol),
-            self.actuation,
-            projects=projects,
-            max_step=settings.max_step,
-            single=may_end or self.actuation.told is not None,
-            keeps=keeps,
-        )
+        return SolverSteps(leg)
 
     # -- legs and segments -------------------------------------------------------------------------
 
@@ -246,7 +204,8 @@ class Run:
         if events is not None and events.columns is not None:
             torques = partial(applied_torques, self.mechanism, self.actuation)
             events.columns.enter(self.moving, torques)
-        steps, report = self._steps(mechanism, due, keeps), self.report
+        system = self._system(mechanism)
+        steps, report = self._steps(system, due, keeps), self.report
         before = report.evaluations
         while True:
             segment = steps.advance(self.settings.max_evaluations - report.evaluations)
@@ -255,7 +214,7 @@ class Run:
                 assert steps.outcome is not None
                 self.outcome = steps.outcome
                 if self.outcome is Outcome.STEP_TOO_SMALL and mechanism.rubbing:
-                    self._check_friction(mechanism)
+                    self._check_friction(system.side)
                 return None
             cut = None if events is None else events.look(segment)
             if cut is not None:
@@ -297,9 +256,8 @@ class Run:
             y[:n] += (t - self.t) * self.y[n : 2 * n]
             yield t, y
 
-    def _check_friction(self, mechanism: Mechanism) -> None:
+    def _check_friction(self, side: RightHandSide) -> None:
         """Raise NotSettledError if friction by forces has no solution just ahead."""
-        side = self._side(mechanism)
         # as steps shrink before a state without a solution none may have met it
         for t, y in self._ahead():
             if side.refused is not None:

@@ -11,28 +11,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robodyn.loops.change_points import suspect_quality
-from robodyn.loops.misses import FAR, Misses
+from robodyn.loops.misses import FAR
 from robodyn.loops.projection import float_closing
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.runs.legs import Leg
 from robodyn.runs.machine_motion import Status
 from robodyn.runs.motion_columns import check_start
 from robodyn.runs.report import Outcome
 from robodyn.runs.roots import NODES
 from robodyn.runs.segments import Places, Segment
 from robodyn.runs.series_engine import Chunk, NoCodeError, SeriesEngine, states_along, states_at
-from robodyn.runs.settings import SCIPY_RTOL, Settings
+from robodyn.runs.settings import SCIPY_RTOL
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
-    from robodyn.runs.right_hand_side import RightHandSide
     from robodyn.runs.solvers import SolverSteps
 
 KEPT = 32768  # steps whose series are kept at a time, of one link
@@ -44,66 +43,33 @@ MOST_IDLE = 8  # rounds without a step, after which there is none
 LEAD = 8  # steps of DOP853 away from where a torque has no series
 
 
-@dataclass(eq=False)
 class SeriesSteps:
-    """Steps of the Taylor series from (t, y) to t_end, as segments.
+    """Steps of the Taylor series along a leg, as segments.
 
-    `side()` makes the right-hand side for DOP853 when needed.  `engines` caches one engine per
-    mode; None marks a mode that machine code does not serve.  `met` holds the change points met so
-    far.  `due(bound)` returns the output times up to a bound.  With `keeps`, states between steps
-    are available.  With `may_end`, steps beyond an event may be discarded, so fewer are taken at
-    once.
+    `due(bound)` returns the output times up to a bound.
     """
 
-    mechanism: Mechanism
-    actuation: Actuation
-    t: float
-    y: Array
-    t_end: float
-    settings: Settings
-    project: bool
-    side: Callable[[], RightHandSide]
-    engines: dict[Mechanism, SeriesEngine | None]
-    met: Misses | None
-    due: Callable[[float], Array]
-    keeps: bool = False
-    may_end: bool = False
-
-    def __post_init__(self) -> None:
-        mechanism = self.mechanism
+    def __init__(self, leg: Leg, due: Callable[[float], Array]) -> None:
+        self.leg, self.due, self.system = leg, due, leg.system
+        self.t, self.y, self.t_end = leg.t, leg.y, leg.t_end
+        self.mechanism, self.actuation = self.system.mechanism, self.system.actuation
+        self.longest = float(self.system.settings.max_step)
         self.closing, self.misses, self.regular, self.far = None, None, 0.0, 0.0
-        if self.project and mechanism.rows:
-            self.closing, self.misses = float_closing(mechanism), self.met
-            self.regular, self.far = 2.0 * suspect_quality(mechanism), FAR
+        if self.system.projects:
+            self.closing, self.misses = float_closing(self.mechanism), self.system.misses
+            self.regular, self.far = 2.0 * suspect_quality(self.mechanism), FAR
         self.outcome: Outcome | None = None
         self.evaluations = 0
         self.reached: tuple[float, Array] | None = None  # of which torques are not told yet
         self.idle = 0  # times in a row that nothing led on
         self.bound = self.t  # until where the next steps may go
-        self.most_ahead = max(1, min(MOST_LOOKED_AT, KEPT // mechanism.n))
+        self.most_ahead = max(1, min(MOST_LOOKED_AT, KEPT // self.mechanism.n))
         # of steps at a time, those beyond the end are lost
-        self.ahead = AHEAD if self.may_end else self.most_ahead
+        self.ahead = AHEAD if leg.may_end else self.most_ahead
         self.leading: SolverSteps | None = None  # across what has no series
-        self.engine = self._engine()
-        self.lead = 0.0 if self.engine else math.inf  # steps of DOP853 that come next, at least
-        check_start(mechanism, self.actuation, self.t, self.y)
-
-    def _engine(self) -> SeriesEngine | None:
-        mechanism = self.mechanism
-        if mechanism not in self.engines:
-            try:
-                self.engines[mechanism] = SeriesEngine(
-                    mechanism,
-                    self.actuation,
-                    rtol=float(self.settings.rtol),
-                    atol=float(self.settings.atol),
-                    order=self.settings.order,
-                    project=self.project,
-                    work=len(self.y) > 2 * mechanism.n,
-                )
-            except NoCodeError:
-                self.engines[mechanism] = None
-        return self.engines[mechanism]
+        # steps of DOP853 that come next, at least
+        self.lead = 0.0 if self.system.engine else math.inf
+        check_start(self.mechanism, self.actuation, self.t, self.y)
 
     def advance(self, left: float) -> Segment | None:
         """Return the next steps, or None if there are none; `outcome` then says why.
@@ -115,11 +81,11 @@ class SeriesSteps:
         segment: Segment | None = None
         while segment is None and self.outcome is None:
             before, bound, status = self.t, self._bound(), Status.FULL
-            if self.leading or self.lead or self.engine is None:
+            if self.leading or self.lead or self.system.engine is None:
                 segment = self._by_dop853(bound, left)
             else:
                 try:
-                    segment, status = self._by_series(self.engine, bound, left)
+                    segment, status = self._by_series(self.system.engine, bound, left)
                 except NoCodeError:  # of other torques than those at the start
                     status = Status.STUCK
             if self.outcome is None and self.leading is None:
@@ -139,7 +105,7 @@ class SeriesSteps:
         actuation = self.actuation
         if self.t_end < 0.0 and kink_at(actuation.jumps, self.t) is not None:
             self.t = math.nextafter(self.t, -math.inf)  # what is at a jump is what follows it
-        longest = float(self.settings.max_step)
+        longest = self.longest
         ahead = (self.bound - self.t) * math.copysign(1.0, self.t_end)
         if ahead <= 0.0 or longest < math.inf:
             self.bound = next_stop(actuation.stops, actuation.leaves, self.t, self.t_end)
@@ -167,10 +133,8 @@ class SeriesSteps:
         from robodyn.runs.solvers import SolverSteps
 
         if self.leading is None:
-            given = self.side(), self.mechanism, (self.t, self.y, bound)
-            tolerances = max(self.settings.rtol, SCIPY_RTOL), self.settings.atol
-            single = self.may_end or self.actuation.told is not None
-            self.leading = SolverSteps("DOP853", *given, tolerances, self.actuation, single=single)
+            leg = self.leg._replace(t=self.t, y=self.y, t_end=bound, keeps=False)
+            self.leading = SolverSteps(leg, "DOP853", max(self.system.settings.rtol, SCIPY_RTOL))
         leading, done = self.leading, self.leading.evaluations
 
         def enough(solver: Any) -> bool:
@@ -196,10 +160,10 @@ class SeriesSteps:
         self, engine: SeriesEngine, bound: float, left: float
     ) -> tuple[Segment | None, Status]:
         """Return some steps of the series (None if none succeeded) and their status."""
-        free = self.settings.max_step == math.inf
+        free = self.longest == math.inf
         steps = int(max(1, min(engine.most, left + 1))) if free else 1
-        engine.keeps = self.keeps
-        steps = min(steps, self.ahead) if self.keeps else steps
+        engine.keeps = self.leg.keeps
+        steps = min(steps, self.ahead) if self.leg.keeps else steps
         t, y = self.t, self.y
         chunk = engine.advance(t, y, bound, self.due(bound), steps)
         self.evaluations += len(chunk.t)
@@ -227,7 +191,7 @@ class SeriesSteps:
             self.lead = 1.0
             if self.misses is not None:
                 self.misses.nearest(self.y[: self.mechanism.n])  # from here on it is known
-        elif self.engine is None:
+        elif self.system.engine is None:
             self.lead = math.inf
         return None
 

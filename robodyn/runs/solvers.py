@@ -27,11 +27,11 @@ from scipy.integrate import DOP853, RK45, OdeSolver, Radau
 
 from robodyn.dynamics.closed_form import energies, mass_matrix
 from robodyn.loops.projection import Projection
-from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import NEAR, Ahead, kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.run_control import Steps
+from robodyn.runs.legs import Leg
 from robodyn.runs.report import Outcome
 from robodyn.runs.right_hand_side import RightHandSide
 from robodyn.runs.segments import Segment, kept_step, solver_segment
@@ -293,51 +293,41 @@ FEW, MANY = 16, 192  # steps of one; of one that is looked at between its steps
 
 
 class SolverSteps:
-    """Steps of a scipy solver from `way` = (t, y, bound), as segments.
+    """Steps of a scipy solver along a leg, as segments.
 
-    With `single`, each step is a segment by itself, because the torques may change after it.  With
-    `keeps`, states between steps will be asked for, and more steps make up a segment.
+    `method` and `rtol` take the place of those of its settings.  If torques have a memory, or the
+    leg may end, each step is a segment by itself.
     """
 
-    def __init__(
-        self,
-        method: str,
-        side: RightHandSide,
-        mechanism: Mechanism,
-        way: tuple[float, Array, float],
-        tolerances: tuple[float, float],
-        actuation: Actuation,
-        *,
-        projects: bool = True,
-        max_step: float = np.inf,
-        single: bool = False,
-        keeps: bool = False,
-    ) -> None:
-        (t, y, bound), (rtol, atol) = way, tolerances
-        each = np.full(len(y), atol, float)
+    def __init__(self, leg: Leg, method: str = "", rtol: float | None = None) -> None:
+        system, t, y, t_end, *_ = leg
+        mechanism, actuation, settings = system.mechanism, system.actuation, system.settings
+        side, single = system.side, leg.may_end or actuation.told is not None
+        each = np.full(len(y), settings.atol, float)
         # the work chooses no step, but that of laws, which `_weigh` bounds
         each[2 * mechanism.n + actuation.states :] = 1e100
-        kind: Any = projected(method)
+        kind: Any = projected(method or settings.method)
         self.outcome: Outcome | None = None
         self.error: Exception | None = None  # raised once the steps before it are taken
         self.y = y  # where the last step ended
-        self.most = 1 if single else max(1, min(MANY if keeps else FEW, AT_ONCE // mechanism.n))
+        most = max(1, min(MANY if leg.keeps else FEW, AT_ONCE // mechanism.n))
+        self.most = 1 if single else most
         with _quiet():
             self.solver: Any = kind(
                 side.rates,
                 t,
                 y,
-                bound,
-                rtol=rtol,
+                t_end,
+                rtol=settings.rtol if rtol is None else rtol,
                 atol=each,
-                projection=side.projection if projects else None,
+                projection=side.projection if system.projects else None,
                 near=side if side.careful is not None else None,
                 mechanism=mechanism,
                 kinks=actuation.kinks,
                 jumps=actuation.jumps,
                 leaves=actuation.leaves,
                 told=actuation.told,
-                max_step=max_step,
+                max_step=settings.max_step,
             )
 
     def leave(self, t: float, y: Array) -> None:
