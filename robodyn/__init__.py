@@ -174,7 +174,7 @@ def _checked(function: FunctionType) -> FunctionType:
             raise InputError("mechanism", where=function.__name__, value=told, limit=limit)
         check(given, named)
         if at_states:
-            from robodyn.dynamics.placed import within_floats
+            from robodyn.mechanics.placed import within_floats
 
             return within_floats(function, names, given, named)
         return function(*given, **named)

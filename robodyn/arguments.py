@@ -122,7 +122,7 @@ _PLAIN = (str, bytes, int, float, complex, list, tuple, dict, np.ndarray, type(N
 def _check_finite(name: str, array: np.ndarray[Any, Any]) -> None:
     few = array.ndim == 1 and len(array) < _FEW
     if not (all(map(math.isfinite, array.tolist())) if few else np.isfinite(array).all()):
-        from robodyn.dynamics.placed import finite
+        from robodyn.mechanics.placed import finite
 
         finite(name, array)
 

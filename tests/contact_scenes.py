@@ -8,6 +8,7 @@ import mpmath
 import numpy as np
 
 from robodyn.dynamics import closed_form
+from robodyn.loops import closures
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 
@@ -57,7 +58,7 @@ def kkt(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, joint: int, e: floa
     n, r = mechanism.n, len(mechanism.rows)
     M, Psi = (
         closed_form.mass_matrix(mechanism, q),
-        closed_form.closure_jacobian(mechanism, q, t=0.0),
+        closures.closure_jacobian(mechanism, q, t=0.0),
     )
     with mpmath.workdps(40):
         K = mpmath.zeros(n + r + 1)

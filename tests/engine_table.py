@@ -30,6 +30,7 @@ from robodyn.engines.formulas import Formula, Recorded
 from robodyn.engines.machine import PLAIN
 from robodyn.engines.row_values import rows_of
 from robodyn.engines.series import Series
+from robodyn.loops import closures
 from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
@@ -88,10 +89,13 @@ def by_closed_form(one):
     found["C"] = cf.coriolis_matrix(mech, q, qd)
     found["Q"] = other_forces(mech, q, qd, one.t) - np.array(mech.damping) * qd
     found |= {"KE": cf.kinetic_energy(mech, q, qd), "PE": cf.potential_energy(mech, q)}
-    found |= {"gap": cf.closure_gap(mech, q, one.t), "Psi": cf.closure_jacobian(mech, q, one.t)}
+    found |= {
+        "gap": closures.closure_gap(mech, q, one.t),
+        "Psi": closures.closure_jacobian(mech, q, one.t),
+    }
     on_links = forces_on_links(mech, q, qd, one.t)
     found["on links"] = np.column_stack([on_links.real, on_links.imag])
-    return found | {"bias": cf.closure_bias(mech, q, qd, one.t)}
+    return found | {"bias": closures.closure_bias(mech, q, qd, one.t)}
 
 
 def by_dense_algebra(one):

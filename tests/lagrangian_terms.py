@@ -6,10 +6,10 @@ import numpy as np
 from mpmath import mp
 
 from robodyn.dynamics import dynamics
-from robodyn.dynamics.placed import relative_matrix
 from robodyn.engines.arithmetic import FLOATS
 from robodyn.engines.expansion import MotionProgram
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.placed import relative_matrix
 
 
 def exact_acceleration(terms, tau, digits=30):

@@ -27,7 +27,7 @@ from random_mechanisms import (
 )
 from robodyn.dynamics import closed_form as cf
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
-from robodyn.loops import assembly, loop_rates
+from robodyn.loops import assembly, closures, loop_rates
 from robodyn.mechanics.mechanism import load
 from robodyn.runs.simulation import simulate
 
@@ -306,7 +306,7 @@ class TestRates:
     def test_nearest_rates_keep_the_loops_and_change_no_rates_that_do(self, name):
         """The orthogonal projection of any rates onto Psi qd = 0."""
         scene = seeded_scene(4, LOOPS[name])
-        mech, Psi = scene.mechanism, cf.closure_jacobian(scene.mechanism, scene.q, t=0.0)
+        mech, Psi = scene.mechanism, closures.closure_jacobian(scene.mechanism, scene.q, t=0.0)
         rates = np.random.default_rng(0).normal(size=(6, scene.n))
         found = loop_rates.nearest_velocities(mech, np.tile(scene.q, (6, 1)), rates, t=0.0)
         assert_close(found @ Psi.T, np.zeros((6, len(mech.rows))), 10.0)
@@ -671,7 +671,7 @@ class TestDirectionsOfNothing:
         q, missing = assembly.attempt(mech, given, t=0.0)
         assert np.isnan(missing).tolist() == [False, False, True, False, False]
         closed = q[~np.isnan(missing)]
-        assert np.abs(cf.closure_gap(mech, closed, t=0.0)).max() < 1e-15
+        assert np.abs(closures.closure_gap(mech, closed, t=0.0)).max() < 1e-15
 
     def test_the_slot_points_from_the_levers_pivot_to_the_pin(self):
         """A triangle with equal sides: its base turns by half the crank's angle and a quarter."""
@@ -707,7 +707,7 @@ class TestProjection:
         for fixed in ((), held):
             q = assembly.close_positions(mech, rough, fixed, t=0.0)
             assert_close(
-                cf.closure_gap(mech, q, t=0.0), np.zeros((20, len(mech.rows))), size, 1e-15
+                closures.closure_gap(mech, q, t=0.0), np.zeros((20, len(mech.rows))), size, 1e-15
             )
             assert np.abs(q - rough).max() < 1.0
             assert np.array_equal(q[:, list(fixed)], rough[:, list(fixed)])

@@ -22,6 +22,7 @@ from robodyn.dynamics import closed_form
 from robodyn.dynamics.sticking import forces_between
 from robodyn.elements.contacts import Mode
 from robodyn.errors import DescriptionError, InputError
+from robodyn.loops import closures
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.runs.phases import Phases, rates_after
@@ -238,7 +239,7 @@ def test_an_impact_goes_through_mass_and_closures(
     assert after[joint] == pytest.approx(-0.4 * was[joint], rel=1e-12)
     assert side * was[joint] > 0.0
     if mechanism.rows:
-        Psi = closed_form.closure_jacobian(mechanism, hit.y[:n], t=0.0)
+        Psi = closures.closure_jacobian(mechanism, hit.y[:n], t=0.0)
         assert np.abs(Psi @ after).max() < 1e-13
         assert motion.report.largest_gap < 1e-12
         assert motion.report.largest_gap_rate < 1e-11

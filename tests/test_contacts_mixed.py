@@ -19,6 +19,7 @@ import robodyn
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.sticking import mode_at
 from robodyn.elements.joints import CompliantStop
+from robodyn.loops import closures
 from robodyn.mechanics import actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs import roots
@@ -38,7 +39,7 @@ def choices(
     From rest, by virtual power: qdd = N z with Psi N = 0, forces of friction at most `static`.
     """
     joints, n = mechanism.dry, mechanism.n
-    N = null_space(closed_form.closure_jacobian(mechanism, q, t=0.0))
+    N = null_space(closures.closure_jacobian(mechanism, q, t=0.0))
     M = closed_form.mass_matrix(mechanism, q)
     load = N.T @ M @ robodyn.forward_dynamics(plain, q, 0 * q, tau)
     found = []

@@ -14,17 +14,12 @@ import pytest
 from conftest import Outcome
 
 import robodyn
-from robodyn.dynamics.closed_form import (
-    closure_gap,
-    closure_jacobian,
-    coriolis_matrix,
-    gravity_vector,
-    mass_matrix,
-)
+from robodyn.dynamics.closed_form import coriolis_matrix, gravity_vector, mass_matrix
 from robodyn.dynamics.named_points import points
 from robodyn.errors import DescriptionError
 from robodyn.loops.assembly import assemble
 from robodyn.loops.assembly_plan import with_independent
+from robodyn.loops.closures import closure_gap, closure_jacobian
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene import yaml_tree
 from robodyn.scene.description import _Reader, from_text

@@ -26,10 +26,11 @@ from robodyn import (
     points,
     simulate,
 )
-from robodyn.dynamics import closed_form, identities
+from robodyn.dynamics import identities
 from robodyn.dynamics.closed_form import energies
 from robodyn.dynamics.columns import column_names
 from robodyn.errors import InputError, LawError
+from robodyn.loops import closures
 from robodyn.mechanics.actuation import Actuation
 from robodyn.runs.benchmark import reference
 from robodyn.runs.report import Outcome
@@ -408,10 +409,10 @@ class TestStates:
         exec(robodyn("equations", path, "--format", "python").out, known)
         q, qd, t = np.array([0.3, 0.2, -0.4]), np.array([1.0, 0.5, 0.2]), 0.7
         for name, given, right in (
-            ("Psi", (q, t), closed_form.closure_jacobian(mech, q, t)),
-            ("Psidot_qd", (q, qd, t), closed_form.closure_bias(mech, q, qd, t)),
-            ("gap", (q, t), closed_form.closure_gap(mech, q, t)),
-            ("gap_t", (q, t), closed_form.closure_drift(mech, q, t)),
+            ("Psi", (q, t), closures.closure_jacobian(mech, q, t)),
+            ("Psidot_qd", (q, qd, t), closures.closure_bias(mech, q, qd, t)),
+            ("gap", (q, t), closures.closure_gap(mech, q, t)),
+            ("gap_t", (q, t), closures.closure_drift(mech, q, t)),
         ):
             np.testing.assert_allclose(known[name](*given), right, atol=1e-14)
 

@@ -15,14 +15,8 @@ from robodyn import (
     loop_velocities,
     simulate,
 )
-from robodyn.dynamics.closed_form import (
-    closure_drift,
-    closure_jacobian,
-    coriolis_matrix,
-    energies,
-    gravity_vector,
-    mass_matrix,
-)
+from robodyn.dynamics.closed_form import coriolis_matrix, energies, gravity_vector, mass_matrix
+from robodyn.loops.closures import closure_drift, closure_jacobian
 from robodyn.runs.report import Outcome
 
 METHODS = ["DOP853", "taylor"]

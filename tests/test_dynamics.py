@@ -34,7 +34,7 @@ from robodyn.dynamics import dynamics as dyn
 from robodyn.elements.springs import PointSpring
 from robodyn.engines import formulas
 from robodyn.errors import InputError, ResidualError, RobodynError, SingularError
-from robodyn.loops import closing, loop_rates
+from robodyn.loops import closing, closures, loop_rates
 
 SEEDS = range(8)
 EACH_LOOP = each("name", LOOPS)
@@ -471,7 +471,7 @@ class TestRedundantClosures:
         mech, q, qd, _, _ = self.reduced(0.7, 4.0)
         tau = np.array([2.0, 0.0, 0.0, 0.0])
         qdd, lam = dyn.forward_dynamics_and_forces(mech, q, qd, tau)[:2]
-        Psi = cf.closure_jacobian(mech, q, t=0.0)
+        Psi = closures.closure_jacobian(mech, q, t=0.0)
         load = dense_dynamics.required_load(mech, q, qd, qdd)
         assert_close(load, tau + Psi.T @ lam, np.abs(lam).max(), 1e-12)
         U, s, _ = np.linalg.svd(Psi)
@@ -511,7 +511,7 @@ class TestActuation:
             found = dyn.inverse_dynamics_and_forces(mech, *states)
 
         load = dense_dynamics.required_load(mech, *scene.states)
-        Psi = cf.closure_jacobian(mech, scene.q, t=0.0)
+        Psi = closures.closure_jacobian(mech, scene.q, t=0.0)
         N = np.linalg.svd(Psi)[2][len(mech.rows) :].T
         driven = list(mech.actuated)
         least = np.linalg.lstsq(N[driven].T, N.T @ load)[0]
@@ -632,7 +632,9 @@ actuated: [crank]
         mech = mechanism(FOUR_BAR_YAML.replace("0.07", "0") + "actuated: [rocker]")
         rocker = np.arccos((1.3**2 - 1.1**2 - 0.8**2) / (2 * 1.1 * 0.8))
         q = robodyn.assemble(mech, [rocker])
-        k = np.linalg.svd(cf.closure_jacobian(mech, q, t=0.0))[2][2]  # the motion possible here
+        k = np.linalg.svd(closures.closure_jacobian(mech, q, t=0.0))[2][
+            2
+        ]  # the motion possible here
         assert abs(k[2]) < 1e-7
         with pytest.raises(SingularError, match=r"dead centre.*\((crank|coupler)\) is free here"):
             dyn.inverse_dynamics(mech, q, [0.0] * 3, 10.0 * k)
@@ -647,7 +649,7 @@ actuated: [crank]
         angles = rocker + np.linspace(0.3, 0.0, count)[:, None]
         angles[-1] = rocker
         q = robodyn.assemble(mech, angles)
-        k = np.linalg.svd(cf.closure_jacobian(mech, q, t=0.0))[2][:, 2]  # the motion possible
+        k = np.linalg.svd(closures.closure_jacobian(mech, q, t=0.0))[2][:, 2]  # the motion possible
         M, G = cf.mass_matrix(mech, q), cf.gravity_vector(mech, q)
         k_G, k_M_k = (k * G).sum(-1), np.einsum("ti,tij,tj->t", k, M, k)
         qdd = -k * (k_G / k_M_k)[:, None]

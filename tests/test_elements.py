@@ -18,7 +18,6 @@ import robodyn
 from random_mechanisms import seeded_tree
 from robodyn import forward_dynamics, inverse_dynamics, reactions, simulate
 from robodyn.dynamics.identities import BOUND, identities, sample_states
-from robodyn.dynamics.placed import absolute_rates, placed
 from robodyn.elements import kinds
 from robodyn.elements.base import SPENT, STORED, Element
 from robodyn.elements.builder import Name, PointForce
@@ -46,6 +45,7 @@ from robodyn.export.mjcf import mjcf
 from robodyn.export.urdf import urdf
 from robodyn.mechanics.mechanism import build
 from robodyn.mechanics.modes import in_mode
+from robodyn.mechanics.placed import absolute_rates, placed
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene import grammar
 from robodyn.scene.description import from_text

@@ -36,6 +36,7 @@ from robodyn.equations.latex import latex
 from robodyn.equations.recorded import recorded
 from robodyn.equations.text import as_json, text
 from robodyn.equations.written import equations
+from robodyn.loops import closures
 from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
@@ -74,10 +75,10 @@ def assert_same(mech: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray)
                 assert_close(found[name](q, qd, qdd), tau, whole + scale, 1e-12)
             continue
         speed = float(np.abs(qd).sum()) ** 2
-        assert_close(found["Psi"](q), closed_form.closure_jacobian(mech, q, t=0.0), size.loop)
-        bias = closed_form.closure_bias(mech, q, qd, t=0.0)
+        assert_close(found["Psi"](q), closures.closure_jacobian(mech, q, t=0.0), size.loop)
+        bias = closures.closure_bias(mech, q, qd, t=0.0)
         assert_close(found["Psidot_qd"](q, qd), bias, size.loop * speed)
-        assert_close(found["gap"](q), closed_form.closure_gap(mech, q, t=0.0), size.loop)
+        assert_close(found["gap"](q), closures.closure_gap(mech, q, t=0.0), size.loop)
 
 
 @pytest.mark.parametrize("name", NAMES)

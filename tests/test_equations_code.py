@@ -27,6 +27,7 @@ from random_mechanisms import (
 from robodyn.dynamics import closed_form
 from robodyn.equations.code import c99, python
 from robodyn.equations.recorded import recorded
+from robodyn.loops import closures
 from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
@@ -40,9 +41,9 @@ def expected(mech: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) ->
     D = np.diag(mech.damping)
     found = {"M": ((q,), M), "C": ((q, qd), C), "D": ((), D), "G": ((q,), G), "Q": ((q, qd), Q)}
     if mech.rows:
-        found["Psi"] = (q,), closed_form.closure_jacobian(mech, q, t=0.0)
-        found["Psidot_qd"] = (q, qd), closed_form.closure_bias(mech, q, qd, t=0.0)
-        found["gap"] = (q,), closed_form.closure_gap(mech, q, t=0.0)
+        found["Psi"] = (q,), closures.closure_jacobian(mech, q, t=0.0)
+        found["Psidot_qd"] = (q, qd), closures.closure_bias(mech, q, qd, t=0.0)
+        found["gap"] = (q,), closures.closure_gap(mech, q, t=0.0)
     name = "joint_torques" if mech.rows else "inverse_dynamics"
     found[name] = (q, qd, qdd), M @ qdd + C @ qd + D @ qd + G - Q
     return found

@@ -29,6 +29,7 @@ from robodyn.dynamics import closed_form as cf
 from robodyn.dynamics import dynamics as dyn
 from robodyn.dynamics import identities as selftest
 from robodyn.elements.springs import JointDamper
+from robodyn.loops import closures
 from robodyn.mechanics.mechanism import load
 
 ROBOTS = sorted((Path(__file__).parent.parent / "robots").glob("*.yaml"))
@@ -138,17 +139,21 @@ class TestClosures:
     def test_psi_is_the_gradient_of_the_gap_and_psidot_its_rate(self, scene):
         mech, speed = scene.mechanism, speed_of(scene)
         size = sizes(mech.description).loop
-        assert_close(cf.closure_gap(mech, scene.q, t=0.0), np.zeros(len(mech.rows)), size, 1e-14)
+        assert_close(
+            closures.closure_gap(mech, scene.q, t=0.0), np.zeros(len(mech.rows)), size, 1e-14
+        )
         for axis, column in zip(
-            np.eye(scene.n), cf.closure_jacobian(mech, scene.q, t=0.0).T, strict=True
+            np.eye(scene.n), closures.closure_jacobian(mech, scene.q, t=0.0).T, strict=True
         ):
-            slope = derivative(lambda s, e=axis: cf.closure_gap(mech, scene.q + s * e, t=0.0), 1.0)
+            slope = derivative(
+                lambda s, e=axis: closures.closure_gap(mech, scene.q + s * e, t=0.0), 1.0
+            )
             assert_close(column, slope, size, 1e-10)
 
         def moving(s):
-            return cf.closure_jacobian(mech, scene.q + s * scene.qd, t=0.0) @ scene.qd
+            return closures.closure_jacobian(mech, scene.q + s * scene.qd, t=0.0) @ scene.qd
 
-        bias = cf.closure_bias(mech, scene.q, scene.qd, t=0.0)
+        bias = closures.closure_bias(mech, scene.q, scene.qd, t=0.0)
         assert_close(bias, derivative(moving, speed), size * (1.0 + speed) ** 2, 1e-10)
 
     @examples
@@ -157,8 +162,8 @@ class TestClosures:
         """Psi qdd + Psidot qd = 0 whatever the torques."""
         mech = scene.mechanism
         qdd = dyn.forward_dynamics(mech, scene.q, scene.qd, 20.0 * np.cos(np.arange(scene.n)))
-        bend = cf.closure_jacobian(mech, scene.q, t=0.0) @ qdd
-        bend = bend + cf.closure_bias(mech, scene.q, scene.qd, t=0.0)
+        bend = closures.closure_jacobian(mech, scene.q, t=0.0) @ qdd
+        bend = bend + closures.closure_bias(mech, scene.q, scene.qd, t=0.0)
         turning = np.abs(qdd).sum() + speed_of(scene) ** 2
         assert_close(bend, 0.0 * bend, sizes(mech.description).loop * turning)
 
@@ -243,9 +248,9 @@ class TestMotion:
         energy = cf.kinetic_energy(mech, q, qd) + cf.potential_energy(mech, q)
         size = np.abs(energy).max() + sizes(mech.description).gravity
         assert_close(energy, np.full_like(energy, energy[0]), size, 1e-9)
-        gap, loop = cf.closure_gap(mech, q, t=0.0), sizes(mech.description).loop
+        gap, loop = closures.closure_gap(mech, q, t=0.0), sizes(mech.description).loop
         assert_close(gap, np.zeros_like(gap), loop, 1e-9)
-        moving = np.einsum("...ij,...j->...i", cf.closure_jacobian(mech, q, t=0.0), qd)
+        moving = np.einsum("...ij,...j->...i", closures.closure_jacobian(mech, q, t=0.0), qd)
         assert_close(moving, np.zeros_like(moving), loop * np.abs(qd).max(), 1e-9)
 
 
@@ -296,7 +301,7 @@ class TestSelfTestHolds:
         assert 0 < len(sample.q) <= 8
         assert 0.0 < sample.closing <= 1.0
         size = sizes(mech.description).loop
-        gap = cf.closure_gap(mech, sample.q, t=0.0)
+        gap = closures.closure_gap(mech, sample.q, t=0.0)
         assert_close(gap, np.zeros_like(gap), size, 1e-12)
         assert np.abs(sample.qd).max() > 0.1
 
@@ -403,9 +408,9 @@ class TestSelfTestDetects:
         [("closure_jacobian", "Psi = dgap/dq"), ("closure_bias", "Psidot qd")],
     )
     def test_a_wrong_closure_term(self, monkeypatch, robot, function, identity):
-        mech, right = load_robot(robot), getattr(cf, function)
+        mech, right = load_robot(robot), getattr(closures, function)
         sample = selftest.sample_states(mech, 5)
-        monkeypatch.setattr(cf, function, lambda *arguments: 1.001 * right(*arguments))
+        monkeypatch.setattr(closures, function, lambda *arguments: 1.001 * right(*arguments))
         found = selftest.identities(mech, sample)
         assert any(not one.holds for one in found if one.name == identity)
 

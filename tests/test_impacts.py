@@ -17,6 +17,7 @@ from scipy.linalg import null_space
 import robodyn
 from robodyn.dynamics import closed_form
 from robodyn.elements.joints import HardStop
+from robodyn.loops import closures
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs import report
 from robodyn.runs.simulation import Motion, simulate
@@ -36,7 +37,7 @@ def rates_by_choices(
     """
     N = np.eye(mechanism.n)
     if mechanism.rows:
-        N = null_space(closed_form.closure_jacobian(mechanism, q, t=0.0), rcond=1e-9)
+        N = null_space(closures.closure_jacobian(mechanism, q, t=0.0), rcond=1e-9)
     R = np.array([-side * np.eye(mechanism.n)[joint] for joint, side in ends]).reshape(-1, len(qd))
     J = N @ np.linalg.solve(N.T @ closed_form.mass_matrix(mechanism, q) @ N, (R @ N).T)
     W, v, size = R @ J, R @ qd, 1e-9 * np.abs(qd).max()

@@ -21,10 +21,11 @@ from robodyn import (
     simulate,
 )
 from robodyn.dynamics import identities
-from robodyn.dynamics.closed_form import closure_bias, energies
+from robodyn.dynamics.closed_form import energies
 from robodyn.dynamics.dynamics import coupling_torques, forward_dynamics_and_forces
 from robodyn.engines.coupling_laws import law_derivatives
 from robodyn.errors import InputError
+from robodyn.loops.closures import closure_bias
 from robodyn.mechanics.mechanism import build
 from robodyn.runs.report import Outcome
 from robodyn.scene.description import from_text

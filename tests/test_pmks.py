@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from conftest import Outcome
 
-from robodyn.dynamics.closed_form import closure_gap, kinetic_energy
+from robodyn.dynamics.closed_form import kinetic_energy
 from robodyn.errors import InputError
 from robodyn.export.pmks import scene_from, text_from
 from robodyn.loops.assembly import assemble
+from robodyn.loops.closures import closure_gap
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text

@@ -24,11 +24,11 @@ import oracles
 import robodyn
 from random_mechanisms import mechanism
 from robodyn.dynamics import closed_form, dynamics, identities, reaction_forces
-from robodyn.dynamics.placed import placed
 from robodyn.errors import DescriptionError, InputError
-from robodyn.loops import assembly, closing, loop_rates
+from robodyn.loops import assembly, closing, closures, loop_rates
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.mechanism import build
+from robodyn.mechanics.placed import placed
 from robodyn.scene.description import from_text
 from robodyn.scene.scene import BRANCHES
 
@@ -130,7 +130,7 @@ def closed_states(mech, seed, count=4):
 
 
 def robodyn_singular(mech, q):
-    Psi = closed_form.scaled_jacobian(mech, q, t=0.0)[:, list(mech.passive)]
+    Psi = closures.scaled_jacobian(mech, q, t=0.0)[:, list(mech.passive)]
     return np.linalg.svd(Psi, compute_uv=False)[-1] < 0.05 * assembly.loop_size(mech)
 
 
@@ -138,11 +138,11 @@ def robodyn_singular(mech, q):
 def test_loops_against_the_lagrangian(kind):
     """The gap, Psi and its rate, and accelerations by every way, on all branches."""
     for seed in range(2 if FRESH else 1):
-        tree, closures, lines, actuated = closed_scene(kind, seed)
+        tree, loops, lines, actuated = closed_scene(kind, seed)
         gamma = complex(*np.random.default_rng(seed).uniform(-10, 10, 2))
         lines_unit = [(a, b, along / abs(along)) for a, b, along in lines]
-        oracle = oracles.sympy_terms(tree, gamma, closures, "mpmath", lines=lines_unit)
-        mech = mechanism(text_of(tree, gamma, closures, lines, actuated))
+        oracle = oracles.sympy_terms(tree, gamma, loops, "mpmath", lines=lines_unit)
+        mech = mechanism(text_of(tree, gamma, loops, lines, actuated))
         rng = np.random.default_rng(seed)
         for q in closed_states(mech, seed):
             qd = robodyn.loop_velocities(mech, q, rng.normal(size=len(actuated)))
@@ -152,8 +152,8 @@ def test_loops_against_the_lagrangian(kind):
             size = assembly.loop_size(mech)
             assert np.abs(np.array(terms.gap, float)).max() <= 1e-14 * size
             own = (
-                closed_form.closure_jacobian(mech, q, t=0.0),
-                closed_form.closure_bias(mech, q, qd, t=0.0),
+                closures.closure_jacobian(mech, q, t=0.0),
+                closures.closure_bias(mech, q, qd, t=0.0),
             )
             assert np.abs(own[0] - np.array(terms.Psi, float)).max() <= 1e-14 * max(1.0, size)
             exact = np.array(terms.Psidot_qd, float)
@@ -278,20 +278,20 @@ def drawn_scene(seed: int) -> tuple[str, int]:
             f"  - {{name: l{k}, {kind}m: {rng.uniform(0.2, 2):.3f}, l: {rng.uniform(0.2, 1):.3f}, "
             f"r: {pair(0.3)}, I: {rng.uniform(0.01, 0.3):.4f}, from: {place(parent)}{damping}}}"
         )
-    closures = []
+    loops = []
     for _ in range(int(rng.integers(0, 3))):
         first = int(rng.integers(0, n))
         second = None if rng.random() < 0.4 else int(rng.integers(0, n))
         if first == second:
             continue
         if rng.random() < 0.5:
-            closures.append(f"  - [{place(first)}, {place(second)}]")
+            loops.append(f"  - [{place(first)}, {place(second)}]")
             continue
         carrier = "" if second is None else f"link: l{second}, "
         kept = f", aligned: {rng.uniform(-1, 1):.3f}" if rng.random() < 0.3 else ""
         line = f"{carrier}through: {pair(0.5)}, along: {pair(1.0)}"
-        closures.append(f"  - {{point: {place(first)}, on: {{{line}}}{kept}}}")
-    rows += ["closures:", *closures] if closures else []
+        loops.append(f"  - {{point: {place(first)}, on: {{{line}}}{kept}}}")
+    rows += ["closures:", *loops] if loops else []
     return "\n".join(rows) + "\n", n
 
 
@@ -310,7 +310,7 @@ def test_drawn_scenes_against_independent_mechanics():
         driven = ", ".join(f"l{k}" for k in rng.permutation(n)[:freedoms])
         mech = mechanism(f"{text}actuated: [{driven}]\n")
         for q in closing.close_positions(mech, closing.random_states(mech, rng, 20), t=0.0):
-            gap = np.abs(closed_form.closure_gap(mech, q, t=0.0)).max(initial=0.0)
+            gap = np.abs(closures.closure_gap(mech, q, t=0.0)).max(initial=0.0)
             if gap < 1e-12 and regular(mech, q) and upright(mech, q):
                 check_drawn(mech, q, rng)
                 seen += 1
@@ -319,7 +319,7 @@ def test_drawn_scenes_against_independent_mechanics():
 
 
 def regular(mech, q) -> bool:
-    Psi = closed_form.scaled_jacobian(mech, q, t=0.0)
+    Psi = closures.scaled_jacobian(mech, q, t=0.0)
     passive = Psi[:, list(mech.passive)]
     return not len(Psi) or min(np.linalg.svd(x, compute_uv=False)[-1] for x in (Psi, passive)) > 0.1
 
@@ -355,7 +355,7 @@ def check_drawn(mech, q, rng):
             words[c] = word
         found, missing = assembly.attempt(mech, q[driven], words, t=0.0)
         if missing <= 0.0:
-            assert np.abs(closed_form.closure_gap(mech, found, t=0.0)).max() <= 1e-12
+            assert np.abs(closures.closure_gap(mech, found, t=0.0)).max() <= 1e-12
             away.append(np.abs(placed(mech, found).X - here).max())
     assert min(away) <= 1e-8
 
@@ -393,7 +393,7 @@ def test_identities_of_drawn_scenes_with_motors_and_couplings():
         driven = ", ".join(f"l{k}" for k in order[:freedoms])
         mech = mechanism(f"{text}actuated: [{driven}]\n")
         for q in closing.close_positions(mech, closing.random_states(mech, rng, 20), t=0.0):
-            gap = np.abs(closed_form.closure_gap(mech, q, t=0.0)).max(initial=0.0)
+            gap = np.abs(closures.closure_gap(mech, q, t=0.0)).max(initial=0.0)
             if gap < 1e-12 and regular(mech, q) and upright(mech, q):
                 qd = loop_rates.nearest_velocities(mech, q[None], rng.normal(size=(1, n)), t=0.0)
                 sample = identities.Sample(q[None], qd, 1.0, np.zeros(1))
@@ -427,8 +427,8 @@ def test_scotch_yoke():
 
 def test_elliptic_trammel():
     """A point of the bar between its sliders runs on an ellipse."""
-    tree, closures, lines, actuated = closed_scene("elliptic trammel", 0)
-    mech = mechanism(text_of(tree, 0j, closures, lines, actuated))
+    tree, loops, lines, actuated = closed_scene("elliptic trammel", 0)
+    mech = mechanism(text_of(tree, 0j, loops, lines, actuated))
     for theta in np.linspace(-3.0, 3.0, 9):
         q = assembly.assemble(mech, [theta], t=0.0)
         at = placed(mech, q)
@@ -561,7 +561,7 @@ def test_a_block_that_stands_half_a_turn_off_is_open():
     q = assembly.assemble(mech, [0.4], t=0.0)
     assert check_closed(mech, q, t=0.0) is None
     over = np.add(q, [0.0, math.pi, 0.0])
-    assert np.abs(closed_form.closure_gap(mech, over, t=0.0)).max() <= 1e-15
+    assert np.abs(closures.closure_gap(mech, over, t=0.0)).max() <= 1e-15
     state, error = check_closed(mech, np.stack([q, over]), t=0.0)
     assert state == 1
     assert "the loops are open" in str(error)
@@ -573,8 +573,8 @@ def test_a_block_that_stands_half_a_turn_off_is_open():
 @pytest.mark.parametrize("kind", CLOSED)
 def test_open_is_the_point_ahead(kind):
     """With a slot or a slider the point is ahead along it, or behind where it is crossed."""
-    tree, closures, lines, actuated = closed_scene(kind, 3)
-    mech = mechanism(text_of(tree, 0j, closures, lines, actuated))
+    tree, loops, lines, actuated = closed_scene(kind, 3)
+    mech = mechanism(text_of(tree, 0j, loops, lines, actuated))
     plan = assembly.assembly_plan(mech)
     given = [0.3]
     for c in plan.two_way:
@@ -585,7 +585,7 @@ def test_open_is_the_point_ahead(kind):
             q, missing = assembly.attempt(mech, given, words, t=0.0)
             if missing > 0.0:
                 return
-            assert np.abs(closed_form.closure_gap(mech, q, t=0.0)).max() <= 1e-15
+            assert np.abs(closures.closure_gap(mech, q, t=0.0)).max() <= 1e-15
             places[word] = q
         if kind == "slider-crank with a piston":
             ahead = [places[word][2] for word in ("open", "crossed")]
@@ -596,8 +596,8 @@ def test_open_is_the_point_ahead(kind):
 
 def test_a_start_picks_the_branch():
     """Where the scene has no `assembly`, what is nearest to its `start` is taken."""
-    tree, closures, lines, actuated = closed_scene("Whitworth", 0)
-    text = text_of(tree, 0j, closures, lines, actuated)
+    tree, loops, lines, actuated = closed_scene("Whitworth", 0)
+    text = text_of(tree, 0j, loops, lines, actuated)
     up = mechanism(text + "start: {crank: 0, lever: 80deg, rod: 80deg}\n")
     down = mechanism(text + "start: {crank: 0, lever: 80deg, rod: -40deg}\n")
     told = mechanism(text + "assembly: [open, open]\nstart: {crank: 0, lever: 80deg, rod: 80deg}\n")

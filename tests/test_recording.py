@@ -10,7 +10,7 @@ from conftest import ROOT
 from random_mechanisms import LOOPS, seeded_scene, seeded_tree
 from robodyn import load, simulate
 from robodyn.dynamics import closed_form, dynamics
-from robodyn.loops import assembly
+from robodyn.loops import assembly, closures
 from robodyn.loops.assembly import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.runs.march import run
@@ -21,7 +21,7 @@ from robodyn.runs.settings import METHODS, EvenTimes, Settings
 
 def least_singular(mech, q):
     """The statistics' values, and those of numpy's decomposition."""
-    Psi = closed_form.closure_jacobian(mech, q, t=0.0)
+    Psi = closures.closure_jacobian(mech, q, t=0.0)
     idle = Actuation((0.0,) * mech.n)
     statistics = RunStatistics(Report(), idle, mech.n, True)
     s = np.linalg.svd(Psi, compute_uv=False)[:, -1]
@@ -130,7 +130,7 @@ def test_many_rows_of_a_loop_close(method):
     assert outcome is Outcome.FINISHED
     t, y = (np.concatenate(part) for part in zip(*blocks, strict=True))
     assert np.array_equal(t, np.linspace(0.0, 0.1, 2001))
-    assert np.abs(closed_form.closure_gap(mech, y[:, :3], t=0.0)).max() < 1e-12
+    assert np.abs(closures.closure_gap(mech, y[:, :3], t=0.0)).max() < 1e-12
     assert np.abs(np.diff(y, axis=0)).max() < 0.01
 
 

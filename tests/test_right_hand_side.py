@@ -19,9 +19,10 @@ from random_mechanisms import (
 )
 from robodyn import assemble, closure_gap, closure_jacobian, load, loop_velocities, simulate
 from robodyn.dynamics import dense_dynamics
-from robodyn.dynamics.closed_form import closure_bias, mass_matrix
+from robodyn.dynamics.closed_form import mass_matrix
 from robodyn.dynamics.dynamics import forward_dynamics
 from robodyn.loops.assembly import close_positions
+from robodyn.loops.closures import closure_bias
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation, expressions
 from robodyn.runs.right_hand_side import RightHandSide, right_hand_side

@@ -13,14 +13,9 @@ from conftest import ROOT, Outcome
 from test_drawn import FOUR_BAR, Linkage
 
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
-from robodyn.dynamics.closed_form import (
-    closure_jacobian,
-    coriolis_matrix,
-    gravity_vector,
-    mass_matrix,
-    other_forces,
-)
+from robodyn.dynamics.closed_form import coriolis_matrix, gravity_vector, mass_matrix, other_forces
 from robodyn.export.scene_text import scene_text
+from robodyn.loops.closures import closure_jacobian
 from robodyn.mechanics.mechanism import Mechanism, build, load
 from robodyn.scene.description import from_text
 from robodyn.scene.scene_values import read_numbers

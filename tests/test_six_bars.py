@@ -14,7 +14,8 @@ from conftest import ROOT, Outcome
 
 import oracles
 from robodyn import assemble, closure_gap, closure_jacobian, forward_dynamics, load, mass_matrix
-from robodyn.dynamics.closed_form import closure_bias, coriolis_matrix, gravity_vector
+from robodyn.dynamics.closed_form import coriolis_matrix, gravity_vector
+from robodyn.loops.closures import closure_bias
 from robodyn.scene.description import read
 
 Run = Callable[..., Outcome]

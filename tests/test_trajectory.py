@@ -16,8 +16,8 @@ import oracles
 import robodyn
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn import load
-from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
+from robodyn.loops.closures import closure_bias, closure_gap, closure_jacobian
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories import joint_paths
 from robodyn.trajectories.joint_paths import (

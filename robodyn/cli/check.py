@@ -25,7 +25,7 @@ from robodyn.dynamics.identities import (
 from robodyn.elements.contacts import Mode
 from robodyn.elements.values import Curve
 from robodyn.errors import InputError, overflow
-from robodyn.loops import assembly
+from robodyn.loops import assembly, closures
 from robodyn.loops.branches import scene_start
 from robodyn.mechanics.loop_rows import loop_class
 from robodyn.mechanics.mechanism import Mechanism
@@ -215,7 +215,7 @@ def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
     cond_M = None if massless else _span(condition_numbers(closed_form.mass_matrix(mechanism, q)))
     mobility, cond_Psi = mechanism.n, None
     if mechanism.rows:
-        s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q, sample.t), compute_uv=False)
+        s = np.linalg.svd(closures.scaled_jacobian(mechanism, q, sample.t), compute_uv=False)
         rank = int((s > assembly.CLOSED * s[..., :1]).sum(axis=-1).max())
         mobility, cond_Psi = mechanism.n - rank, _span(s[:, 0] / s[:, rank - 1])
         if rank < len(mechanism.rows):

@@ -26,6 +26,7 @@ from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_d
 from robodyn.dynamics.state import State
 from robodyn.elements.contacts import COMPLIANT, HARD, STICKS
 from robodyn.errors import InputError, RobodynError, overflow
+from robodyn.loops import closures
 from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.csv_fields import IN_DEGREES
@@ -97,9 +98,9 @@ def terms(
     if moves and (mechanism.has_state_forces or mechanism.contacts & {STICKS, COMPLIANT}):
         content["Q"] = "N m", closed_form.other_forces(mechanism, q_, qd_, t)
     if mechanism.rows:
-        content["Psi"] = "m", closed_form.closure_jacobian(mechanism, q_, t)
-        content["Psidot_qd"] = "m/s²", closed_form.closure_bias(mechanism, q_, qd_, t)
-        content["gap"] = "m", closed_form.closure_gap(mechanism, q_, t)
+        content["Psi"] = "m", closures.closure_jacobian(mechanism, q_, t)
+        content["Psidot_qd"] = "m/s²", closures.closure_bias(mechanism, q_, qd_, t)
+        content["gap"] = "m", closures.closure_gap(mechanism, q_, t)
     if derivatives:
         with remarks():
             names = [name.strip() for each in by or () for name in each.split(",")]

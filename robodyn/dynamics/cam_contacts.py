@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike
 from robodyn.dynamics.cams import Contact, Follower, contact, convex_radius
 from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.dynamics import coupling_torques
-from robodyn.dynamics.placed import Placed
 from robodyn.elements.joints import Range
 from robodyn.engines.coupling_laws import law_derivatives
 from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import Placed
 from robodyn.scene.scene import Curve, Point
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array

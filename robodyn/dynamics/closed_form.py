@@ -1,4 +1,4 @@
-"""M, C, G, Psi, energies and points of a mechanism, vectorised over leading axes.
+"""M, C, G, energies and points of a mechanism, vectorised over leading axes.
 
 With x = J q the angles alpha of directions E = exp(i alpha), and displacements s, X = E for what
 turns and s E_d for what slides on link d (E_d = 1 on the ground), T = dX/dx (`columns`),
@@ -6,19 +6,17 @@ turns and s E_d for what slides on link d (E_d = 1 on the ground), T = dX/dx (`c
     M = J^T Re(T^H A T) J      C = J^T Re(T^H A T') J      G = -J^T (Re(w T) + moments)
     KE = 1/2 X'^H A X'      PE = -Re(w X) - moments . x + const
     M += S^T diag(rotors) S      KE += 1/2 (S qd)^T diag(rotors) S qd
-    gap = Re(conj(E_line) P X) + angles x + offset      Psi = d gap/dq
-    Psidot qd = gap'' without accelerations
 
-where A, J, P, the weights w (conj(gamma) B, plus constant forces), the moments, and the rotors of
+where A, J, the weights w (conj(gamma) B, plus constant forces), the moments, and the rotors of
 motors, which spin with S qd, are the constants of `mechanism.py`.  If nothing slides T = diag(i E),
 and these are the textbook's sums over conj(E_j) A_jk E_k.  This C is the Christoffel one: Mdot - 2C
 is skew-symmetric.  The equation of motion is
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0
 
-with D the diagonal matrix of joint damping.  Springs of a scene are in G and PE; other forces are
-in Q, from the rows of the program (`row_values.py`, imported only for scenes that have some).
-States are arrays (..., n); radians, SI units.
+with D the diagonal matrix of joint damping, and gap and Psi of `closures.py`.  Springs of a scene
+are in G and PE; other forces are in Q, from the rows of the program (`row_values.py`, imported only
+for scenes that have some).  States are arrays (..., n); radians, SI units.
 """
 
 from __future__ import annotations
@@ -29,7 +27,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.placed import (
+from robodyn.elements.contacts import COMPLIANT, Mode
+from robodyn.engines.row_values import rows_of
+from robodyn.mechanics import parts
+from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.mechanics.modes import in_mode, moving_mode, pressed, pushes
+from robodyn.mechanics.placed import (
     Placed,
     absolute_rates,
     as_states,
@@ -38,13 +41,6 @@ from robodyn.dynamics.placed import (
     matvec,
     placed,
 )
-from robodyn.elements.contacts import COMPLIANT, Mode
-from robodyn.engines.coupling_laws import laws_of
-from robodyn.engines.row_values import rows_of
-from robodyn.mechanics import parts
-from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.mechanics.modes import in_mode, moving_mode, pressed, pushes
-from robodyn.mechanics.planar_model import Arrays
 from robodyn.tables.arrays import Array, Complex
 
 BLOCK = 4  # rows, whose products need no new memory
@@ -234,113 +230,6 @@ def _energies_by_stops(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tup
         found[:, which] = energies(in_mode(mechanism, mode), *(x[which] for x in flat))
     KE, PE = found.reshape(2, *states[0].shape[:-1])
     return KE, PE
-
-
-def closure_gap(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
-    """Return the closure gap, first side minus second, (..., r), m.
-
-    A pin has two components (x, y), a slider one (normal to its line), and a coupling one: the lead
-    of its joint (rad) times a length of the mechanism.
-    """
-    return gap_at(mechanism, mechanism.arrays, placed(mechanism, q), t)
-
-
-def closure_jacobian(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
-    """Return Psi = d gap/dq, (..., r, n), in m/rad, or 1 for joints that slide."""
-    Psi: Array = absolute_jacobian(mechanism, placed(mechanism, q), t) @ mechanism.arrays.J
-    return Psi
-
-
-def scaled_jacobian(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
-    """Return Psi with displacements in units of a length, (..., r, n), m.
-
-    So its columns are comparable.
-    """
-    Psi = closure_jacobian(mechanism, q, t)
-    return Psi * mechanism.arrays.units if mechanism.slides else Psi
-
-
-def absolute_jacobian(mechanism: Mechanism, at: Placed, t: ArrayLike) -> Array:
-    """Return Psi in x, (..., r, n)."""
-    return jacobian_at(mechanism, mechanism.arrays, at, t)
-
-
-def closure_drift(mechanism: Mechanism, q: ArrayLike, t: ArrayLike) -> Array:
-    """Return d gap/dt with joints held, (..., r), m/s; the gap's rate is Psi qd plus this."""
-    return drift_at(mechanism, placed(mechanism, q), t)
-
-
-def drift_at(mechanism: Mechanism, at: Placed, t: ArrayLike) -> Array:
-    """Return d gap/dt of coupling laws with joints held, for a placed mechanism, (..., r)."""
-    found = np.zeros((*at.x.shape[:-1], len(mechanism.rows)), at.x.dtype)
-    if mechanism.driven and (laws := laws_of(mechanism)) is not None:
-        laws.add_drift(at.x, t, found)
-    return found
-
-
-def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike) -> Array:
-    """Return the gap's acceleration for qdd = 0, Psidot qd, (..., r), m/s^2.
-
-    For laws of time it includes their own acceleration.
-    """
-    at, rates = placed(mechanism, q), absolute_rates(mechanism, qd)
-    bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
-    return bias_at(mechanism, at, rates, bent, t)
-
-
-def bias_at(mechanism: Mechanism, at: Placed, rates: Array, bent: Placed, t: ArrayLike) -> Array:
-    """Return Psidot qd, where X'' is `bent` for zero accelerations."""
-    P, ground = mechanism.arrays.P, mechanism.arrays.ground
-    bias: Complex = matvec(P, bent.X)
-    if mechanism.lines:
-        moved = at.rates(mechanism, rates)
-        bias = lines(mechanism, at.E).conj() * bias
-        bias = bias + 2.0 * lines(mechanism, moved.E, 0.0).conj() * matvec(P, moved.X)
-        bias = bias + lines(mechanism, bent.E, 0.0).conj() * (ground + matvec(P, at.X))
-    found = np.array(bias.real)
-    if (laws := laws_of(mechanism)) is not None:
-        laws.add_bias(at.x, rates, t, found)
-    return found
-
-
-# -- the gap, in any precision ---------------------------------------------------------------------
-
-
-def lines(mechanism: Mechanism, E: Complex, otherwise: float = 1.0) -> Complex:
-    """Return E of the link that carries the line of each row, (..., r), or `otherwise`."""
-    found = np.full((*E.shape[:-1], len(mechanism.rows)), otherwise, E.dtype)
-    for r, line in mechanism.lines:
-        found[..., r] = E[..., line]
-    return found
-
-
-def gap_at(mechanism: Mechanism, arrays: Arrays, at: Placed, t: ArrayLike) -> Array:
-    """Return the gap (..., r), m, of a placed mechanism."""
-    across: Complex = matvec(arrays.P, at.X)
-    if mechanism.lines:
-        across = lines(mechanism, at.E).conj() * (across + arrays.ground)
-    gap: Array = across.real + arrays.offset
-    if mechanism.has_angles:
-        gap = gap + matvec(arrays.angles, at.x)
-    if (laws := laws_of(mechanism)) is not None:
-        laws.add_gap(at.x, t, gap)
-    if mechanism.held:
-        gap[..., list(mechanism.held)] = 0.0
-    return gap
-
-
-def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed, t: ArrayLike) -> Array:
-    """Return d gap/dx, (..., r, n), of a placed mechanism."""
-    P = arrays.P
-    if mechanism.lines:
-        P = lines(mechanism, at.E).conj()[..., None] * P
-    Psi: Array = columns(mechanism, P, at.X[..., None, :], at.E[..., None, :]).real + arrays.angles
-    for r, line in mechanism.lines:
-        across = arrays.ground[r] + (at.X * arrays.P[r]).sum(axis=-1)
-        Psi[..., r, line] += (at.E[..., line].conj() * across).imag
-    if (laws := laws_of(mechanism)) is not None:
-        laws.add_jacobian(at.x, t, Psi)
-    return Psi
 
 
 class Points(NamedTuple):

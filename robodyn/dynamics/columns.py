@@ -72,7 +72,7 @@ def _drive_power(state: State) -> Array:
 
 def _contacts(state: State) -> Array:
     from robodyn.dynamics.cam_contacts import contacts_on_links
-    from robodyn.dynamics.placed import placed
+    from robodyn.mechanics.placed import placed
 
     at = placed(state.mechanism, state.q)
     each = [x.pressed for x in contacts_on_links(state.mechanism, state.q, at, state.multipliers)]
@@ -99,7 +99,7 @@ def _radii(state: State) -> Array:
 
 
 def _gap(state: State) -> Array:
-    from robodyn.dynamics.closed_form import closure_gap
+    from robodyn.loops.closures import closure_gap
 
     gap: Array = np.linalg.norm(closure_gap(state.mechanism, state.q, state.t), axis=-1)
     return gap[:, None]
@@ -157,7 +157,7 @@ def _links(state: State) -> Array:
 
 def _centres(state: State) -> Array:
     from robodyn.dynamics.closed_form import point_motion
-    from robodyn.dynamics.placed import absolute_rates, frame_rates
+    from robodyn.mechanics.placed import absolute_rates, frame_rates
 
     mechanism, (qd, _) = state.mechanism, state.along
     p, v, _ = point_motion(mechanism, list(mechanism.tips), state.q, qd)

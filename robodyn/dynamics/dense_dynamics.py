@@ -18,17 +18,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import (
-    absolute_inertia,
-    absolute_jacobian,
-    bias_at,
-    drift_at,
-    gap_at,
-    mass_matrix,
-    rotor_inertia,
-    scaled_jacobian,
-)
-from robodyn.dynamics.placed import (
+from robodyn.dynamics.closed_form import absolute_inertia, mass_matrix, rotor_inertia
+from robodyn.engines.factors import svd
+from robodyn.engines.row_values import rows_of
+from robodyn.errors import RobodynError, SingularError
+from robodyn.loops.closing import loop_size, singular_at
+from robodyn.loops.closures import absolute_jacobian, bias_at, drift_at, gap_at, scaled_jacobian
+from robodyn.mechanics import parts
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import (
     Placed,
     absolute_rates,
     as_states,
@@ -38,12 +36,6 @@ from robodyn.dynamics.placed import (
     placed_at,
     relative_matrix,
 )
-from robodyn.engines.factors import svd
-from robodyn.engines.row_values import rows_of
-from robodyn.errors import RobodynError, SingularError
-from robodyn.loops.closing import loop_size, singular_at
-from robodyn.mechanics import parts
-from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.dense_dynamics import RANK_CUT, elimination_is_safe
 from robodyn.dynamics.dynamics import PIVOT_CUT
-from robodyn.dynamics.placed import absolute_rates, check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
 from robodyn.elements.contacts import Mode
 from robodyn.engines import formulas, straightline
@@ -28,6 +27,7 @@ from robodyn.engines.formulas import (
 )
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
+from robodyn.mechanics.placed import absolute_rates, check_directions, finite, times_of, together
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 

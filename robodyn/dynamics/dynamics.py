@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics import closed_form, dense_dynamics
+from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.dense_dynamics import (
     MASS_CUT,
     Accelerations,
@@ -28,7 +28,11 @@ from robodyn.dynamics.dense_dynamics import (
     elimination_is_safe,
     required_load,
 )
-from robodyn.dynamics.placed import (
+from robodyn.engines import formulas
+from robodyn.errors import InputError, SingularError
+from robodyn.loops import closures
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import (
     check_directions,
     finite,
     matvec,
@@ -37,9 +41,6 @@ from robodyn.dynamics.placed import (
     times_of,
     together,
 )
-from robodyn.engines import formulas
-from robodyn.errors import InputError, SingularError
-from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
@@ -241,7 +242,7 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array, t: ArrayLike
     from robodyn.loops import change_points, projection
     from robodyn.loops.closing import NEAR_SINGULAR, close_positions
 
-    near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q, t))
+    near = change_points.nearness(mechanism, closures.scaled_jacobian(mechanism, q, t))
     close = near < NEAR_SINGULAR
     if close.any():  # there a state must keep the closures to its last digit
         q = q.copy()
@@ -270,7 +271,7 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike
 
     try:
         found = dense_dynamics.inverse(mechanism, q, qd, qdd, t)
-        near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q, t))
+        near = change_points.nearness(mechanism, closures.scaled_jacobian(mechanism, q, t))
         return _missed(mechanism, found, q[near < change_points.NEAR])
     except SingularError:
         if q.ndim > 1:
@@ -283,9 +284,9 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike
 
         def beside(q: Array, qd: Array) -> Array:
             """Return the torques of closed states (k, n) for the nearest qdd that closes."""
-            Psi = closed_form.scaled_jacobian(mechanism, q, t)
+            Psi = closures.scaled_jacobian(mechanism, q, t)
             units = mechanism.arrays.units
-            opening = Psi @ (qdd / units) + closed_form.closure_bias(mechanism, q, qd, t)
+            opening = Psi @ (qdd / units) + closures.closure_bias(mechanism, q, qd, t)
             closing = units * matvec(decompose(mechanism, Psi).inverse, opening)
             return dense_dynamics.inverse(mechanism, q, qd, qdd - closing, t).tau
 
@@ -313,7 +314,7 @@ def _at(t: ArrayLike, q: Array) -> Array:
 
 def _multipliers(mechanism: Mechanism, q: Array, load: Array, t: ArrayLike) -> Array:
     """Return the multipliers of least norm that balance a load at q (n,)."""
-    Psi = closed_form.scaled_jacobian(mechanism, q, t)
+    Psi = closures.scaled_jacobian(mechanism, q, t)
     found: Array = decompose(mechanism, Psi).inverse.T @ (load * mechanism.arrays.units)
     return found
 

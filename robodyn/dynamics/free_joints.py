@@ -18,20 +18,16 @@ from itertools import combinations, islice
 
 import numpy as np
 
-from robodyn.dynamics.closed_form import (
-    coriolis_matrix,
-    gravity_vector,
-    mass_matrix,
-    scaled_jacobian,
-)
+from robodyn.dynamics.closed_form import coriolis_matrix, gravity_vector, mass_matrix
 from robodyn.dynamics.dense_dynamics import decompose
 from robodyn.dynamics.derivatives import inverse_dynamics_derivatives
-from robodyn.dynamics.placed import matvec
 from robodyn.dynamics.sticking import bounds, resting, touching
 from robodyn.errors import ResidualError
 from robodyn.loops.closing import closed_jacobians, loop_size, regular_rank
+from robodyn.loops.closures import scaled_jacobian
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
+from robodyn.mechanics.placed import matvec
 from robodyn.tables.arrays import Array
 
 CHOICES = 1000  # of joints that count as free

@@ -23,7 +23,6 @@ from robodyn.dynamics.cam_contacts import contacts_on_links
 from robodyn.dynamics.dynamics import pins_at
 from robodyn.dynamics.friction_formula import contacts_at
 from robodyn.dynamics.pin_friction import Rubbing, rubbing_at
-from robodyn.dynamics.placed import absolute_rates, finite, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of, reactions, sides_of
 from robodyn.dynamics.sticking import Smooth
 from robodyn.engines import rounds
@@ -31,6 +30,7 @@ from robodyn.engines.formulas import MAX_GENERATED
 from robodyn.errors import RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import without_rubbing
+from robodyn.mechanics.placed import absolute_rates, finite, matvec, placed
 from robodyn.tables.arrays import Array, Complex
 
 

@@ -18,18 +18,18 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form, dynamics
 from robodyn.dynamics.friction_rounds import load_of, solvable
-from robodyn.dynamics.placed import absolute_rates, frame_rates, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of
 from robodyn.elements.contacts import Mode
 from robodyn.engines.row_values import RowValues, rows_of
 from robodyn.errors import InputError, SingularError
-from robodyn.loops import assembly, loop_rates
+from robodyn.loops import assembly, closures, loop_rates
 from robodyn.loops.assembly_plan import assembly_plan, with_independent
 from robodyn.loops.closing import SAMPLED, random_states
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.modes import in_mode, moving_mode
 from robodyn.mechanics.parts import without_rubbing
+from robodyn.mechanics.placed import absolute_rates, frame_rates, matvec, placed
 from robodyn.tables.arrays import Array
 
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
@@ -108,7 +108,7 @@ def sample_states(
         drawn = random_states(mechanism, rng, tries)
         t = _times(mechanism, rng, tries)
         q = assembly.close_positions(mechanism, drawn, t=t)
-        missing = np.abs(closed_form.closure_gap(mechanism, q, t)).max(axis=-1)
+        missing = np.abs(closures.closure_gap(mechanism, q, t)).max(axis=-1)
         closes = np.flatnonzero(missing <= ROUNDING * assembly.loop_size(mechanism))
     keep: list[int] = []
     for k in closes:
@@ -268,16 +268,16 @@ def _closure_identities(
 ) -> list[Identity]:
     directions = np.random.default_rng(3).normal(size=q.shape)
     size = assembly.loop_size(mechanism)
-    gap = closed_form.closure_gap(mechanism, q, t)
-    Psi = closed_form.closure_jacobian(mechanism, q, t)
-    bias = closed_form.closure_bias(mechanism, q, qd, t)
+    gap = closures.closure_gap(mechanism, q, t)
+    Psi = closures.closure_jacobian(mechanism, q, t)
+    bias = closures.closure_bias(mechanism, q, qd, t)
     ways, speed = absolute_rates(mechanism, directions), absolute_rates(mechanism, qd)
     slopes, turns = [], []
     most = _top(bias) if mechanism.laws else 0.0
 
     def closing_rate(q: Array, t: Array) -> Array:
-        rate = matvec(closed_form.closure_jacobian(mechanism, q, t), qd)
-        return rate + closed_form.closure_drift(mechanism, q, t) if mechanism.driven else rate
+        rate = matvec(closures.closure_jacobian(mechanism, q, t), qd)
+        return rate + closures.closure_drift(mechanism, q, t) if mechanism.driven else rate
 
     # a law may bend faster than any link turns: the step that misses least tells
     for part in FINER if mechanism.laws else (1.0,):
@@ -325,11 +325,11 @@ def _motion_identities(
     terms = [matvec(M, qdd), matvec(C, qd), damping * qd, G, -tau, -Q]
     found, work = [], np.zeros(len(q))
     if mechanism.rows:
-        Psi = closed_form.closure_jacobian(mechanism, q, t)
+        Psi = closures.closure_jacobian(mechanism, q, t)
         terms.append(-matvec(np.swapaxes(Psi, -1, -2), motion.multipliers))
-        drift = closed_form.closure_drift(mechanism, q, t)
+        drift = closures.closure_drift(mechanism, q, t)
         work = -_dot(drift, motion.multipliers)  # of laws of the time
-        opening = matvec(Psi, qdd) + closed_form.closure_bias(mechanism, q, qd, t)
+        opening = matvec(Psi, qdd) + closures.closure_bias(mechanism, q, qd, t)
         free = max(map(_top, terms)) / _top(M)  # an acceleration that nothing holds
         size = assembly.loop_size(mechanism) * (max(_top(qdd), free) + _top(qd) ** 2)
         found.append(Identity("Psi qdd + Psidot qd = 0", _relative(opening, size)))

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.columns import scene_units, unit_of
-from robodyn.dynamics.placed import STATE, finite, numbers
 from robodyn.errors import InputError, SingularError, overflow
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import STATE, finite, numbers
 from robodyn.scene.quantities import parse_vector
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown

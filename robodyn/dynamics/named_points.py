@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import point_motion, points_of
-from robodyn.dynamics.placed import absolute_rates, as_states, columns, frame_rates, placed
 from robodyn.errors import InputError
 from robodyn.loops.loop_rates import closing_rates
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.mechanics.placed import absolute_rates, as_states, columns, frame_rates, placed
 from robodyn.scene.point_names import Places, places_of
 from robodyn.scene.scene import Point
 from robodyn.scene.yaml_values import nearest

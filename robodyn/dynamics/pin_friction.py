@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import points_of
-from robodyn.dynamics.placed import Placed, as_states, columns, matvec, placed
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import Placed, as_states, columns, matvec, placed
 from robodyn.scene.scene import Closure
 from robodyn.tables.arrays import Array, Complex
 

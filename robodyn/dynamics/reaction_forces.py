@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.cam_contacts import ContactForce, contacts_on_links
-from robodyn.dynamics.closed_form import Points, dense, points_of, scaled_jacobian
+from robodyn.dynamics.closed_form import Points, dense, points_of
 from robodyn.dynamics.dense_dynamics import decompose
 from robodyn.dynamics.dynamics import (
     as_multipliers,
@@ -37,13 +37,14 @@ from robodyn.dynamics.dynamics import (
     pins_at,
 )
 from robodyn.dynamics.pin_friction import at_closures
-from robodyn.dynamics.placed import Placed, absolute_rates, as_states, frame_rates, matvec, placed
 from robodyn.elements.builder import LinkMoment, PointForce
 from robodyn.engines.row_values import rows_of
 from robodyn.loops.closing import loop_size
+from robodyn.loops.closures import scaled_jacobian
 from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree, places_of
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.mechanics.placed import Placed, absolute_rates, as_states, frame_rates, matvec, placed
 from robodyn.scene.scene import Point
 from robodyn.tables.arrays import Array, Complex
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics.cam_contacts import ContactForce, cams_of, forces_on_links
 from robodyn.dynamics.dynamics import pins_at
-from robodyn.dynamics.placed import Placed
 from robodyn.dynamics.reaction_forces import Acts, Felt, Part
 from robodyn.engines import expression
 from robodyn.engines.expression import Value
@@ -18,6 +17,7 @@ from robodyn.engines.formulas import Recorded
 from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.row_values import RowValues
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import Placed
 
 
 def planar_values(values: Sequence[Value]) -> NDArray[Any]:

@@ -31,12 +31,12 @@ from robodyn.dynamics.columns import (
 )
 from robodyn.dynamics.joint_vectors import full, vector
 from robodyn.dynamics.named_points import NamedPoint, named_points, point_jacobian, unit_rates
-from robodyn.dynamics.placed import as_states, times_of, together
 from robodyn.errors import InputError, overflow
 from robodyn.loops.assembly_plan import with_independent
 from robodyn.loops.loop_rates import check_way_on, loop_accelerations
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import drives, motor_values, powered_joints
+from robodyn.mechanics.placed import as_states, times_of, together
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown

@@ -21,13 +21,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics
-from robodyn.dynamics.closed_form import closure_drift, energies, scaled_jacobian
+from robodyn.dynamics.closed_form import energies
 from robodyn.dynamics.dense_dynamics import joint_loads, responses
-from robodyn.dynamics.placed import finite
 from robodyn.elements.contacts import NEAR, Mode
 from robodyn.elements.joints import HardStop, of_way
+from robodyn.loops.closures import closure_drift, scaled_jacobian
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode, moving_mode, pressed, resting_friction
+from robodyn.mechanics.placed import finite
 from robodyn.tables.arrays import Array
 
 AT_REST = 1e-12  # part of the fastest joint's rate below which a joint stands still

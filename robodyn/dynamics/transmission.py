@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.named_points import unit_rates
-from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, placed
 from robodyn.errors import InputError
 from robodyn.loops.assembly_plan import assembly_plan, with_independent
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint, joint_index
+from robodyn.mechanics.placed import Placed, absolute_rates, frame_rates, placed
 from robodyn.scene.scene import Closure
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.arrays import Array, Complex

@@ -21,7 +21,6 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from robodyn.dynamics.placed import placed
 from robodyn.elements.joints import DryFriction, SmoothFriction, Stops
 from robodyn.elements.loads import Force, Moment
 from robodyn.elements.springs import JointSpring, PointSpring
@@ -43,6 +42,7 @@ from robodyn.export.model_xml import (
 from robodyn.loops.assembly import first_pose
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import placed
 from robodyn.scene.scene import Closure, Coupling, Point, Signal
 
 TIMESTEP = 1e-3  # s

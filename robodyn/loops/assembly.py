@@ -25,8 +25,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
-from robodyn.dynamics.placed import actuated_wide
 from robodyn.errors import AssemblyError, InputError, SingularPoseError
 from robodyn.loops.assembly_plan import assembly_plan as assembly_plan
 from robodyn.loops.branches import all_branches as all_branches
@@ -35,6 +33,7 @@ from robodyn.loops.branches import scene_start
 from robodyn.loops.closing import NEAR_SINGULAR, singular_size
 from robodyn.loops.closing import close_positions as close_positions
 from robodyn.loops.closing import loop_size as loop_size
+from robodyn.loops.closures import closure_gap, scaled_jacobian
 from robodyn.loops.dyads import CLOSED as CLOSED
 from robodyn.loops.dyads import known_joints
 from robodyn.loops.loop_rates import check_closed
@@ -45,6 +44,7 @@ from robodyn.loops.path_from_start import (
     reachable_from_start,
 )
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import actuated_wide
 from robodyn.scene.scene import BRANCHES
 from robodyn.tables.arrays import Array
 

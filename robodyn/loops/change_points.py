@@ -29,8 +29,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics import closed_form
 from robodyn.engines.factors import svd
+from robodyn.loops import closures
 from robodyn.loops.closing import (
     close_positions,
     closed_jacobians,
@@ -110,7 +110,7 @@ def nearness(mechanism: Mechanism, Psi: Array) -> Array:
 
 def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
     """Return the rank of Psi on the branch around q (n,), and s/L at q."""
-    Psi = closed_form.scaled_jacobian(mechanism, q, 0.0)
+    Psi = closures.scaled_jacobian(mechanism, q, 0.0)
     regular, size = regular_rank(mechanism), loop_size(mechanism)
     if mechanism.laws and not np.isfinite(Psi).all():  # beyond where a law has a value
         return regular, 1.0
@@ -148,9 +148,9 @@ def rank_beside(mechanism: Mechanism, q: Array, away: float, count: int) -> int:
     """Return the largest rank of Psi at closed states about `away` rad from q (n,)."""
     noise = np.random.default_rng(0).normal(size=(count, mechanism.n))
     beside = close_positions(mechanism, q + away * noise * mechanism.arrays.units, t=0.0)
-    gap = np.abs(closed_form.closure_gap(mechanism, beside, 0.0)).max(axis=-1)
+    gap = np.abs(closures.closure_gap(mechanism, beside, 0.0)).max(axis=-1)
     closed = beside[gap < 1e-9 * loop_size(mechanism)]
-    return int(rank(mechanism, closed_form.scaled_jacobian(mechanism, closed, 0.0)).max(initial=0))
+    return int(rank(mechanism, closures.scaled_jacobian(mechanism, closed, 0.0)).max(initial=0))
 
 
 def rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
@@ -217,7 +217,7 @@ def _search(mechanism: Mechanism, q: Array, usual: int) -> Singular | None:
     The search first looks for the loss of all small singular values, then of one.
     """
     size = loop_size(mechanism)
-    s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q, 0.0), compute_uv=False)[:usual]
+    s = np.linalg.svd(closures.scaled_jacobian(mechanism, q, 0.0), compute_uv=False)[:usual]
     most = int((s <= max(ALIKE * s[-1], SUSPECT * FOUND * size)).sum())
     tried = (_singular(mechanism, q, usual - lost, usual) for lost in sorted({most, 1})[::-1])
     return next((found for found in tried if found is not None), None)
@@ -232,7 +232,7 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, usual: int) -> S
     size, units = loop_size(mechanism), mechanism.arrays.units
     q = start
     for _ in range(STEPS_TO_FIND):
-        Psi = closed_form.scaled_jacobian(mechanism, q, 0.0)
+        Psi = closures.scaled_jacobian(mechanism, q, 0.0)
         U, s, Vt = svd(Psi, full=True)
         left, right = U[:, regular:], Vt[regular:].T
         H = _curvature(mechanism, q, left, right)
@@ -245,7 +245,7 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, usual: int) -> S
             return None
         if np.abs(step).max() <= FOUND:
             break
-    U, s, Vt = svd(closed_form.scaled_jacobian(mechanism, q, 0.0), full=True)
+    U, s, Vt = svd(closures.scaled_jacobian(mechanism, q, 0.0), full=True)
     if not np.abs(step).max() <= FOUND or not (s[regular:usual] <= FOUND * size).all():
         return None
     regular = int((s > LOST * size).sum())  # there more may vanish than beside it
@@ -267,7 +267,7 @@ def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Arr
     """
     ways = right.T * mechanism.arrays.units
     pairs = ways[:, None] + ways[None, :]
-    own, both = (closed_form.closure_bias(mechanism, q, x, 0.0) @ left for x in (ways, pairs))
+    own, both = (closures.closure_bias(mechanism, q, x, 0.0) @ left for x in (ways, pairs))
     H: Array = 0.5 * (both - own[:, None] - own[None, :])
     return np.moveaxis(H, -1, 0)
 
@@ -276,7 +276,7 @@ def miss_remark(mechanism: Mechanism, states: Array) -> str:
     """Return a remark if one of the states (..., n) is near a missed change point, else ""."""
     q_all = states.reshape(-1, mechanism.n)
     if len(q_all) > LOOKED_AT:
-        near_all = nearness(mechanism, closed_form.scaled_jacobian(mechanism, q_all, 0.0))
+        near_all = nearness(mechanism, closures.scaled_jacobian(mechanism, q_all, 0.0))
         q_all = q_all[np.argpartition(near_all, LOOKED_AT)[:LOOKED_AT]]
     for q in q_all:
         near = nearest_singular(mechanism, q)
@@ -346,5 +346,5 @@ def _beside(mechanism: Mechanism, closing: Closing, y: Array, step: float) -> Ar
         return None
     for k in range(1, len(rows) - 1):
         rows[k], _ = closing(0.0, rows[k])
-    gap = closed_form.closure_gap(mechanism, (WEIGHTS @ rows)[:n], 0.0)
+    gap = closures.closure_gap(mechanism, (WEIGHTS @ rows)[:n], 0.0)
     return rows if np.abs(gap).max() <= STRAIGHT * loop_size(mechanism) else None

@@ -19,16 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics.closed_form import (
-    absolute_jacobian,
-    closure_gap,
-    gap_at,
-    scaled_jacobian,
-)
-from robodyn.dynamics.placed import placed
 from robodyn.engines.coupling_laws import laws_of
 from robodyn.engines.factors import least_solution, svd
 from robodyn.errors import SingularPoseError
+from robodyn.loops.closures import absolute_jacobian, closure_gap, gap_at, scaled_jacobian
+from robodyn.mechanics.placed import placed
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.arrays import Array
 

@@ -14,22 +14,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics.closed_form import (
-    absolute_jacobian,
-    closure_bias,
-    closure_drift,
-    drift_at,
-    gap_at,
-    scaled_jacobian,
-)
-from robodyn.dynamics.placed import (
-    Placed,
-    absolute_rates,
-    actuated_wide,
-    as_states,
-    matvec,
-    placed,
-)
 from robodyn.engines.coupling_laws import check_laws, law_values
 from robodyn.errors import InputError
 from robodyn.loops.change_points import (
@@ -41,8 +25,24 @@ from robodyn.loops.change_points import (
     rank_beside,
 )
 from robodyn.loops.closing import loop_size, singular_at
+from robodyn.loops.closures import (
+    absolute_jacobian,
+    closure_bias,
+    closure_drift,
+    drift_at,
+    gap_at,
+    scaled_jacobian,
+)
 from robodyn.loops.projection import state_led_across
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import (
+    Placed,
+    absolute_rates,
+    actuated_wide,
+    as_states,
+    matvec,
+    placed,
+)
 from robodyn.tables.arrays import Array
 
 SINGULAR = 1e-7  # a least singular value below this part of the loop's size is singular

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics import closed_form
-from robodyn.dynamics.placed import Placed, placed
 from robodyn.engines.coupling_laws import laws_of
+from robodyn.loops import closures
 from robodyn.loops.change_points import (
     EPS,
     SAME,
@@ -30,6 +29,7 @@ from robodyn.loops.change_points import (
 )
 from robodyn.loops.closing import NEAR_SINGULAR, close_positions, regular_rank
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import Placed, placed
 from robodyn.tables.arrays import Array
 
 Value = Any  # a float, an array, or an expression
@@ -160,7 +160,7 @@ class Misses:
         """Return whether a state of suspect quality is near a change point, not near a miss."""
         found = self.nearest(q)
         if found is None:  # what it is near to is not known
-            Psi = closed_form.scaled_jacobian(self.mechanism, q, 0.0)
+            Psi = closures.scaled_jacobian(self.mechanism, q, 0.0)
             return bool(nearness(self.mechanism, Psi) < NEAR_SINGULAR)
         return found.crosses
 
@@ -197,6 +197,6 @@ class Misses:
         if nearest <= SAME:
             return not crosses
         way = close_positions(self.mechanism, way, t=0.0)
-        near = nearness(self.mechanism, closed_form.scaled_jacobian(self.mechanism, way, 0.0))
+        near = nearness(self.mechanism, closures.scaled_jacobian(self.mechanism, way, 0.0))
         found = self.nearest(way[int(np.argmin(near))])
         return found is not None and not found.crosses

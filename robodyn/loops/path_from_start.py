@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import closure_gap
 from robodyn.loops.assembly_plan import Plan
 from robodyn.loops.closing import close_positions, half_turn, loop_size, wrapped
+from robodyn.loops.closures import closure_gap
 from robodyn.loops.dyads import CLOSED, by_dyads, known_joints
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array

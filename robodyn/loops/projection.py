@@ -15,12 +15,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from robodyn.dynamics import closed_form
 from robodyn.engines import straightline
 from robodyn.engines.coupling_laws import check_laws, laws_of
 from robodyn.engines.factors import svd
 from robodyn.engines.formulas import projection_formula
 from robodyn.errors import LawError
+from robodyn.loops import closures
 from robodyn.loops.change_points import (
     EXACT,
     SUSPECT,
@@ -64,14 +64,14 @@ def dense_closing(mechanism: Mechanism) -> Closing:
         closed = y.copy()
         closed[:n] = close_positions(mechanism, y[:n], t=t)
         qd = closed[n : 2 * n] / units
-        Psi = closed_form.scaled_jacobian(mechanism, closed[:n], t)
+        Psi = closures.scaled_jacobian(mechanism, closed[:n], t)
         if not np.isfinite(Psi).all():  # outside the domain of a law
             return np.full(len(y), np.nan), 0.0
         U, s, Vt = svd(Psi)
         held = s > CUT * s[0]
         opening = Psi @ qd
         if mechanism.driven:
-            opening = opening + closed_form.closure_drift(mechanism, closed[:n], t)
+            opening = opening + closures.closure_drift(mechanism, closed[:n], t)
         qd -= Vt[held].T @ ((U[:, held].T @ opening) / s[held])
         closed[n : 2 * n] = qd * units
         return closed, float((s[rank - 1] / size) ** 2)
@@ -150,9 +150,9 @@ def check_kept(mechanism: Mechanism, q: Array, t: float) -> None:
         there = np.where(np.isfinite(q), q, 0.0)
         check_laws(mechanism, there, np.zeros(len(q)), t)
         return  # something else is not finite: the method tells
-    gap = np.abs(closed_form.closure_gap(mechanism, q, t))
+    gap = np.abs(closures.closure_gap(mechanism, q, t))
     size = loop_size(mechanism)
-    Psi = closed_form.scaled_jacobian(mechanism, q, t)
+    Psi = closures.scaled_jacobian(mechanism, q, t)
     why = ""
     if not np.isfinite(gap).all():
         check_laws(mechanism, q, np.zeros(len(q)), t)
@@ -196,7 +196,7 @@ def _check_steep(mechanism: Mechanism, q: Array, t: float, Psi: Array) -> None:
 def _check_domain(mechanism: Mechanism, q: Array, qd: Array, t: float) -> None:
     """Raise LawError: no closed state near (q, qd) is within the domain of the laws."""
     check_laws(mechanism, q, qd, t)
-    gap = np.abs(closed_form.closure_gap(mechanism, q, t))
+    gap = np.abs(closures.closure_gap(mechanism, q, t))
     rows = [r for r, row in enumerate(mechanism.rows) if row.law is not None]
     worst = max(rows, key=lambda r: gap[r])
     why = "no state within its domain is near enough"

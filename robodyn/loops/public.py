@@ -9,8 +9,7 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics import closed_form
-from robodyn.loops import assembly, loop_rates
+from robodyn.loops import assembly, closures, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
@@ -65,9 +64,9 @@ def closure_gap(mechanism: Mechanism, q: ArrayLike, t: ArrayLike = 0.0) -> Array
     A pin has two components (x, y), a slider one (normal to its line), and a coupling one: the lead
     of its joint (rad) times a length of the mechanism.
     """
-    return closed_form.closure_gap(mechanism, q, t)
+    return closures.closure_gap(mechanism, q, t)
 
 
 def closure_jacobian(mechanism: Mechanism, q: ArrayLike, t: ArrayLike = 0.0) -> Array:
     """Return Psi = d gap/dq at t (...), (..., r, n), in m/rad, or 1 for joints that slide."""
-    return closed_form.closure_jacobian(mechanism, q, t)
+    return closures.closure_jacobian(mechanism, q, t)

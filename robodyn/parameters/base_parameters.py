@@ -21,14 +21,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.closed_form import closure_bias, closure_gap, scaled_jacobian
-from robodyn.dynamics.placed import matvec
 from robodyn.elements.springs import PointSpring
 from robodyn.errors import RobodynError
 from robodyn.loops.change_points import nearness
 from robodyn.loops.closing import close_positions, loop_size
+from robodyn.loops.closures import closure_bias, closure_gap, scaled_jacobian
 from robodyn.loops.loop_rates import nearest_velocities
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.mechanics.placed import matvec
 from robodyn.parameters.regression_matrix import linear_parameters, regressor
 from robodyn.scene.scene import Curve, Description, Motor, Point, Table
 from robodyn.tables.arrays import Array

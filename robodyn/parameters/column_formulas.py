@@ -32,7 +32,6 @@ from robodyn.dynamics.columns import FAMILIES, LOOPS, MOTORS, column_names, know
 from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.dynamics.named_numbers import with_variables
 from robodyn.dynamics.named_points import NamedPoint, named_points
-from robodyn.dynamics.placed import Placed
 from robodyn.dynamics.reaction_forces import Felt
 from robodyn.dynamics.reaction_formulas import felt_formulas, placed_formulas, planar_values
 from robodyn.dynamics.transmission import ratio_named, transmission_loops, turn_between
@@ -51,6 +50,7 @@ from robodyn.loops.dyads import by_dyads, known_joints
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.mechanics.motors import drives, motor_values, powered_joints
+from robodyn.mechanics.placed import Placed
 from robodyn.mechanics.planar_model import ClosureRow
 from robodyn.scene.expressions import NO_BENDS, check_smooth
 from robodyn.scene.quantities import Variables, expressions

@@ -34,13 +34,13 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics.columns import column_names, of_joints
 from robodyn.dynamics.joint_vectors import driver_of, full, reclosed, vectors
 from robodyn.dynamics.named_numbers import named_values
-from robodyn.dynamics.placed import matvec
 from robodyn.engines.expression import Value, tangents
 from robodyn.errors import DescriptionError, InputError, RobodynError
 from robodyn.loops.closing import close_positions, half_turn
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.driven import check_times
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.mechanics.placed import matvec
 from robodyn.parameters.base_parameters import EXCITED, dependence
 from robodyn.parameters.column_formulas import ColumnFormulas, LaneStates, Rows, compiled
 from robodyn.runs.motion_columns import as_actuation

@@ -30,7 +30,6 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics.dense_dynamics import balanced
 from robodyn.dynamics.dynamics import PIVOT_CUT
 from robodyn.dynamics.free_joints import balanced_joints, balanced_mechanism
-from robodyn.dynamics.placed import check_directions, finite, times_of, together
 from robodyn.dynamics.sticking import modes_of
 from robodyn.elements.joints import DryFriction
 from robodyn.elements.keys import WAYS, Declared
@@ -44,6 +43,7 @@ from robodyn.mechanics.driven import check_torques
 from robodyn.mechanics.link_tree import Bodies, bodies
 from robodyn.mechanics.mechanism import Mechanism, constants, joint_damping
 from robodyn.mechanics.modes import in_mode
+from robodyn.mechanics.placed import check_directions, finite, times_of, together
 from robodyn.scene.scene import Description
 from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr

@@ -23,12 +23,12 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics.cam_contacts import Cam, cams_of, outline
 from robodyn.dynamics.joint_vectors import driver_of, full
 from robodyn.dynamics.named_points import NamedPoint
-from robodyn.dynamics.placed import Placed, placed
 from robodyn.elements.springs import JointSpring, PointSpring
 from robodyn.errors import RobodynError
 from robodyn.loops.assembly import assembly_plan
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.mechanics.placed import Placed, placed
 from robodyn.scene.scene import Point
 from robodyn.scene.welds import Welded
 from robodyn.tables.arrays import Array, Complex

@@ -13,7 +13,6 @@ from robodyn.dynamics.dynamics import (
     inverse_dynamics_and_forces,
     pin_forces,
 )
-from robodyn.dynamics.placed import Placed, placed
 from robodyn.dynamics.reaction_forces import reactions
 from robodyn.elements.gravity import GravityField
 from robodyn.elements.loads import Force as LoadForce
@@ -24,6 +23,7 @@ from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.mechanics.placed import Placed, placed
 from robodyn.pictures.drawing import at, direction
 from robodyn.scene.expressions import OPERATIONS, value_in
 from robodyn.scene.scene import Law, Point, Signal

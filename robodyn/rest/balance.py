@@ -23,13 +23,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import closure_bias, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import decompose, joint_loads, required_load
 from robodyn.dynamics.derivatives import InverseDerivatives, inverse_dynamics_derivatives
-from robodyn.dynamics.placed import as_states
 from robodyn.elements.contacts import STICKS
 from robodyn.errors import InputError
+from robodyn.loops.closures import closure_bias, scaled_jacobian
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import as_states
 from robodyn.tables.arrays import Array
 
 ROUNDING = 1e-14  # part of what acts below which a force that is left over is rounding

@@ -31,12 +31,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics.closed_form import closure_bias, mass_matrix, scaled_jacobian
+from robodyn.dynamics.closed_form import mass_matrix
 from robodyn.dynamics.dense_dynamics import required_load
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.errors import AssemblyError, InputError, RobodynError
 from robodyn.loops.closing import close_positions
+from robodyn.loops.closures import closure_bias, scaled_jacobian
 from robodyn.loops.loop_rates import check_closed, check_way_on
 from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism

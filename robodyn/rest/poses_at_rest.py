@@ -19,12 +19,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import (
-    closure_gap,
-    gravity_vector,
-    other_forces,
-    potential_energy,
-)
+from robodyn.dynamics.closed_form import gravity_vector, other_forces, potential_energy
 from robodyn.dynamics.dynamics import RobodynWarning
 from robodyn.dynamics.sticking import held_forces
 from robodyn.elements.contacts import Mode
@@ -32,6 +27,7 @@ from robodyn.engines.factors import damped
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
 from robodyn.loops.assembly import assemble, attempt
 from robodyn.loops.closing import close_positions, half_turn, loop_size, random_states
+from robodyn.loops.closures import closure_gap
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, joint_index

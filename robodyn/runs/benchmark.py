@@ -19,16 +19,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.closed_form import drift_at, jacobian_at, scaled_jacobian
-from robodyn.dynamics.placed import joint_ways, placed_at
 from robodyn.engines.arithmetic import FLOATS, Arithmetic
 from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step, strays
 from robodyn.engines.factors import svd
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.closing import exact_gap, loop_size, newton
+from robodyn.loops.closures import drift_at, jacobian_at, scaled_jacobian
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import next_stop
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import joint_ways, placed_at
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.runs.machine_motion import SEEN

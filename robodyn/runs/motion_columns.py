@@ -11,13 +11,13 @@ from functools import lru_cache
 import numpy as np
 
 from robodyn.dynamics.columns import MOTION, column_names
-from robodyn.dynamics.placed import finite, numbers
 from robodyn.dynamics.state import State
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.loop_rates import near_dead_centre
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import finite, numbers
 from robodyn.mechanics.run_control import Control
 from robodyn.tables.arrays import Array
 

@@ -17,11 +17,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from robodyn.dynamics import closed_form
-from robodyn.dynamics.placed import matvec
+from robodyn.loops import closures
 from robodyn.loops.change_points import miss_remark
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import matvec
 from robodyn.runs.report import Report
 from robodyn.runs.segments import Segment
 from robodyn.runs.settings import EvenTimes
@@ -134,14 +135,14 @@ class RunStatistics(Batches):
 
     def _take_loops(self, mechanism: Mechanism, t: Array, q: Array, qd: Array) -> None:
         report = self.report
-        gap = closed_form.closure_gap(mechanism, q, t)
+        gap = closures.closure_gap(mechanism, q, t)
         report.largest_gap = max(report.largest_gap, float(np.abs(gap).max()))
         stride = 1 + mechanism.n * len(mechanism.rows) // 2000
         t, q, qd = t[::stride], q[::stride], qd[::stride]
-        Psi = closed_form.scaled_jacobian(mechanism, q, t)
+        Psi = closures.scaled_jacobian(mechanism, q, t)
         rate = matvec(Psi, qd / mechanism.arrays.units)
         if mechanism.driven:
-            rate = rate + closed_form.closure_drift(mechanism, q, t)
+            rate = rate + closures.closure_drift(mechanism, q, t)
         report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
         least = self.least_singular(mechanism, Psi)
         worst = int(np.argmin(least))

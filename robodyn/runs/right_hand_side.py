@@ -29,13 +29,14 @@ from typing import Any
 import numpy as np
 
 from robodyn.dynamics import dense_dynamics
-from robodyn.dynamics.closed_form import closure_drift, other_forces
+from robodyn.dynamics.closed_form import other_forces
 from robodyn.dynamics.friction_formula import rubbed_formula
 from robodyn.dynamics.friction_rounds import NotSettledError, forward_of_one
 from robodyn.engines import straightline
 from robodyn.errors import SignalError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across
 from robodyn.loops.closing import regular_rank
+from robodyn.loops.closures import closure_drift
 from robodyn.loops.misses import Misses
 from robodyn.loops.projection import Projection, best_closing, dense_closing, written_out
 from robodyn.mechanics.actuation import Actuation

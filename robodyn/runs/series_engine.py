@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
-from robodyn.dynamics.placed import relative_matrix
 from robodyn.elements.contacts import Mode
 from robodyn.engines import machine
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
@@ -26,6 +25,7 @@ from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
+from robodyn.mechanics.placed import relative_matrix
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.runs import machine_motion
 from robodyn.runs.machine_motion import RUNNING, Loaded, Observer, Status

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics import dynamics, placed
+from robodyn.dynamics import dynamics
 from robodyn.dynamics.joint_vectors import full, vectors
 from robodyn.errors import InputError, printable
+from robodyn.mechanics import placed
 from robodyn.mechanics.actuation import Actuation, CallerError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.runs.differences import Numbers, columns, sensitivities, tell

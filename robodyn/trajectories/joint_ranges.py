@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
 from robodyn.elements.joints import Range
 from robodyn.errors import AssemblyError, SingularError
 from robodyn.loops.assembly import assemble
 from robodyn.loops.closing import loop_size
+from robodyn.loops.closures import closure_gap, scaled_jacobian
 from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.rest.balance import bend

@@ -24,17 +24,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import (
-    closure_bias,
-    closure_drift,
-    closure_gap,
-    scaled_jacobian,
-)
 from robodyn.engines.factors import svd
 from robodyn.errors import AssemblyError, InputError
 from robodyn.loops.assembly import CLOSED
 from robodyn.loops.change_points import OFFSETS, lagrange, miss_remark, nearest_singular
 from robodyn.loops.closing import close_positions, loop_size
+from robodyn.loops.closures import closure_bias, closure_drift, closure_gap, scaled_jacobian
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array, Truth

@@ -13,15 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics.closed_form import closure_gap, point_motion, scaled_jacobian
+from robodyn.dynamics.closed_form import point_motion
 from robodyn.dynamics.joint_vectors import full, vectors
 from robodyn.dynamics.named_points import named_point
-from robodyn.dynamics.placed import numbers
 from robodyn.errors import AssemblyError, InputError, SingularError
 from robodyn.loops import assembly
 from robodyn.loops.closing import close_positions, loop_size, wrapped
+from robodyn.loops.closures import closure_gap, scaled_jacobian
 from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.placed import numbers
 from robodyn.tables.arrays import Array
 from robodyn.trajectories.task_space import Task, is_dyads, out_of_reach, task_of
 

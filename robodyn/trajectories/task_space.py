@@ -41,15 +41,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robodyn.dynamics.closed_form import closure_bias, point_motion, scaled_jacobian
+from robodyn.dynamics.closed_form import point_motion
 from robodyn.dynamics.named_points import NamedPoint, link_turns, named_point
-from robodyn.dynamics.placed import matvec, numbers
 from robodyn.engines.factors import damped, svd
 from robodyn.errors import AssemblyError, InputError, SingularError
 from robodyn.loops.assembly import all_branches, assembly_plan, attempt, scene_branches
 from robodyn.loops.closing import close_positions, closed_jacobians, loop_size, wrapped
+from robodyn.loops.closures import closure_bias, scaled_jacobian
 from robodyn.mechanics.driven import refuse_driven
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.mechanics.placed import matvec, numbers
 from robodyn.scene.scene import Closure, Link, Point
 from robodyn.tables.arrays import Array, Truth
 from robodyn.tables.csv_fields import shown

@@ -17,10 +17,10 @@ import numpy as np
 
 import robodyn
 from hard_cases.many_digits import followed
-from robodyn.dynamics.closed_form import closure_jacobian
 from robodyn.engines import machine
 from robodyn.loops.change_points import nearness
 from robodyn.loops.closing import loop_size
+from robodyn.loops.closures import closure_jacobian
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.runs import benchmark

@@ -21,9 +21,9 @@ from peers.agreement import (
     product,
     worst,
 )
-from robodyn.dynamics.closed_form import closure_bias
 from robodyn.errors import InputError
 from robodyn.loops.assembly import loop_size
+from robodyn.loops.closures import closure_bias
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 
