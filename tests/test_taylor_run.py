@@ -133,6 +133,18 @@ def test_a_high_power_acts_within_a_step(a: float, b: float, rate: float, end: f
             assert abs(motion.qd[-1, 0] - exact) < 100.0 * tolerance
 
 
+def test_a_divisor_that_does_not_turn_shortens_no_steps() -> None:
+    """The bend of 1/(1 + exp(-x)) is where exp is near 1, not all along the way there."""
+    link = "{name: block, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0}"
+    block = load(f"gravity: 0\nlinks:\n  - {link}\n")
+    given, ends = ([0.0], [-5.0], 1.0), []
+    for tau in ("10 - 2/(1+exp(-qd1/0.01))", "9 - tanh(qd1/0.02)"):
+        motion = simulate(block, *given, tau, "taylor", 1e-9, 1e-9)
+        ends.append(motion.q[-1, 0])
+        assert motion.report.steps < 100
+    assert abs(ends[0] - ends[1]) < 1e-8
+
+
 class TestChangePoints:
     @pytest.mark.parametrize("tolerance", [1e-6, 1e-13])
     @pytest.mark.parametrize("n", [1, 2, 5])

@@ -110,25 +110,32 @@ def strays(spanned: Sequence[Span], series: Sequence[Sequence[Value]], x: Value)
 
 
 def _off_zero(each: Sequence[Value], x: Value, passes: bool) -> Value:
-    """Return one half if an argument comes near to zero within a step x, else 1.
+    """Return one half if an argument turns back near to zero within a step x, else 1.
 
-    With `passes`, it may pass zero.
+    Unless it `passes`, it may not reach zero either.
 
-    The series of sqrt(u^2 + small) for u far from zero shows nothing of what lies beyond.  Between
-    two of the places where the argument is seen it is off a straight line by at most the square of
-    their distance times its second derivative over 8.
+    The series of sqrt(u^2 + small) for u far from zero shows nothing of what lies beyond.  Where
+    the argument does not turn, what it comes near to is at the step's end, and seen there.  Between
+    two of the places where it is seen it is off a straight line by at most the square of their
+    distance times its second derivative over 8.
     """
     first, h = each[0], abs(x)
     bend: Value = 0.0
     for k in range(len(each) - 1, 1, -1):
         bend = bend * h + (k * (k - 1.0)) * abs(each[k])
     bend = bend * (h * h)
-    nearest = first * first
+    nearest: Value = first * first
+    turned: Value = 0.0
+    way = each[1]
     for k in range(1, SEEN + 1):
-        nearest = expression.least(nearest, first * horner(each, k / SEEN * x)[0])
+        value, slope = horner(each, k / SEEN * x)
+        nearest = expression.least(nearest, first * value)
+        turned = expression.least(turned, way * slope)
+        way = slope
     least = nearest - abs(first) * bend * (0.125 / SEEN**2)
     near = expression.choose(least, NEAR * first * first, 0.5, 1.0)
-    return expression.choose(nearest, 0.0, 1.0, near) if passes else near
+    near = expression.choose(turned, 0.0, near, 1.0)
+    return expression.choose(0.0, nearest, near, 1.0 if passes else 0.5)
 
 
 def _flat(each: Sequence[Value], x: Value, steep: float) -> Value:
