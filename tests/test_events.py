@@ -80,9 +80,9 @@ def unclosed(mechanism: Mechanism, text: str, ends: list[float]) -> EventWatch:
 
 
 def check(watch: EventWatch, roots: list[float], within: float = 1e-12) -> None:
-    found = [event.t for event in watch.found]
+    found = [event.t for event in watch.events]
     assert len(found) == len(roots), (found, roots)
-    for t, root, event in zip(found, roots, watch.found, strict=True):
+    for t, root, event in zip(found, roots, watch.events, strict=True):
         assert abs(t - root) <= within * max(1.0, abs(root)) + event.apart, (t, root, event.apart)
 
 
@@ -104,7 +104,7 @@ def test_close_pairs(pendulum: Mechanism, look: Callable, ends: list[float], gap
     check(watch, [first, first + gap])
     sharp = f"(t - {first!r})**2 - {gap / 2!r}**2"
     watch = look(pendulum, sharp, ends)
-    if watch.found:
+    if watch.events:
         check(watch, [first - gap / 2, first + gap / 2], 1e-12)
     else:
         assert gap < 1e-7
@@ -121,10 +121,10 @@ def test_grazes(pendulum: Mechanism, look: Callable, ends: list[float], depth: f
     near = 1.0 - level  # what is left of it
     watch = look(pendulum, f"sin(q1) > {level!r}", ends)
     root = math.asin(level) if near > 1e-9 else math.pi / 2 - math.sqrt(2 * near)
-    assert len(watch.found) <= 1
+    assert len(watch.events) <= 1
     if near > 1e-14:
         check(watch, [root])
-    elif not watch.found:
+    elif not watch.events:
         assert watch.grazes["e"] == pytest.approx([math.pi / 2], abs=1e-6)
     watch = look(pendulum, f"sin(q1) - {1.0 + depth!r}", ends)
     check(watch, [])
@@ -337,7 +337,7 @@ def test_what_has_one_sign_passes_nothing_where_it_is_zero(pendulum: Mechanism) 
         for look in (watched, together):
             with case(text, look):
                 watch = look(pendulum, text, [0.0, 1.0, 2.0])
-                assert not watch.found
+                assert not watch.events
                 assert not watch.grazes
 
 

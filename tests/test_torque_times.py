@@ -114,14 +114,14 @@ def test_torques_are_those_of_the_expression(way):
         text = grow(3)
         plain = actuation.expressions(PENDULUM, f"0*t + {text}", "")
         found = over_a_run(plain, [0.3, 0.5], 2.0 * way)
-        if found.told is not None:
-            found.told.begin([], way)
+        if found.listener is not None:
+            found.listener.begin([], way)
         edges = [0.0, *sorted(found.kinks, key=abs), 2.0 * way]
         assert all(0.0 < way * t < 2.0 for t in found.kinks)
         torque, expected = found.function(1), plain.function(1)
         for before, after in pairwise(edges):
-            if found.told is not None:
-                found.told.reach(before, [])
+            if found.listener is not None:
+                found.listener.reach(before, [])
             for part in (1e-6, 0.3, 1.0 - 1e-6):
                 t = before + part * (after - before)
                 known = expected(t, [0.7, 0.1])
@@ -131,11 +131,11 @@ def test_torques_are_those_of_the_expression(way):
 def test_at_a_switching_time_the_side_that_was_reached():
     found = over("20 if t>5 else 1")
     torque = found.function(1)
-    found.told.begin([], 10.0)
+    found.listener.begin([], 10.0)
     assert [torque(t, [0, 0]) for t in (4.9, 5.0, 5.0000001)] == [[1.0]] * 3  # not reached
-    found.told.reach(5.0, [])
+    found.listener.reach(5.0, [])
     assert [torque(t, [0, 0]) for t in (4.9, 5.0, 5.1)] == [[1.0], [20.0], [20.0]]
-    found.told.begin([], -10.0)
+    found.listener.begin([], -10.0)
 
 
 def test_what_touches_a_whole_number_holds_for_that_time_alone():
@@ -144,9 +144,9 @@ def test_what_touches_a_whole_number_holds_for_that_time_alone():
         found = over(text)
         torque = found.function(1)
         for start in (0.0, *found.kinks):
-            found.told.reach(start, [])
+            found.listener.reach(start, [])
         assert torque(9.0, [0, 0]) == [before]
-        found.told.begin([], 10.0)
+        found.listener.begin([], 10.0)
         pieces = np.array([0.0, *found.kinks, 10.0])
         ones = [x == (1.0,) for x in found.pieces.values]
         assert np.diff(pieces)[ones].sum() < 1e-7

@@ -670,7 +670,7 @@ def _told(
 
             report.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
         if table is not None and watched is not None:
-            found = sorted([*watched.found, *record.contacts], key=lambda x: abs(x.t))
+            found = sorted([*watched.events, *record.contacts], key=lambda x: abs(x.t))
             _write_events(table, mechanism, found)
     return outcome, facts
 

@@ -49,9 +49,9 @@ class Actuation:
     """Joint torques over time: constants (n), or lines that set tau0.. from t, q0.., qd0...
 
     `kinks` are increasing times at which torques bend or jump; an integrator must step onto them.
-    It calls `told`, if there is one, at the start and at each kink.  `jumps` are increasing times
-    at which tables over time (of torques or of loads) jump; their value there is the later one.
-    `leaves` are ends of intervals, counted from the start: a step may not be longer than an
+    It calls `listener`, if there is one, at the start and at each kink.  `jumps` are increasing
+    times at which tables over time (of torques or of loads) jump; their value there is the later
+    one.  `leaves` are ends of intervals, counted from the start: a step may not be longer than an
     interval that it enters.  Torques may have `states` of their own, z0.., integrated with q and qd
     by rates zd0.. that the lines set.
     """
@@ -66,8 +66,8 @@ class Actuation:
     control: Control | None = None
     pieces: Held | None = None  # of an expression over a run; see `runs/torques_over_time.py`
     leaves: tuple[float, ...] = ()
-    told_by_leaves: bool = True  # else it changes too fast for them
-    given: Actuation | None = None  # what was given, where this was made of it for a run
+    resolved: bool = True  # by its leaves; else it changes too fast for them
+    original: Actuation | None = None  # of which this was made for a run
     states: int = 0
     # the same torques on a mechanism with other numbers, where they depend on these or on the run
     remade: Callable[[Mechanism], Actuation] | None = None
@@ -81,7 +81,7 @@ class Actuation:
         return cls(None, lines, tuple(torques), dict(SCOPE), where=where)
 
     @property
-    def told(self) -> Steps | None:
+    def listener(self) -> Steps | None:
         """The object that follows the steps of a run, if any."""
         return self.control or self.pieces
 

@@ -196,8 +196,8 @@ def first_run(of: Task, settings: Settings) -> tuple[Sampled | None, float]:
     if outcome is Outcome.LIMIT:  # which each run meets at a time of its own
         t, y = t[:-1], y[:-1]
     ended = outcome in (Outcome.FINISHED, Outcome.LIMIT)
-    found = _sampled(of, t, y, outcome, record) if ended else None
-    return found, samples.longest or np.inf
+    sampled = _sampled(of, t, y, outcome, record) if ended else None
+    return sampled, samples.longest or np.inf
 
 
 def run_beside(first: Sampled, of: Task, settings: Settings) -> Sampled | None:

@@ -101,8 +101,8 @@ def followed(
     step = _Series(mechanism, actuation, order, tolerance)
     closing = _Closing(mechanism)
     y, t, rows = closing(LONG(0.0), state.astype(LONG)), LONG(0.0), []
-    if actuation.told is not None:
-        actuation.told.begin(y.tolist(), float(times[-1]))
+    if actuation.listener is not None:
+        actuation.listener.begin(y.tolist(), float(times[-1]))
     for end in times.astype(LONG):
         while t < end:
             stop = LONG(next_stop(actuation.stops, actuation.leaves, float(t), float(end)))
@@ -182,10 +182,10 @@ class _Series:
         for x in (place * h for place in SEEN):
             there, bends, largest = _along(self.mechanism, series, y, x)
             try:
-                found, _ = self.expanded(motion, t + x, there, 1)
+                beside, _ = self.expanded(motion, t + x, there, 1)
             except (ArithmeticError, ValueError):  # outside the domain
                 return min(part, 0.5)
-            exact = np.array([2.0 * theta[2] for theta in found.theta])
+            exact = np.array([2.0 * theta[2] for theta in beside.theta])
             small = ROUNDING * np.abs(there[self.mechanism.n :]).max() / x
             if not (np.abs(bends - exact) <= AGREE * largest + small).all():
                 return min(part, 0.5)
@@ -343,7 +343,7 @@ def benchmark(
     except RobodynError as error:
         methods.remove("taylor")
         left_out.append(f"taylor: {error.limit if error.what == 'method' else error}")
-    found: list[Measurement] = []
+    measurements: list[Measurement] = []
     for i, method in enumerate(methods):
         timed(method, Settings.rtol, times[-1:] / 1000)  # loads and makes what is no part of a run
         for tolerance in tolerances:
@@ -359,7 +359,7 @@ def benchmark(
                 evaluations=report.evaluations,
                 steps=report.steps,
             )
-            found.append(measured)
+            measurements.append(measured)
             finished = outcome is Outcome.FINISHED
             if finished:
                 off = np.maximum(np.abs(y - exact.y).max(axis=1), exact.uncertainty)
@@ -370,24 +370,24 @@ def benchmark(
                     left_out.append(f"{method} below {tolerance:g}: {why} there")
                 break
         watch(0.1 + 0.4 * (i + 1) / len(methods))
-    runs = [x for x in found if x.outcome == Outcome.FINISHED.label]
+    runs = [x for x in measurements if x.outcome == Outcome.FINISHED.label]
     for i in range(repeats):
         for each in runs:
             each.seconds.append(timed(each.method, each.tolerance)[0])
         watch(0.5 + 0.5 * (i + 1) / repeats)
     for each in runs:
         each.median, each.least = median(each.seconds), min(each.seconds)
-    _mark_front(found, exact.uncertainty)
-    return Benchmark(exact, found, left_out)
+    _mark_front(measurements, exact.uncertainty)
+    return Benchmark(exact, measurements, left_out)
 
 
-def _mark_front(found: list[Measurement], uncertainty: float) -> None:
+def _mark_front(measurements: list[Measurement], uncertainty: float) -> None:
     """Mark measurements with no other both faster and more accurate.
 
     Errors below the uncertainty count as equal.
     """
     best = np.inf
-    finished = (x for x in found if x.outcome == Outcome.FINISHED.label)
+    finished = (x for x in measurements if x.outcome == Outcome.FINISHED.label)
     for each in sorted(finished, key=lambda x: (x.least, x.error)):
         if each.error < best:
             each.front, best = True, max(each.error, uncertainty)

@@ -211,7 +211,7 @@ def sensitivities(
         atol=min(settings.atol, tolerance),
         max_evaluations=100 * settings.max_evaluations,
     )
-    torques = actuation.given or actuation
+    torques = actuation.original or actuation
 
     def moved(name: str, change: float) -> _Run:
         from robodyn.runs.march import run
@@ -223,8 +223,8 @@ def sensitivities(
         outcome, record = run(
             machine, start, t_end, acting, tight, lambda t, x, _: parts.append(x), times, watch
         )
-        found = np.concatenate(parts or [y[:0]])[: len(times), : len(state)]
-        y[: len(found)] = found
+        states = np.concatenate(parts or [y[:0]])[: len(times), : len(state)]
+        y[: len(states)] = states
         names, at = [x.name for x in record.contacts], [abs(x.t) for x in record.contacts]
         return _Run(change, y, names, np.array(at), outcome)
 
@@ -246,8 +246,8 @@ def sensitivities(
         values[:end, :, k] = np.where(lacks[:end, None], np.nan, slope[:end])
         errors[name] = 0.0
         if end and largest[end - 1]:
-            told = error[:end][~lacks[:end]].sum(axis=1)
-            errors[name] = float(told.max(initial=0.0) / largest[end - 1])
+            kept = error[:end][~lacks[:end]].sum(axis=1)
+            errors[name] = float(kept.max(initial=0.0) / largest[end - 1])
         if end < len(times):
             why = "the runs differ in their events" if differ[end] else "differences do not settle"
             withheld.append(f"columns dq1/{name}.. are empty from t = {times[end]:.6g} s on: {why}")
@@ -275,21 +275,21 @@ def _runs_of(moved: Callable[[float], _Run], size: float, base: _Run, times: Arr
         raise faults[-1]
     if len(pair) == 1:
         return pair + _to_one_side(tried, pair[0], base, times)
-    found, bent = list(pair), _bent(base, pair, times)
+    runs, bent = list(pair), _bent(base, pair, times)
     for _ in range(2):
         if bent > LOST:
             h *= FAR
         elif bent > BENT:
             h *= 0.1 * BENT / bent
-        elif len(found) > 2 and _apart(base, found, times) <= EVEN:
+        elif len(runs) > 2 and _apart(base, runs, times) <= EVEN:
             h *= 4.0  # twice the first
         else:
             h *= 0.5
         pair = tried(h, -h)
-        found += pair
+        runs += pair
         if bent > BENT and len(pair) == 2:
             bent = _bent(base, pair, times)
-    return found
+    return runs
 
 
 def _to_one_side(
@@ -362,22 +362,22 @@ def _slopes(
     for levels in (both, *sides):
         for i in range(len(levels)):
             used: list[float] = []
-            found: list[Array] = []  # of level i, then with one more level before it each
+            slopes: list[Array] = []  # of level i, then with one more level before it each
             for level in levels[i::-1]:
                 used += level
                 weights = _weights(used)
                 slope = np.asarray(sum(w * away[h] for w, h in zip(weights, used, strict=True)))
-                found.append(slope)
+                slopes.append(slope)
                 largest = np.fmax.accumulate(np.abs(slope).max(axis=1))
                 off = np.full(len(times), np.inf)
-                if len(found) == 1 and levels is both:  # of no other order than its square
+                if len(slopes) == 1 and levels is both:  # of no other order than its square
                     off = np.fmax.accumulate(bends[level[0]]) ** 2 * largest
                     off[others[level[0]]] = np.inf
-                elif len(found) > 1:
-                    off = np.abs(slope - found[-2]).max(axis=1)
-                    before = np.abs(found[-2] - (found[-3] if found[2:] else 0.0)).max(axis=1)
+                elif len(slopes) > 1:
+                    off = np.abs(slope - slopes[-2]).max(axis=1)
+                    before = np.abs(slopes[-2] - (slopes[-3] if slopes[2:] else 0.0)).max(axis=1)
                     part = np.where(before > 0.0, off / before, 0.0)
-                    off *= np.minimum(1.0, CAUTION * (part if found[2:] else np.sqrt(part)))
+                    off *= np.minimum(1.0, CAUTION * (part if slopes[2:] else np.sqrt(part)))
                 noise = tolerance * (scale + size * largest) * np.abs(weights).sum()
                 part = np.where(largest > 0.0, (off + noise) / largest, off + noise)
                 better = np.isfinite(slope).all(axis=1) & (part < least)
@@ -398,7 +398,7 @@ def _weights(h: Sequence[float]) -> Array:
 
 def tell(
     report: Report,
-    found: Sensitivities,
+    derivatives: Sensitivities,
     events: EventWatch | None,
     moving: Mechanism,
     t: Array,
@@ -411,8 +411,8 @@ def tell(
     the mode `moving`.  With g the event function and s = d(q, qd)/dp there, dt/dp = -g_y s/g', g'
     its rate along the motion.
     """
-    report.sensitivity_errors = found.errors
-    report.remarks = [*report.remarks, *found.withheld]
+    report.sensitivity_errors = derivatives.errors
+    report.remarks = [*report.remarks, *derivatives.withheld]
     if events is None or not events.ends or report.ended_by != events.functions[-1].name:
         return
     g = events.functions[-1]
@@ -426,8 +426,8 @@ def tell(
         ahead, behind = (g.values(t + x * rate, y + x * way)[0] for x in (h, -h))
         return float(ahead - behind) / (2.0 * h)
 
-    by = found.values[-1].T
+    by = derivatives.values[-1].T
     with np.errstate(all="ignore"):
         times = [-slope(0.0, s[None]) / (slope(1.0, along) or np.nan) for s in by]
-    pairs = zip(found.names, times, strict=True)
+    pairs = zip(derivatives.names, times, strict=True)
     report.until_sensitivity = {x: dt for x, dt in pairs if np.isfinite(dt)}

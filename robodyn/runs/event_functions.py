@@ -109,7 +109,7 @@ def _read(mechanism: Mechanism, text: str, where: str) -> tuple[list[Node], int,
     """Return the trees of a function and its switches, its way, and whether it is strict."""
     try:
         constants = {**CONSTANTS, **numbers_of(mechanism.description.constants)}
-        found = expressions(text, variables(mechanism), constants)
+        parsed = expressions(text, variables(mechanism), constants)
     except NotAllowedError as error:
         what = _INSTEAD.search(text)
         instead = f"; {_WRITE[what[0]]}" if what else ""
@@ -119,12 +119,12 @@ def _read(mechanism: Mechanism, text: str, where: str) -> tuple[list[Node], int,
         raise InputError(
             repr(text), where=where, limit=f"is no expression: {error}{equal}"
         ) from None
-    if len(found) != 1:
+    if len(parsed) != 1:
         raise InputError(repr(text), where=where, limit="must be one expression, without a comma")
-    if not found[0].names:
+    if not parsed[0].names:
         limit = "never changes: it names no t, q or qd, and no column"
         raise InputError(repr(text), where=where, limit=limit)
-    tree, way, strict = found[0].node, 0, True
+    tree, way, strict = parsed[0].node, 0, True
     if any(isinstance(x, float) and abs(x) > LARGEST for x in walk(tree)):
         limit = f"has a number above {LARGEST:g}: what it makes leaves the floats"
         raise InputError(repr(text), where=where, limit=limit)
@@ -144,15 +144,15 @@ def event_functions(
     if type(given) is not dict and not isinstance(given, Mapping):
         kind = type(given).__name__
         raise InputError("events", value=kind, limit="must be a mapping of names to expressions")
-    found = []
+    functions = []
     for name, text in given.items():
         must_be_text("name of an event", name)
         must_be_text(f"event {name}", text)
         if not _NAME.fullmatch(name):
             limit = "must be a letter, then letters, digits, _ or -"
             raise InputError("name of an event", value=name, limit=limit)
-        found.append(event_function(mechanism, name, text, f"event {name}", columns))
-    return tuple(found)
+        functions.append(event_function(mechanism, name, text, f"event {name}", columns))
+    return tuple(functions)
 
 
 def must_be_text(what: str, value: object) -> None:
@@ -186,13 +186,13 @@ def named_events(mechanism: Mechanism, texts: Iterable[str], taken: str) -> dict
 
 def switches(tree: Node) -> list[Node]:
     """Return the functions between whose zeros an expression is smooth, innermost first."""
-    found = fold(tree, lambda x: {}, _switches)
-    return [switch for switch in found if names_of(switch)]
+    nested = fold(tree, lambda x: {}, _switches)
+    return [switch for switch in nested if names_of(switch)]
 
 
 def _switches(node: tuple[Any, ...], parts: list[dict[Node, None]]) -> dict[Node, None]:
-    found = {switch: None for part in parts for switch in part}
-    return found | dict.fromkeys(switches_of(*node))
+    inner = {switch: None for part in parts for switch in part}
+    return inner | dict.fromkeys(switches_of(*node))
 
 
 def has_one_sign(node: Node) -> bool:
@@ -292,8 +292,8 @@ def values_of(tree: Node, n: int, columns: StateColumns | None = None) -> Values
 
     def values(t: Array, y: Array) -> Array:
         known = {name: _variable(name, t, y, n, columns) for name in names}
-        found = np.asarray(value_in(tree, known, OPERATIONS), float)
-        return found if found.shape == t.shape else np.broadcast_to(found, t.shape)
+        result = np.asarray(value_in(tree, known, OPERATIONS), float)
+        return result if result.shape == t.shape else np.broadcast_to(result, t.shape)
 
     return values
 

@@ -99,14 +99,14 @@ def kept(
 
     Returns None if machine code cannot be made.
     """
-    found = key, lanes, family
+    entry = key, lanes, family
     with _making:  # all threads get the same
-        if found not in _made:
+        if entry not in _made:
             while len(_made) >= KEPT:
                 _made.pop(next(iter(_made)))
             code = machine.make(text, key, None, family, lanes)
-            _made[found] = None if code is None else load(code)
-        return _made[found]
+            _made[entry] = None if code is None else load(code)
+        return _made[entry]
 
 
 def compile(scene: Scene, observer: Observer, lanes: int, family: str = "") -> Loaded | None:
@@ -121,8 +121,8 @@ def compile(scene: Scene, observer: Observer, lanes: int, family: str = "") -> L
         return Loaded(close, advance, code.function("size")(), code.processor.lanes, code)
 
     key = f"{observer.key} {scene.key}"
-    found: Loaded | None = kept(key, partial(text, scene, observer), load, lanes, family)
-    return found
+    loaded: Loaded | None = kept(key, partial(text, scene, observer), load, lanes, family)
+    return loaded
 
 
 def text(scene: Scene, observer: Observer, processor: Processor) -> str:
@@ -190,11 +190,11 @@ def _write_close(scene: Scene, module: Module, formula: Formula) -> None:
         k.leave(k.compare("sge", count, k.whole(PASSES)), closed)
     for j, slot in enumerate(speeds):
         scene.put(k, block, f"to_qd{j}", k.get(slot))
-    found = k.get(quality)
+    result = k.get(quality)
     if scene.mechanism.driven:  # laws of the time may lead to where no state closes
         most = k.multiply(scene.get(k, block, "converged"), k.number(MISSED))
-        found = k.select(k.compare("ugt", k.get(missing), most), k.number(-1.0), found)
-    scene.put(k, block, "quality", found)
+        result = k.select(k.compare("ugt", k.get(missing), most), k.number(-1.0), result)
+    scene.put(k, block, "quality", result)
     k.done()
 
 
@@ -208,8 +208,8 @@ def _write_leaps(scene: Scene, module: Module, formula: Formula) -> None:
     for side, inputs in (("from", {}), ("to", scene.there(names))):
         both.append([{} for _ in formula.Psi])
         values = [x for *_, x in entries]
-        found = scene.segment(k, block, values, scene.closing_names | inputs).write(values)
-        for (r, j, _), word in zip(entries, found, strict=True):
+        entry_words = scene.segment(k, block, values, scene.closing_names | inputs).write(values)
+        for (r, j, _), word in zip(entries, entry_words, strict=True):
             words[f"{side}{r}_{j}"] = word
             both[-1][r][j] = products.variable(f"{side}{r}_{j}")
     quality = scene.get(k, block, "quality")

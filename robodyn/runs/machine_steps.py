@@ -277,8 +277,8 @@ class Scene:
         k, block = self.kernel(module, "strays")
         graph, orders = Graph(), range(self.order)
         series = [coefficients(graph, column, orders) for column in self.loop.spanned]
-        found = strays(self.motion.spans, series, graph.variable("x"))
-        self.put(k, block, "part", read_segment(self, k, block).write([found])[0])
+        part = strays(self.motion.spans, series, graph.variable("x"))
+        self.put(k, block, "part", read_segment(self, k, block).write([part])[0])
         k.done()
 
     def _agrees(self, module: Module) -> None:
@@ -406,12 +406,12 @@ def write_expand(scene: Scene, module: Module) -> None:
             rest = scene.row(k, block, 0), scene.row(k, block, p), scene.at(k, block, "sums"), p
             k.call(name, *rest, *levels)
         words = segment.write([value for *_, value in grown])
-        found = {(offset, i): word for (i, offset, _), word in zip(grown, words, strict=True)}
+        newest = {(offset, i): word for (i, offset, _), word in zip(grown, words, strict=True)}
         if k.lanes == 1 and module.together:  # a vector is had at once only where it is stored so
-            for offset, begin, wide in read_together(all_runs, found):
-                together = k.gathered([found.pop((offset, begin + i)) for i in range(wide)])
+            for offset, begin, wide in read_together(all_runs, newest):
+                together = k.gathered([newest.pop((offset, begin + i)) for i in range(wide)])
                 k.store(together, k.at(rows[offset], begin))
-        for (offset, column), word in found.items():
+        for (offset, column), word in newest.items():
             k.store(word, k.at(rows[offset], column, k.numbers))
     _longest(scene, k, block)
     if scene.rate_series or scene.link >= 0:
@@ -476,10 +476,10 @@ def _rates(scene: Scene, k: Kernel, block: Word) -> None:
             rest = x, scene.row(k, block, m), out, m, level
             k.call(function, *rest)
         for name, place, j, below in wanted:
-            found = k.load(k.at(out, 2 * j, k.numbers))
+            value = k.load(k.at(out, 2 * j, k.numbers))
             if below is not None:
-                found = k.subtract(found, k.load(k.at(out, 2 * below, k.numbers)))
-            k.store(found, k.at(scene.at(k, block, name, place), m, k.numbers))
+                value = k.subtract(value, k.load(k.at(out, 2 * below, k.numbers)))
+            k.store(value, k.at(scene.at(k, block, name, place), m, k.numbers))
 
 
 def value_and_slope(graph: Graph, n: int) -> list[tuple[Planar, Planar]]:
@@ -548,7 +548,7 @@ def runs(loop: LoopExpansion) -> tuple[list[Run], dict[str, int], int]:
         key = (*one[2:6], getattr(one.level, "index", one.level))
         pair = column[one.x.index], column[one.y.index]
         alike.setdefault(key, {})[pair] = name, one
-    found: list[Run] = []
+    result: list[Run] = []
     places: dict[str, int] = {}
     room = 0
     for group in alike.values():
@@ -564,10 +564,10 @@ def runs(loop: LoopExpansion) -> tuple[list[Run], dict[str, int], int]:
             members = [(x + i * strides[0], y + i * strides[1]) for i in range(count)]
             places |= {group[pair][0]: room + pair[1] - y for pair in members}
             wide = members[-1][1] - y + 1
-            found.append(Run(group[x, y][1], x, y, wide, strides, room))
+            result.append(Run(group[x, y][1], x, y, wide, strides, room))
             room += wide + WIDE
             left = [pair for pair in left if pair not in members]
-    return found, places, room
+    return result, places, room
 
 
 def alike(slides: Collection[int], n: int) -> Iterator[tuple[bool, Sequence[int]]]:
@@ -712,7 +712,7 @@ def write_sums(
 ) -> list[tuple[str, list[Weight]]]:
     """Write functions that compute all runs; return their names and weights."""
     vectors = [vector for run in runs for vector in _vectors(run, module, columns)]
-    found = []
+    functions = []
     for i, batch in enumerate(_batches(vectors, least, module.together or len(vectors))):
         weights = list(dict.fromkeys(v.weight for v in batch if v.weight is not None))
         written = _Batch(module, f"{name}{i}", batch, weights)
@@ -720,8 +720,8 @@ def write_sums(
             written.write(columns, least)
         else:
             written.call()
-        found.append((f"{name}{i}", weights))
-    return found
+        functions.append((f"{name}{i}", weights))
+    return functions
 
 
 def repeated(k: Kernel, place: Word, lanes: int, wide: int) -> Word:
@@ -732,16 +732,16 @@ def repeated(k: Kernel, place: Word, lanes: int, wide: int) -> Word:
 
 
 def read_together(
-    runs: Sequence[Run], found: Mapping[tuple[int, int], Word]
+    runs: Sequence[Run], words: Mapping[tuple[int, int], Word]
 ) -> Iterator[tuple[int, int, int]]:
     """Yield (offset from p, first column, count) of columns that can be loaded as one vector."""
     taken: set[tuple[int, int]] = set()
     for run in (x for x in runs if x.strides == (1, 1)):
         for first, (begin, wide) in product((run.x, run.y), _pieces(run.wide)):
             columns = range(first + begin, first + begin + wide)
-            for offset in sorted({offset for offset, _ in found}):
+            for offset in sorted({offset for offset, _ in words}):
                 places = {(offset, i) for i in columns}
-                if wide > 1 and places <= found.keys() - taken:
+                if wide > 1 and places <= words.keys() - taken:
                     taken |= places
                     yield offset, columns[0], wide
 

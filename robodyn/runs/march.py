@@ -86,7 +86,7 @@ class Run:
     ) -> None:
         actuation = over_run(mechanism, actuation, state, t_end, settings.atol)
         report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
-        if not actuation.told_by_leaves:
+        if not actuation.resolved:
             report.hint = TOO_FAST
             warnings.warn(TOO_FAST, RobodynWarning, stacklevel=3)
         report.stabilize = settings.stabilize if mechanism.rows else "none"
@@ -114,8 +114,8 @@ class Run:
             loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
         if self.report.stabilize == "projection":
             y = Projection(mechanism, best_closing(mechanism))(0.0, y)
-        if self.actuation.told is not None:
-            self.actuation.told.begin(y.tolist(), float(self.t_end))
+        if self.actuation.listener is not None:
+            self.actuation.listener.begin(y.tolist(), float(self.t_end))
         if mechanism.signals:
             rows_of(parts.acting, mechanism).check_signals(y[:n], y[n : 2 * n])
         return y
@@ -299,14 +299,14 @@ class Run:
     def advice(self) -> str:
         """Return what to do about the outcome."""
         mechanism, control = self.mechanism, self.actuation.control
-        told = ""
+        advice = ""
         if self.phases is not None and self.phases.led_on:
-            told = LED
+            advice = LED
         elif control is not None and self.outcome not in (Outcome.FINISHED, Outcome.EVENT):
-            told = no_hold(mechanism, control)
-        if not told and mechanism.has_tables and self.outcome is Outcome.STEP_TOO_SMALL:
-            told = near_table_end(mechanism, self.t, self.y)
-        return told or self.report.advice or self.outcome.advice
+            advice = no_hold(mechanism, control)
+        if not advice and mechanism.has_tables and self.outcome is Outcome.STEP_TOO_SMALL:
+            advice = near_table_end(mechanism, self.t, self.y)
+        return advice or self.report.advice or self.outcome.advice
 
 
 class Record(NamedTuple):
@@ -318,7 +318,7 @@ class Record(NamedTuple):
     @property
     def contacts(self) -> list[Event]:
         """Stops that joints met or left, joints that stuck or started, in the order of time."""
-        return [] if self.run.phases is None else self.run.phases.found
+        return [] if self.run.phases is None else self.run.phases.events
 
     def settle(self) -> Report:
         """Return the report with the statistics of all steps."""

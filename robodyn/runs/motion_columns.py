@@ -73,11 +73,11 @@ def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Arr
         steady[:] = actuation.constants
         return steady
     torques = at = actuation.function(mechanism.n)
-    if actuation.given is not None:
-        given = actuation.given.function(mechanism.n)
+    if actuation.original is not None:
+        original = actuation.original.function(mechanism.n)
 
         def at(t: float, y: Sequence[float]) -> list[float]:
-            for function in (given, torques):  # which knows what sin(t)/t is at 0
+            for function in (original, torques):  # which knows what sin(t)/t is at 0
                 with suppress(ArithmeticError, ValueError):
                     return function(t, y)
             return [np.nan] * mechanism.n  # where the run could not go on

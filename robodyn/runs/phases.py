@@ -77,7 +77,7 @@ class Phases:
         self.dry = mechanism.dry
         self.ends = {(x.joint, side): end for x in mechanism.ranges for side, end in x.ends}
         self.restitutions = {(x.joint, x.side): x.restitution for x in mechanism.of(HardStop)}
-        self.found: list[Event] = []
+        self.events: list[Event] = []
         self.begun, self.idle = 0.0, 0  # when the phase began, and how many took no time before
         self.turns: list[list[End]] = []  # ends hit before, in turn, without time passing
         self.thrown: dict[int, float] = {}  # how fast a joint left its end last
@@ -161,9 +161,9 @@ class Phases:
     def _watch(self, t: float) -> None:
         """Make the guards of the mode: functions that stay positive while it lasts."""
         touches = self.touches
-        found = [x for own in self.mechanism.elements for x in own.guards(self.mode, touches)]
-        found += [guard for own in self.mechanism.ranges for guard in own.guards(touches)]
-        self.guards = sorted(found, key=lambda x: (x.kind != "slips", x.joint, x.side))
+        guards = [x for own in self.mechanism.elements for x in own.guards(self.mode, touches)]
+        guards += [guard for own in self.mechanism.ranges for guard in own.guards(touches)]
+        self.guards = sorted(guards, key=lambda x: (x.kind != "slips", x.joint, x.side))
         left = self._margins(np.array([t]), self.y[None])[0] if self.still else []
         self.guards += [Guard("holds", k, 0) for k, x in enumerate(left) if math.isfinite(x)]
         if self.mechanism.driven:  # joints at rest that nothing holds, and that laws may move
@@ -195,12 +195,12 @@ class Phases:
             For a stop this tolerance ends when the joint turns back, so that it is met where it
             stands.
             """
-            found = self._value(guard, t, y) - offset
+            value = self._value(guard, t, y) - offset
             if not (missed and stop):
-                return found + missed
+                return value + missed
             way = guard.side if guard.kind == "presses" else -guard.side
             onward = way * y[:, self.mechanism.n + guard.joint] + ONWARD * missed
-            return np.maximum(found, np.minimum(found + missed, onward))
+            return np.maximum(value, np.minimum(value + missed, onward))
 
         def noise(t: Array, y: Array, _: Array) -> Array:
             size = self._size(guard, t.ravel(), y.reshape(-1, y.shape[-1]))
@@ -421,7 +421,7 @@ class Phases:
 
     def _tell(self, t: float, y: Array, joint: int, what: str) -> None:
         name = f"{self.mechanism.link_names[joint]} {what}"
-        self.found.append(Event(name, t, y[: 2 * self.mechanism.n].copy()))
+        self.events.append(Event(name, t, y[: 2 * self.mechanism.n].copy()))
 
 
 def _pause(joint: int, slow: float) -> Guard:

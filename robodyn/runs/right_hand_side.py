@@ -191,12 +191,12 @@ def _dense_rates(
     def rates(t: float, y: Array) -> Any:
         try:
             values = y.tolist()
-            found = torques(t, values)
+            outputs = torques(t, values)
         except (ArithmeticError, ValueError):  # outside the torque's domain
             return np.full(len(y), np.nan)
-        if not (all(map(math.isfinite, values)) and all(map(math.isfinite, found[:n]))):
+        if not (all(map(math.isfinite, values)) and all(map(math.isfinite, outputs[:n]))):
             return np.full(len(y), np.nan)
-        q, qd, tau = y[:n], y[n : 2 * n], np.array(found[:n])
+        q, qd, tau = y[:n], y[n : 2 * n], np.array(outputs[:n])
         given = mechanism, q, qd, tau, baumgarte, t
         rubbed: Array | float = 0.0  # load of friction by forces
         try:
@@ -218,6 +218,6 @@ def _dense_rates(
             side.refused = t, error
             return np.full(len(y), np.nan)
         power = [float(tau @ qd - damping @ qd**2) + driving] if work else []
-        return [*values[n : 2 * n], *qdd.tolist(), *found[n:], *power]
+        return [*values[n : 2 * n], *qdd.tolist(), *outputs[n:], *power]
 
     return rates

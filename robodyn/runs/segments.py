@@ -70,8 +70,8 @@ class Segment:
 
     def places(self, times: Array) -> Places:
         """Return the indices (k,) of the steps that contain times (k,)."""
-        found = np.searchsorted(self.t * self.forward, times * self.forward) - 1
-        return np.minimum(np.maximum(found, 0), len(self) - 1)
+        steps = np.searchsorted(self.t * self.forward, times * self.forward) - 1
+        return np.minimum(np.maximum(steps, 0), len(self) - 1)
 
     def at(self, times: Array) -> Array:
         """Return states (k, N) at times (k,) within the segment, in any order."""
@@ -86,13 +86,13 @@ class Segment:
         """Return complete states (k, N) at times (k,), ordered along the motion."""
         if self._whole is None:
             return self.at(times)
-        places, found = self.places(times), np.empty((len(times), self.y.shape[1]))
+        places, states = self.places(times), np.empty((len(times), self.y.shape[1]))
         for j in np.unique(places).tolist():
             here = places == j
-            found[here] = self._whole(j, times[here])
-            found[here & (times == self.t[j + 1])] = self.y[j + 1]
-        found[times == self.t[0]] = self.y[0]
-        return found
+            states[here] = self._whole(j, times[here])
+            states[here & (times == self.t[j + 1])] = self.y[j + 1]
+        states[times == self.t[0]] = self.y[0]
+        return states
 
     def until(self, t: float) -> Segment:
         """Return the part of the segment up to time t."""
@@ -146,10 +146,10 @@ def solver_segment(begun: Array, steps: Sequence[Any]) -> Segment:
             return np.array([each[k](at) for k, at in pairs])
         F, begun = (np.array([getattr(one, name) for one in each]) for name in ("F", "y_old"))
         some, x = F[which], ((times - t[places]) / (t[places + 1] - t[places]))[:, None]
-        found = some[:, -1] * x
+        sums = some[:, -1] * x
         for i in range(1, some.shape[1]):  # as each of them does by itself
-            found = (found + some[:, -1 - i]) * (1.0 - x if i % 2 else x)
-        return np.asarray(found + begun[which])
+            sums = (sums + some[:, -1 - i]) * (1.0 - x if i % 2 else x)
+        return np.asarray(sums + begun[which])
 
     def inside(places: Places, times: Array) -> Array:
         states = plain(places, times)

@@ -325,8 +325,8 @@ class SeriesEngine:
 
         Raises NoCodeError if no code can be made.
         """
-        found = self._ready.get(held)
-        if found is None:
+        kept = self._ready.get(held)
+        if kept is None:
             given = self.actuation
             rest = self.order, held, self._options, self._tolerances
             try:
@@ -336,8 +336,8 @@ class SeriesEngine:
                     ready = _ready(self.mechanism, given, *rest)
             except ZeroDivisionError as error:
                 raise NoCodeError("no state has a series") from error
-            found = self._ready[held] = ready, ready.room()
-        return found
+            kept = self._ready[held] = ready, ready.room()
+        return kept
 
     @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
@@ -422,13 +422,13 @@ class SeriesEngine:
         code.advance(address, steps, at)
         block[place["suspect"]] = suspect
         taken, given = int(block[place["steps"]]), int(table[GIVEN])
-        found = _STATUS[block[place["status"]]]
+        ended = _STATUS[block[place["status"]]]
         made = ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given].copy()
         terms = None
         if keeps and taken:
             kept = series[:taken].reshape(taken, self.order + 2, self.mechanism.n, 2)
             terms = terms_of(kept.T, np.diff(made[0], prepend=t))
-        return Chunk(*made, found, terms)
+        return Chunk(*made, ended, terms)
 
 
 @lru_cache(maxsize=64)

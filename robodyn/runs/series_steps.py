@@ -60,7 +60,7 @@ class SeriesSteps:
             self.regular, self.far = 2.0 * suspect_quality(self.mechanism), FAR
         self.outcome: Outcome | None = None
         self.evaluations = 0
-        self.reached: tuple[float, Array] | None = None  # of which torques are not told yet
+        self.reached: tuple[float, Array] | None = None  # of which listeners do not know yet
         self.idle = 0  # times in a row that nothing led on
         self.bound = self.t  # until where the next steps may go
         self.most_ahead = max(1, min(MOST_LOOKED_AT, KEPT // self.mechanism.n))
@@ -198,8 +198,8 @@ class SeriesSteps:
 
 def reach(actuation: Actuation, t: float, y: Array) -> None:
     """Tell a torque with a memory that a step ended on a kink."""
-    if actuation.told is not None and (kink := kink_at(actuation.kinks, t)) is not None:
-        actuation.told.reach(kink, y.tolist())
+    if actuation.listener is not None and (kink := kink_at(actuation.kinks, t)) is not None:
+        actuation.listener.reach(kink, y.tolist())
 
 
 def series_segment(

@@ -87,9 +87,9 @@ class Settings:
         try:
             self._check()
         except TypeError:  # what is no number is not compared
-            for name, told in NUMBERS.items():
+            for name, argument in NUMBERS.items():
                 if not isinstance(value := getattr(self, name), Real):
-                    raise InputError(told, value=value, limit="must be a number") from None
+                    raise InputError(argument, value=value, limit="must be a number") from None
             raise
 
     def _check(self) -> None:

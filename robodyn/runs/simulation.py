@@ -107,7 +107,7 @@ class Motion:
         if self._again is None:
             raise InputError("at", limit="a motion that was pickled has its rows alone")
         run = self._again()
-        found: list[Segment] = []
+        segments: list[Segment] = []
         begun = Segment(np.array([0.0, 0.0]), np.stack([run.y, run.y]))
         try:
             for segment in run.segments(keeps=True):
@@ -115,10 +115,10 @@ class Motion:
                     continue
                 middle = segment.t[:1] + 0.5 * (segment.t[1] - segment.t[0])
                 segment.at(middle)  # by the torques of now, which legs after it may change
-                found.append(segment)
+                segments.append(segment)
         except CallerError as failed:
             raise failed.error from None
-        return found or [begun]
+        return segments or [begun]
 
     @cached_property
     def qdd(self) -> Array:
@@ -228,7 +228,7 @@ def simulate(
     rows: list[tuple[Array, Array, Mechanism]] = []
     try:
         outcome, record = run(*of, lambda *row: rows.append(row), times, events=watch)
-        happened: Sequence[Event] = [] if watch is None else watch.found
+        happened: Sequence[Event] = [] if watch is None else watch.events
         if record.contacts:
             happened = sorted([*happened, *record.contacts], key=lambda event: abs(event.t))
         none = np.zeros(0), np.zeros((0, len(state)))
@@ -251,12 +251,12 @@ def simulate(
         )
         if numbers is not None:
             report = motion.report  # of a controller before it leads other runs
-            found = sensitivities(numbers, actuation, settings, t)
-            motion.sensitivity = found.values
-            names_of = columns(n, found.names)
-            motion._further.update(zip(names_of, found.flat.T, strict=True))
+            derivatives = sensitivities(numbers, actuation, settings, t)
+            motion.sensitivity = derivatives.values
+            names_of = columns(n, derivatives.names)
+            motion._further.update(zip(names_of, derivatives.flat.T, strict=True))
             moving = motion.phases[-1][1] if motion.phases else mechanism
-            tell(report, found, watch, moving, t, y, torques)
+            tell(report, derivatives, watch, moving, t, y, torques)
         return motion
     except CallerError as failed:
         error = failed.error

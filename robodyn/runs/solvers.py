@@ -80,7 +80,7 @@ class Projecting(_Solver):  # type: ignore[misc]
         kinks: Sequence[float] = (),
         jumps: Sequence[float] = (),
         leaves: Sequence[float] = (),
-        told: Steps | None = None,
+        listener: Steps | None = None,
         near: RightHandSide | None = None,
         mechanism: Mechanism | None = None,
         **options: Any,
@@ -95,7 +95,7 @@ class Projecting(_Solver):  # type: ignore[misc]
         self.kinks = sorted(kinks)
         self.stops = sorted({*kinks, *jumps})
         self.leaves = leaves
-        self.told = told
+        self.listener = listener
         self._bells = mechanism if mechanism is not None and mechanism.bells else None
         self._driven = mechanism if mechanism is not None and mechanism.driven else None
         self._lowest, self._highest, self._fastest = math.inf, -math.inf, 0.0  # energies, J
@@ -220,16 +220,16 @@ class Projecting(_Solver):  # type: ignore[misc]
 
         The dense output of the step stays as it is.
         """
-        if self.told is None and not self._ahead.jumps:
+        if self.listener is None and not self._ahead.jumps:
             return
         kink = kink_at(self.stops, self.t)
         if kink is None:
             return
         if self.t * self.direction < kink * self.direction <= self.t_bound * self.direction:
             self.t = kink  # missed by rounding
-        if self.told is not None and kink_at(self.kinks, kink) is not None:
-            self.told.reach(kink, self.y.tolist())
-            self._jumped = self.told.restarts
+        if self.listener is not None and kink_at(self.kinks, kink) is not None:
+            self.listener.reach(kink, self.y.tolist())
+            self._jumped = self.listener.restarts
         if kink_at(self._ahead.jumps, kink) is not None:
             self._jumped = True
 
@@ -302,7 +302,7 @@ class SolverSteps:
     def __init__(self, leg: Leg, method: str = "", rtol: float | None = None) -> None:
         system, t, y, t_end, *_ = leg
         mechanism, actuation, settings = system.mechanism, system.actuation, system.settings
-        side, single = system.side, leg.may_end or actuation.told is not None
+        side, single = system.side, leg.may_end or actuation.listener is not None
         each = np.full(len(y), settings.atol, float)
         # the work chooses no step, but that of laws, which `_weigh` bounds
         each[2 * mechanism.n + actuation.states :] = 1e100
@@ -326,7 +326,7 @@ class SolverSteps:
                 kinks=actuation.kinks,
                 jumps=actuation.jumps,
                 leaves=actuation.leaves,
-                told=actuation.told,
+                listener=actuation.listener,
                 max_step=settings.max_step,
             )
 

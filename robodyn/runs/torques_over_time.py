@@ -87,7 +87,7 @@ def leaves_of(
     known = [f(points) for f in functions]
     largest = [np.abs(x[np.isfinite(x)]).max(initial=0.0) for x in known]
     impulse = missed = 0.0
-    found: list[tuple[Array, Array, Array]] = []
+    leaves: list[tuple[Array, Array, Array]] = []
     while len(a):
         middle, half = 0.5 * (a + b), 0.5 * (b - a)
         t = middle[:, None] + half[:, None] * X[1:-1]
@@ -113,7 +113,7 @@ def leaves_of(
             worst = np.fmax(worst, np.where(np.isfinite(miss), miss, 0.0))
             level = np.maximum(level, size)
         split = ~good & (half > NARROWEST * span)
-        found.append((a[~split], b[~split], c[~split]))
+        leaves.append((a[~split], b[~split], c[~split]))
         missed += float((half * worst)[~good & ~split].sum())
         impulse += float((half * (level + worst))[~split].sum())
         if len(ends) + split.sum() > most:
@@ -122,7 +122,7 @@ def leaves_of(
         inner = a + ASIDE * (b - a)
         ends = np.append(ends, inner)
         a, b = np.stack([a, inner], axis=1).ravel(), np.stack([inner, b], axis=1).ravel()
-    begin, end, c = map(np.concatenate, zip(*found, strict=True))
+    begin, end, c = map(np.concatenate, zip(*leaves, strict=True))
     return (begin, end, c), np.sort(ends), not missed > UNTOLD * impulse
 
 
@@ -202,19 +202,19 @@ def over_run(
             times.update(t for t in signal.x if first < t < last)
             if isinstance(signal, Table):
                 jumps.update(t for t in signal.lines.jumps if first < t < last)
-    found = over_a_run(Actuation.of(torques), state, t_end, small)
-    leaves = {*actuation.leaves, *found.leaves}
+    loads = over_a_run(Actuation.of(torques), state, t_end, small)
+    leaves = {*actuation.leaves, *loads.leaves}
     if actuation.control is not None:  # it takes kinks for samples
         leaves.update({abs(t) for t in times} | {0.0, abs(t_end)} if times else set())
         times = set()
     else:
-        times.update(found.kinks)
+        times.update(loads.kinks)
     return replace(
         actuation,
         kinks=tuple(sorted({*actuation.kinks, *times})) if times else actuation.kinks,
         jumps=tuple(sorted(jumps)),
         leaves=tuple(sorted(leaves)),
-        told_by_leaves=actuation.told_by_leaves and found.told_by_leaves,
+        resolved=actuation.resolved and loads.resolved,
     )
 
 
@@ -245,40 +245,42 @@ def over_a_run(
     if actuation.pieces is not None or actuation.leaves or not math.isfinite(t_end) or not t_end:
         return actuation
     try:
-        found = _found(actuation.torques, tuple(map(float, state)), float(t_end), small)
+        prepared = _prepared(actuation.torques, tuple(map(float, state)), float(t_end), small)
     except (RecursionError, MemoryError):  # too deep an expression: as it is
         return actuation
-    if found is None:
+    if prepared is None:
         return actuation
-    over = replace(actuation, leaves=found.leaves, told_by_leaves=found.enough, given=actuation)
-    if not found.values[0]:  # no switch
+    over = replace(
+        actuation, leaves=prepared.leaves, resolved=prepared.resolved, original=actuation
+    )
+    if not prepared.values[0]:  # no switch
         return over
-    pieces, held = Held(found.kinks, found.values), Actuation.of(found.torques)
+    pieces, held = Held(prepared.kinks, prepared.values), Actuation.of(prepared.torques)
     return replace(
         over,
         lines=("_s = _piece(t)", *held.lines),
         torques=held.torques,
         scope={**_SCOPE, "_piece": pieces.at},
-        kinks=found.kinks,
+        kinks=prepared.kinks,
         pieces=pieces,
     )
 
 
-class _Found(NamedTuple):
+class _Prepared(NamedTuple):
     """Torques with switches held, kinks, switch values per piece, and leaves."""
 
     torques: tuple[Node, ...]
     kinks: tuple[float, ...]
     values: list[Values]
     leaves: tuple[float, ...]
-    enough: bool  # leaves to resolve the torque
+    resolved: bool  # by the leaves
 
 
 @lru_cache(maxsize=16)
 @np.errstate(all="ignore")
-def _found(
+def _prepared(
     torques: tuple[Node, ...], state: tuple[float, ...], t_end: float, small: float
-) -> _Found | None:
+) -> _Prepared | None:
     """Return switches and leaves of torques from 0 to `t_end`; None if they do not depend on time.
 
     Raises InputError for torques that switch too often.
@@ -320,21 +322,21 @@ def _found(
     edges, values = _finer(edges, values, _with_kinks(edges, hole))
     constants: dict[Node, Node] = {}
     for held in parts.held:
-        found = list(_undefined(_scalar(held), edges, values, points))
-        if found:
+        stretches = list(_undefined(_scalar(held), edges, values, points))
+        if stretches:
             k = len(values[0])
             constants[held] = "if", ("int", switch(k)), switch(k + 1), held
-            sides = [t for low, high, _ in found for t in (low, high)]
+            sides = [t for low, high, _ in stretches for t in (low, high)]
             edges, values = _finer(edges, values, np.unique([*edges, *sides]))
             each = [
-                next(((1.0, x) for a, b, x in found if a < t < b), (0.0, 0.0))
+                next(((1.0, x) for a, b, x in stretches if a < t < b), (0.0, 0.0))
                 for t in _within(edges)
             ]
             values = [(*x, *one) for x, one in zip(values, each, strict=True)]
-    _, ends, enough = leaves_of(functions, edges, _inside(points, edges), small)
+    _, ends, resolved = leaves_of(functions, edges, _inside(points, edges), small)
     made = tuple(changed(torque, lambda x: constants.get(x, x)) for torque in written)
     leaves = tuple(np.sort(np.abs(ends)).tolist())
-    return _Found(made, tuple(edges[1:-1].tolist()), values, leaves, enough)
+    return _Prepared(made, tuple(edges[1:-1].tolist()), values, leaves, resolved)
 
 
 def _within(edges: Array) -> list[float]:
@@ -438,10 +440,10 @@ class _TimeParts:
             self.held.append(written)
         return written
 
-    def _write(self, node: tuple[Any, ...], found: list[tuple[Node, int]]) -> tuple[Node, int]:
+    def _write(self, node: tuple[Any, ...], folded: list[tuple[Node, int]]) -> tuple[Node, int]:
         """Return the written operation, and what it depends on (`_kind`)."""
         operation, *parts = node
-        written, kinds = [x for x, _ in found], [kind for _, kind in found]
+        written, kinds = [x for x, _ in folded], [kind for _, kind in folded]
         kind = max(kinds)
         if operation in ("floor", "%"):
             decide = [_whole(("/", *parts) if operation == "%" else parts[0])]

@@ -98,7 +98,7 @@ class Watched:
 class EventWatch:
     """Watches event functions and keeps their events.
 
-    If it `ends`, the event of the last function ends the run.  `found` has the first events in the
+    If it `ends`, the event of the last function ends the run.  `events` has the first events in the
     order of time.  `grazes` has, by name, times at which a function touches zero without crossing
     it, as far as rounding shows.  `hidden` has spans in which rounding hides its sign for long.
     `lost` has times from which it changes sign too often to follow.  A condition that holds at the
@@ -113,7 +113,7 @@ class EventWatch:
     columns: StateColumns | None = None
 
     def __post_init__(self) -> None:
-        self.found: list[Event] = []  # in their order, the first MOST of them
+        self.events: list[Event] = []  # in their order, the first MOST of them
         self.grazes: dict[str, list[float]] = {}
         self.hidden: dict[str, list[tuple[float, float]]] = {}
         self.lost: dict[str, list[float]] = {}
@@ -143,27 +143,29 @@ class EventWatch:
         for each in self.own:
             if each.touched is not None:
                 self._end_touch(each, each.touched[1])
-        found, computed = [], {x.function.name for x in self.own if x.function.computed}
+        remarks, computed = [], {x.function.name for x in self.own if x.function.computed}
         for name, times in self.grazes.items():
             limit = "rounding hides whether it passes"
-            found.append(f"{name} touches zero at t = {_listed(times)} s: {limit}")
+            remarks.append(f"{name} touches zero at t = {_listed(times)} s: {limit}")
         for name, spans in self.hidden.items():
-            told = [f"{begin:.9g} to {end:.9g}" for begin, end in spans]
+            texts = [f"{begin:.9g} to {end:.9g}" for begin, end in spans]
             zero = "zero or undefined" if name in computed else "zero"
-            found.append(f"{name} is {zero} to rounding from t = {_listed(told)} s")
+            remarks.append(f"{name} is {zero} to rounding from t = {_listed(texts)} s")
         for name, times in self.lost.items():
-            found.append(f"{name} passes zero too often to be followed, from t = {_listed(times)}")
-        blurred = [event for event in self.found if event.apart > self.instant]
+            remarks.append(
+                f"{name} passes zero too often to be followed, from t = {_listed(times)}"
+            )
+        blurred = [event for event in self.events if event.apart > self.instant]
         if blurred:
             worst = max(blurred, key=lambda event: event.apart)
-            found.append(
+            remarks.append(
                 f"{worst.name} at t = {worst.t:.9g} s passes zero so slowly that rounding leaves "
                 f"{worst.apart:.1g} s open"
                 + (f", and {len(blurred) - 1} more" * (len(blurred) > 1))
             )
         if sum(each.happened for each in self.own) > MOST:
-            found.append(f"the first {MOST} events are kept")
-        return found
+            remarks.append(f"the first {MOST} events are kept")
+        return remarks
 
     def guard(self, guards: Sequence[EventFunction]) -> None:
         """Also watch `guards`, positive now; a change of their sign ends the leg."""
@@ -183,7 +185,7 @@ class EventWatch:
         passed = [x for i in own for x in self._passings(i, changes[i], until, take=True)]
         passed.sort(key=lambda x: x.t * self.forward)
         passed = [x for x in passed if self._counts(x, cut)]
-        told = [x for x in passed if abs(x.t - self.watched[x.place].known) > self.instant]
+        counted = [x for x in passed if abs(x.t - self.watched[x.place].known) > self.instant]
         if cut is not None and cut.place >= len(self.functions):
             # the motion goes on in another mode there
             for each in self.own:
@@ -191,12 +193,12 @@ class EventWatch:
             for x in passed:
                 if x.t == cut.t:
                     self.watched[x.place].sign, self.watched[x.place].known = 0.0, cut.t
-        states = segment.at(np.array([x.t for x in told])) if told else ()
-        for x, y in zip(told, states, strict=True):
+        states = segment.at(np.array([x.t for x in counted])) if counted else ()
+        for x, y in zip(counted, states, strict=True):
             each = self.watched[x.place]
             each.happened += 1
-            if len(self.found) < MOST:
-                self.found.append(Event(each.function.name, x.t, y[: self.width], x.apart))
+            if len(self.events) < MOST:
+                self.events.append(Event(each.function.name, x.t, y[: self.width], x.apart))
         return cut
 
     def _cut(self, changes: Sequence[Sequence[Change]]) -> Passing | None:
@@ -229,7 +231,7 @@ class EventWatch:
 
         With `take`, its last sign is stored, and spans hidden by rounding are recorded.
         """
-        each, found = self.watched[i] if take else replace(self.watched[i]), list[Passing]()
+        each, passings = self.watched[i] if take else replace(self.watched[i]), list[Passing]()
         for change in changes:
             if until is not None and (change.t - until) * self.forward > self.instant:
                 break
@@ -248,11 +250,11 @@ class EventWatch:
                 if each.function.way in (0, sign):
                     width = abs(touched[1] - touched[0]) if touched else 0.0
                     t = until if near and until is not None else change.t
-                    found.append(Passing(i, t, max(change.blur, width), sign))
+                    passings.append(Passing(i, t, max(change.blur, width), sign))
                 if near:  # whether it goes on beyond the cut the next segment tells
                     break
             each.sign = sign
-        return found
+        return passings
 
     def _end_touch(self, each: Watched, t: float, grazes: bool = False) -> None:
         """End at t the span on which rounding hides the sign of a function.
@@ -291,37 +293,37 @@ class EventWatch:
             return [Change(segment.begin, segment.end, first, first, segment.begin)]
         lost, most = self.lost.get(function.name, []), MOST_BOXES + MORE_BOXES * len(segment)
         budget = Budget(LEAST * abs(segment.end - segment.begin), most >> min(len(lost), LESS))
-        found = signs_along(function, segment, known, parts, budget)
+        stretches = signs_along(function, segment, known, parts, budget)
         if budget.spent:
             if not lost:  # a run may take long to tell it at its end
                 remark = f"{function.name} passes zero too often to be followed, as at "
                 warnings.warn(f"{remark}t = {segment.begin:.9g} s", RobodynWarning, stacklevel=2)
             self.lost.setdefault(function.name, []).append(segment.begin)
         # stretches of one sign in a row are one
-        kind, one = found.kind, np.abs(found.kind) == 1.0
+        kind, one = stretches.kind, np.abs(stretches.kind) == 1.0
         begins = np.ones(len(kind), bool)
         begins[1:] = (kind[1:] != kind[:-1]) | ~one[1:]
         which = begins.nonzero()[0]
         ends = np.append(which[1:], len(kind))[: len(which)] - 1
-        begin, end, kind = found.begin[which], found.end[ends], kind[which]
+        begin, end, kind = stretches.begin[which], stretches.end[ends], kind[which]
         holds = np.where((kind == UNDEFINED) | function.strict, -function.way, function.way)
         kept = (kind >= ZERO) & self._lasts(begin, end)
         sign = np.where(one[which], kind, np.where(kept, holds, 0.0))
-        told, t = sign.nonzero()[0], begin.copy()
-        before = np.append(each.sign, sign[told])[:-1]
-        passes = (before != 0.0) & (before != sign[told])
-        t[told[:1][passes[:1]]] = segment.begin
+        signed, t = sign.nonzero()[0], begin.copy()
+        before = np.append(each.sign, sign[signed])[:-1]
+        passes = (before != 0.0) & (before != sign[signed])
+        t[signed[:1][passes[:1]]] = segment.begin
         if (turns := passes[1:].nonzero()[0]).size:
-            after, to = told[1:][turns], sign[told[1:][turns]]
+            after, to = signed[1:][turns], sign[signed[1:][turns]]
             equal = bool(function.way) and not function.strict
 
             def met(values: Array, k: Places) -> NDArray[np.bool_]:
                 towards = values * to[k]
                 return np.asarray(towards >= 0.0 if equal else towards > 0.0)
 
-            sure = found.sure[ends[told[:-1][turns]]], found.sure[which[after]]
+            sure = stretches.sure[ends[signed[:-1][turns]]], stretches.sure[which[after]]
             _, _, t[after] = brackets(_along(function, segment), met, *sure, begin[after])
-        columns = begin, end, kind, sign, t, found.blur[which]
+        columns = begin, end, kind, sign, t, stretches.blur[which]
         return [Change(*row) for row in np.transpose(columns).tolist()]
 
 
@@ -394,9 +396,9 @@ def _split(
     switch: Part, segment: Segment, begin: Array, end: Array, budget: Budget
 ) -> tuple[Array, Array]:
     """Cut boxes at the zeros of a switch; each cut lies between two neighbouring floats."""
-    found = SignSearch(_sampled(switch, segment), budget).stretches(begin, end)
-    shown = found.kind != HIDDEN  # what rounding hides is passed over
-    sign, sure, at = found.sign[shown], found.sure[shown], found.begin[shown]
+    stretches = SignSearch(_sampled(switch, segment), budget).stretches(begin, end)
+    shown = stretches.kind != HIDDEN  # what rounding hides is passed over
+    sign, sure, at = stretches.sign[shown], stretches.sure[shown], stretches.begin[shown]
     turns = (sign[1:] != sign[:-1]).nonzero()[0]
     if not len(turns):
         return begin, end
@@ -417,5 +419,5 @@ def _split(
 
 
 def _listed(times: Sequence[float | str]) -> str:
-    told = [t if isinstance(t, str) else f"{t:.9g}" for t in times[:TOLD]]
-    return ", ".join(told) + (", ..." if times[TOLD:] else "")
+    texts = [t if isinstance(t, str) else f"{t:.9g}" for t in times[:TOLD]]
+    return ", ".join(texts) + (", ..." if times[TOLD:] else "")

@@ -258,6 +258,6 @@ def check(plan: Plan) -> Mechanism:
     if plan.kind == "motion" and mechanism.timed:
         with suppress(InputError):  # of a table that ends too early: motions tell it
             loads, at_rest = as_actuation(mechanism, None), np.zeros(2 * mechanism.n)
-            if not over_run(mechanism, loads, at_rest, plan.t_end, plan.atol).told_by_leaves:
+            if not over_run(mechanism, loads, at_rest, plan.t_end, plan.atol).resolved:
                 warnings.warn(TOO_FAST, RobodynWarning, stacklevel=2)
     return mechanism
