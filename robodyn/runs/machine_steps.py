@@ -1,23 +1,23 @@
 """Steps of the Taylor series in machine code: one motion in each of W lanes.
 
-All that belongs to the motions of one vector lies in a block of items of W doubles each, which
-`Scene.place` names: the state (q0, ..., qd0, ..., work), that at a step's end (to_q0, ...), the
-time, what is given, the scene's numbers and how things stand.  Behind them stands the series: a
-matrix of coefficients, a row an order and a column a series.  The kernels
+A block holds the motions of one vector in items of W doubles: the state (q0, ..., qd0, ..., work),
+the state at a step's end (to_q0, ...), the time, the torques, the scene's numbers, and the status.
+`Scene.place` has the index of each.  The series follow: a matrix with a row for each order and a
+column for each series.  The kernels compute
 
     expand(block)      the series at the state, and the longest step
     evaluate(block)    the state at x after the start, from the series
     close(block)       that state moved to the nearest that closes, and its quality
-    leaps(block)       none is left where the step between them may have leapt to another branch
+    leaps(block)       quality -1 if the step may have leapt to another branch
     strays(block)      the part of the step within which no argument of a function strays
     agrees(block)      half of the step, if there the accelerations are not those of the series
 
-do so; `advance` (`machine_motion.py`) drives them.  Numbers are no part of the code: it serves all
-scenes of one shape.
+`advance` (`machine_motion.py`) calls them.  The code has no numbers in it: it serves all scenes of
+one shape.
 
 The order of the series is a loop.  Columns of coefficients that are summed alike stand side by
-side, so that a vector of eight numbers sums many: of columns or of lanes.  One loop runs over the
-terms of several vectors: none of them waits for its last term then.
+side, so that a vector of eight numbers sums several columns or lanes.  One loop runs over the terms
+of several vectors, so that none of them waits for its last term.
 """
 
 from __future__ import annotations
