@@ -186,6 +186,23 @@ def test_of_fast_switches_all_count(pulses, rate, level):
     assert run.qd[-1, 0] == pytest.approx(level * arcs / pulses, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("text", "end", "impulse"),
+    [
+        ("floor(0.3 + atan2(sin(t),cos(t))/pi)", 4.0 * math.pi, -0.8 * math.pi),  # jumps by 2
+        ("(0.3 + atan2(sin(t),cos(t))/pi) % 1", 4.0 * math.pi, 2.0 * math.pi),
+        ("floor(0.5 + 3*atan2(sin(t),cos(t))/pi)", 4.0 * math.pi, 0.0),  # by 6
+        ("floor(0.5 + atan(1/(t-2)))", 4.0, 0.0),  # from -1.07 to 2.07
+        ("floor(0.2 + atan(1/(t-2)))", 5.0, -2.0 - 1.0 / math.tan(1.2) + 1.0 / math.tan(0.8)),
+    ],
+)
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+def test_what_jumps_over_whole_numbers(text, end, impulse, method):
+    """Over two at once too, where sin(pi x) has one sign on both sides."""
+    run = simulate(FREE, [0.0], [0.0], end, text, method=method)
+    assert run.qd[-1, 0] == pytest.approx(impulse, abs=1e-6)
+
+
 def test_beside_a_part_that_is_too_fast_a_pulse_is_sampled():
     """sin(1e7 t) has more extremes than a million samples tell; 20 exp(-((t-5)/1e-4)^2) has one."""
     for text in ("20*exp(-((t-5)/1e-4)**2)", "20*exp(-((t-5)/1e-4)**2) + 1e-12*t*sin(1e7*t)"):

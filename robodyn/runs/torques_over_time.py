@@ -126,11 +126,14 @@ def leaves_of(
     return (begin, end, c), np.sort(ends), not missed > UNTOLD * impulse
 
 
-def turns_of(f: Function, edges: Array, points: Array) -> tuple[Array, Array, Array] | None:
+def turns_of(
+    f: Function, edges: Array, points: Array, whole: Function | None = None
+) -> tuple[Array, Array, Array] | None:
     """Return where a function changes its sign, and its extremes (k,), between the edges.
 
     A function that becomes zero, or undefined, changes its sign.  The first result (m,) is the
     float beside a change at which the function is smaller, the second (2m,) are both its sides.
+    Changes of `whole` without one of the sign belong to them: what jumps over two whole numbers.
     None if the function changes too fast.
     """
     leaves, _, _ = leaves_of([f], edges, points, most=FOLLOWED + len(edges) // 2)
@@ -158,12 +161,24 @@ def turns_of(f: Function, edges: Array, points: Array) -> tuple[Array, Array, Ar
     (k,) = np.nonzero(_sign(f(sides[1])) != last)  # it stays at zero, to rounding, for a while
     ends, to = (sides[1][k], after[k], middle[k]), last[k]
     later = brackets(f, lambda x, k: _sign(x) == to[k], *ends)
-    low, high, nearer = (np.concatenate(x) for x in zip(sides, later, strict=True))
+    changes = [sides, later]
+    if whole is not None:
+        number = _known(whole(t))
+        jumps = (number[1:] != number[:-1]) & (sign[1:] == sign[:-1]) & (piece[1:] == piece[:-1])
+        (k,) = np.nonzero(jumps)
+        ends, level = (t[k], t[k + 1], 0.5 * (t[k] + t[k + 1])), number[k]
+        changes.append(brackets(whole, lambda x, k: _known(x) != level[k], *ends))
+    low, high, nearer = (np.concatenate(x) for x in zip(*changes, strict=True))
     return nearer, np.concatenate([low, high]), extremes
 
 
 def _sign(values: Array) -> Array:
-    return np.where(np.isnan(values), 2.0, np.sign(values))
+    return _known(np.sign(values))
+
+
+def _known(values: Array) -> Array:
+    """Return values with a number in place of nan, which is equal to nothing."""
+    return np.where(np.isnan(values), 0.5, values)
 
 
 def over_run(
@@ -296,8 +311,10 @@ def _prepared(
         return lambda t: values(t, np.broadcast_to(y, (len(t), 2 * n)))
 
     edges, points = np.array([min(0.0, t_end), max(0.0, t_end)]), np.zeros(0)
-    for part, decides in parts.sought.items():
-        turns = turns_of(function(part), edges, _inside(points, edges))
+    for part, switch_of in parts.sought.items():
+        decides = switch_of is not None
+        whole = function(switch_of) if switch_of is not None and switch_of[0] == "floor" else None
+        turns = turns_of(function(part), edges, _inside(points, edges), whole)
         if turns is None and decides:
             limit = f"switches too often, over some 20,000 times from 0 to {t_end:g} s"
             raise InputError("tau", limit=f"{limit}; take a slower torque or a shorter time")
@@ -425,8 +442,8 @@ class _TimeParts:
 
     def __init__(self) -> None:
         self.timed = False  # whether there are any
-        # whose zeros and extremes matter, innermost first, and whether they decide switches
-        self.sought: dict[Node, bool] = {}
+        # whose zeros and extremes matter, innermost first, and the switches that they decide
+        self.sought: dict[Node, tuple[Any, ...] | None] = {}
         self.switches: list[Node] = []  # whose values are whole numbers
         self.functions: list[Node] = []  # that must be resolved: torques, and of time alone
         self.held: list[Node] = []  # the largest parts of time alone, as they are written
@@ -445,11 +462,13 @@ class _TimeParts:
         operation, *parts = node
         written, kinds = [x for x, _ in folded], [kind for _, kind in folded]
         kind = max(kinds)
+        decides: dict[Node, tuple[Any, ...]] = {}
         if operation in ("floor", "%"):
-            decide = [_whole(("/", *parts) if operation == "%" else parts[0])]
-        else:
-            decide = switches_of(*node) if operation in SWITCHING else []
-        self.sought |= dict.fromkeys((x for x in decide if names_of(x) == {"t"}), True)
+            x: Node = ("/", *parts) if operation == "%" else parts[0]
+            decides[_whole(x)] = "floor", x
+        elif operation in SWITCHING:
+            decides = {x: ("sign", x) for x in switches_of(*node)}
+        self.sought |= {x: switch for x, switch in decides.items() if names_of(x) == {"t"}}
         compares = type(parts[0]) is tuple and parts[0][0] in WAYS
         if operation == "if" and kinds[0] + compares < 2:
             written[0] = "int", self._switch(("abs", ("sign", parts[0])))
@@ -460,7 +479,7 @@ class _TimeParts:
             if operation not in SWITCHING and not linear:
                 for part in parts:
                     if type(part) is tuple and names_of(part):
-                        self.sought.setdefault(part, False)
+                        self.sought.setdefault(part, None)
             return self._held(node, written), 1
         if kind == 2:
             for part, held, each in zip(parts, written, kinds, strict=True):
