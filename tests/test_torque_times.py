@@ -203,6 +203,42 @@ def test_what_jumps_over_whole_numbers(text, end, impulse, method):
     assert run.qd[-1, 0] == pytest.approx(impulse, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    "text", ["sqrt(abs(cos(11*t)))", "sqrt(abs(sin(17*t)))", "abs(sin(3*t))**0.3"]
+)
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "taylor"])
+def test_a_root_of_what_touches_zero_at_a_kink(text, method):
+    """A kink is off by some floats: what is held there may not become negative."""
+    exact = quad(eval(f"lambda t: {text}", vars(np)), 0.0, 2.0, limit=500, points=TOUCHES[text])[0]
+    run = simulate(FREE, [0.0], [0.0], 2.0, text, method=method)
+    assert run.outcome is Outcome.FINISHED
+    assert run.qd[-1, 0] == pytest.approx(exact, abs=1e-6)
+
+
+TOUCHES = {
+    "sqrt(abs(cos(11*t)))": [(k + 0.5) * math.pi / 11.0 for k in range(7)],
+    "sqrt(abs(sin(17*t)))": [k * math.pi / 17.0 for k in range(1, 11)],
+    "abs(sin(3*t))**0.3": [math.pi / 3.0],
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("log(t) if t>0 else 0", "tau1 = log(t) if t > 0.0 else 0.0 is not finite next to t = 0 s"),
+        ("1/t**2", "tau1 = 1.0 / t ** 2.0 is not finite at t = 0 s"),
+    ],
+)
+def test_a_torque_without_a_value_is_told_as_it_was_written(text, told):
+    with pytest.raises(RobodynError, match=re.escape(told)):
+        simulate(FREE, [0.0], [0.0], 2.0, text)
+
+
+def test_what_overflows_on_the_way_to_nothing():
+    run = simulate(FREE, [0.0], [0.0], 5.0, "1e4/cosh(1e4*(t-2))**2")
+    assert run.qd[-1, 0] == pytest.approx(2.0, rel=1e-8)
+
+
 def test_beside_a_part_that_is_too_fast_a_pulse_is_sampled():
     """sin(1e7 t) has more extremes than a million samples tell; 20 exp(-((t-5)/1e-4)^2) has one."""
     for text in ("20*exp(-((t-5)/1e-4)**2)", "20*exp(-((t-5)/1e-4)**2) + 1e-12*t*sin(1e7*t)"):

@@ -64,10 +64,10 @@ class ExpressionRows:
             return tree
 
         def choose(node: tuple[Any, ...]) -> Node:
-            k = _held(node[1]) if node[0] in ("if", "pick") else None
+            k = _held(node[1]) if node[0] in ("if", "min_of", "max_of") else None
             if k is None:
                 return node
-            parts = node[2:] if node[0] == "pick" else (node[3], node[2])
+            parts = (node[3], node[2]) if node[0] == "if" else node[2:]
             return math.nan if math.isnan(held[k]) else parts[int(held[k])]
 
         return changed(tree, choose)
@@ -88,7 +88,7 @@ class ExpressionRows:
                 return self.sum(x[0], x[1], 1.0)
             case "-":
                 return self.sum(x[0], x[1], -1.0)
-            case "*":
+            case "*" | "abs_of":
                 return self.product(*x)
             case "/":
                 return self.quotient(*x)
@@ -98,7 +98,7 @@ class ExpressionRows:
                 return self.product(-1.0, *x)
             case "int":
                 return x[0]
-            case "if" | "pick" if _held(node[1]) is not None:
+            case "if" | "min_of" | "max_of" if _held(node[1]) is not None:
                 return x[1] if node[0] == "if" else x[-1]  # all serve
             case "if" | "%" | "<" | "<=" | ">" | ">=":
                 raise self.refused(f"`{code_of(node)[:60]}`")

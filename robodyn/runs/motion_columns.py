@@ -96,7 +96,12 @@ def check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) 
     except (ArithmeticError, ValueError):
         pass
     place = f"{actuation.where}: " if actuation.where else ""
-    limit = f"{place}{_not_finite(actuation, mechanism.n, t, y)} is not finite at t = {t:g} s"
+    when = "at"
+    if actuation.original is not None:
+        with suppress(ArithmeticError, ValueError):
+            before = actuation.original.function(mechanism.n)(t, y.tolist())
+            when = "next to" if all(map(math.isfinite, before)) else "at"
+    limit = f"{place}{_not_finite(actuation, mechanism.n, t, y)} is not finite {when} t = {t:g} s"
     raise RobodynError("cannot start", where=mechanism.source, limit=limit)
 
 
@@ -105,7 +110,7 @@ def _not_finite(actuation: Actuation, n: int, t: float, y: Array) -> str:
     names = [*(f"{name}{k}" for name in ("q", "qd") for k in range(n)), *actuation.own("z")]
     values = {"__builtins__": {}, "t": t, **actuation.scope, **dict(zip(names, y, strict=False))}
     for line in actuation.lines:
-        name, _, text = line.partition(" = ")
+        name, _, _ = line.partition(" = ")
         try:
             exec(line, values)
             if not re.fullmatch(r"tau\d+", name) or math.isfinite(values[name]):
@@ -114,8 +119,11 @@ def _not_finite(actuation: Actuation, n: int, t: float, y: Array) -> str:
             pass
         except SyntaxError:  # a part of a statement
             break
-        name, text = (re.sub(r"\b(q|qd|tau)(\d+)\b", _from_one, x) for x in (name, text))
-        return f"{name} = " + re.sub(r"\b_(\w+)\(", r"\1(", text)
+        written = actuation if actuation.original is None else actuation.original
+        line = next((x for x in written.lines if x.startswith(f"{name} = ")), line)
+        line = re.sub(r"\b(q|qd|tau)(\d+)\b", _from_one, line)
+        line = re.sub(r"\b_pow\(([^(),]+), ([^(),]+)\)", r"\1 ** \2", line)
+        return re.sub(r"\b_(\w+)\(", r"\1(", line)
     return "the torque"
 
 

@@ -433,7 +433,10 @@ _SCOPE: dict[str, object] = {
     "_int": int,
     "_min_at": lambda *x: x.index(min(x)),
     "_max_at": lambda *x: x.index(max(x)),
-    "_pick": lambda k, *x: x[int(k)],
+    # no switch is asked: a kink is off by some floats, and abs(x) may not be negative there
+    "_abs_of": lambda sign, x: abs(x),
+    "_min_of": lambda k, *x: min(x),
+    "_max_of": lambda k, *x: max(x),
 }
 
 
@@ -500,9 +503,9 @@ class _TimeParts:
             case "sign" | "floor":
                 return self._switch(node)
             case "abs":
-                return "*", x[0], self._switch(("sign", *parts))
+                return "abs_of", self._switch(("sign", *parts)), *x
             case "min" | "max":
-                return "pick", self._switch((f"{operation}_at", *parts)), *x
+                return f"{operation}_of", self._switch((f"{operation}_at", *parts)), *x
         return operation, *x
 
     def _switch(self, node: Node) -> str:

@@ -34,9 +34,18 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "if": lambda test, body, other: body if test else other,
     **COMPARISONS,
 }
+
+
+def _pow(x: float, exponent: float) -> float:
+    try:
+        return math.pow(x, exponent)
+    except OverflowError:  # so that 1/cosh(x)^2 goes on to 0
+        return math.copysign(math.inf, x) if exponent % 2.0 == 1.0 else math.inf
+
+
 # what code of a tree needs
 SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
-SCOPE["_pow"] = math.pow
+SCOPE["_pow"] = _pow
 # what no power series in time expands where it bends or jumps
 BENDS = ("abs", "min", "max", "sign", "floor", "atan2")
 _BENDING = {**dict.fromkeys(COMPARISONS, "a comparison"), "if": "`if`", "%": "%"}
@@ -228,7 +237,7 @@ def _linear(node: tuple[Any, ...], parts: list[dict[str, float]]) -> dict[str, f
 # -- code --------------------------------------------------------------------------------------
 
 # What binds the operations of Python: from a choice to what needs no parentheses.
-_CHOICE, _COMPARED, _SUM, _PRODUCT, _SIGNED, _POWER, _ATOM = range(7)
+_CHOICE, _COMPARED, _SUM, _PRODUCT, _SIGNED, _ATOM = range(6)
 _BINDS = {**dict.fromkeys(COMPARISONS, _COMPARED), "+": _SUM, "-": _SUM}
 _BINDS |= {"*": _PRODUCT, "/": _PRODUCT, "%": _PRODUCT}
 _Bound = tuple[str, int]
@@ -260,7 +269,7 @@ def _code(node: tuple[Any, ...], parts: list[_Bound]) -> _Bound:
         case "neg":
             return f"-{within(parts[0], _SIGNED)}", _SIGNED
         case "**":
-            return f"{within(parts[0], _ATOM)} ** {within(parts[1], _POWER)}", _POWER
+            operation = "pow"
         case "if":
             test, body, other = (within(part, _COMPARED) for part in parts)
             return f"{body} if {test} else {other}", _CHOICE
