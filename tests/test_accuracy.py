@@ -177,6 +177,34 @@ def test_the_estimate_is_not_exceeded(tens):
         assert estimate <= 3.0 * true + 1e-10, seed
 
 
+WHEEL = "links: [{name: wheel, m: 1, l: 0.1, r: 0, I: 1}]"
+
+
+def test_what_rounds_alike_in_two_runs_is_estimated():
+    """Both take 9425 steps of 2 rad, and add the same numbers with the same rounding."""
+    wheel, start = mechanism(WHEEL), np.array([0.0, 314.15])
+    settings = Settings("taylor", 1e-12, 1e-12)
+    estimate = error_estimate(wheel, start, 60.0, Actuation((0.0,)), settings)
+    motion = simulate(wheel, [0.0], [314.15], 60.0, None, "taylor", 1e-12, 1e-12)
+    assert 1e-9 < abs(motion.q[-1, 0] - 18849.0) < 2.0 * estimate < 1e-7
+
+
+def test_where_a_step_a_turn_rounds_too_much_others_are_longer():
+    """t^9 turns the wheel 70,000 times; DOP853 takes a hundred steps, and the series 222,000."""
+    wheel = mechanism(WHEEL)
+    torque = actuation.expressions(wheel, "t**9", "")
+    given = wheel, np.zeros(2), 5.0, torque, Settings(AUTO)
+    settings, estimate = settings_for(*given, 1e-6)
+    assert settings.method == "DOP853"
+    motion = simulate(
+        wheel, [0.0], [0.0], 5.0, "t**9", "DOP853", settings.rtol, settings.atol,
+        max_step=settings.max_step,
+    )  # fmt: skip
+    assert abs(motion.q[-1, 0] - 5.0**11 / 110.0) < estimate <= 1e-6
+    with pytest.raises(accuracy.AccuracyError, match="rounding of its steps alone makes"):
+        settings_for(*given, 1e-9)
+
+
 def test_torques_without_a_series_take_dop853():
     mech, torques = arm("abs(q2), 0")
     assert best_method(mech, torques) == "DOP853"

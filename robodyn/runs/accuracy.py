@@ -6,6 +6,9 @@ the error of the looser one.  For an accuracy A, the tolerance starts at A/100 a
 until two successive runs differ by at most A. The last run is taken; its own error is smaller
 still.
 
+Rounding of q and t grows with the number of steps, often with one sign, and two runs that take the
+same steps round alike.  Half of its bound is added: eps/8 (|q| + |qd t|) a step.
+
 At a hard stop rates jump, and two runs jump at slightly different times.  Their rates are compared
 at times more than A (s) away from an impact of either run; their angles are compared at all times.
 (As motions with jumps are compared: Goebel, Sanfelice, Teel, "Hybrid Dynamical Systems", 2012,
@@ -14,6 +17,7 @@ at times more than A (s) away from an impact of either run; their angles are com
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -37,6 +41,8 @@ SAMPLES = 200  # times at which runs are compared, besides those of the steps
 MARGIN = 4.0 / 3.0  # by which the tighter run may err as well
 CUTS = 4  # times of each step
 MOST = 4_000_000  # numbers in the states of a run that are kept
+ROUNDING = 0.125 * float(np.finfo(float).eps)  # part of a way, a step
+DIGITS = 1e-11  # of a state: runs that agree to it have forgotten nothing
 TIGHTER = 100.0  # factor between the tolerances of two runs
 
 Task = tuple[Mechanism, Array, float, Actuation]  # what runs, its start, t_end and torques
@@ -94,7 +100,7 @@ def settings_for(
         return settings_for(mechanism, state, t_end, actuation, others, accuracy)
     if before is None:  # the run itself tells why
         return loose, np.nan
-    best = np.inf
+    best, rounded = np.inf, 0.0
     while (tight := tighter(loose, longest)) is not None:
         after = run_beside(before, of, tight)
         if after is None:
@@ -102,13 +108,24 @@ def settings_for(
         estimate = difference(before, after)
         if estimate <= accuracy:
             return tight, estimate
-        best = min(best, estimate)
+        if estimate < best:
+            best, rounded = estimate, after.rounding
         loose, before = tight, after
+    if chooses and settings.method == "taylor" and rounded > 0.5 * best:  # other steps are longer
+        others = replace(settings, method="DOP853")
+        with suppress(AccuracyError):
+            return settings_for(mechanism, state, t_end, actuation, others, accuracy)
     limit = "is not kept at the tightest tolerances"
     if tight is not None:
         limit = f"is not kept, and a run of rtol {tight.rtol:g} does not finish"
-    if np.isfinite(best):
-        limit += f"; runs differ by {best:.2g}: this motion forgets its start"
+    if rounded > 0.5 * best:
+        limit += f"; rounding of its steps alone makes {rounded:.2g}"
+    elif np.isfinite(best):
+        size = float(np.abs(before.y).max(initial=0.0))
+        why = "this motion forgets its start"
+        if best < DIGITS * size:
+            why = f"its states are up to {size:.2g}, of which doubles keep 16 digits"
+        limit += f"; runs differ by {best:.2g}: {why}"
     limit += "; ask for less, or for a shorter time"
     raise AccuracyError("accuracy", where=mechanism.source, value=f"{accuracy:g}", limit=limit)
 
@@ -142,7 +159,8 @@ class Sampled(NamedTuple):
     """States y (T, 2n) of a run at times t (T,), and how the run ended.
 
     `missed` is the work that its steps missed, over the energy in motion.  `apart` (T,) is the time
-    between each state and the nearest hard impact, s.
+    between each state and the nearest hard impact, s.  `rounding` estimates what rounding of its
+    steps adds up to, rad.
     """
 
     t: Array
@@ -150,6 +168,7 @@ class Sampled(NamedTuple):
     outcome: Outcome
     missed: float
     apart: Array
+    rounding: float
 
 
 class _Samples:
@@ -213,7 +232,10 @@ def run_beside(first: Sampled, of: Task, settings: Settings) -> Sampled | None:
 def _sampled(of: Task, t: Array, y: Array, outcome: Outcome, record: Record) -> Sampled:
     """Return states of a run, with the times of its impacts and the work that it missed."""
     hits = [event.t for event in record.contacts if HARD in of[0].contacts]
-    return Sampled(t, y, outcome, record.settle().work_missed, apart(t, np.array(hits)))
+    report, n = record.settle(), of[0].n
+    way = np.abs(y[:, :n]) + np.abs(y[:, n : 2 * n] * t[:, None])
+    rounding = report.steps * ROUNDING * float(way.max(initial=0.0))
+    return Sampled(t, y, outcome, report.work_missed, apart(t, np.array(hits)), rounding)
 
 
 def apart(times: Array, hits: Array) -> Array:
@@ -226,9 +248,10 @@ def apart(times: Array, hits: Array) -> Array:
 
 
 def difference(first: Sampled, second: Sampled) -> float:
-    """Estimate the error of the first run, including the work that both runs missed."""
+    """Estimate the error of the first run, with the work that both missed, and their rounding."""
     n = first.y.shape[1] // 2
     off = np.abs(first.y - second.y)
     near = np.minimum(first.apart, second.apart)
     rates = np.minimum(off[:, n:].max(axis=1, initial=0.0), near)
-    return float(max(off[:, :n].max(initial=0.0), rates.max(initial=0.0), second.missed))
+    seen = max(off[:, :n].max(initial=0.0), rates.max(initial=0.0), second.missed)
+    return float(seen + max(first.rounding, second.rounding))
