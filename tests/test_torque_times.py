@@ -81,6 +81,7 @@ def bell(text=BELL):
         ("1 if t < 10 else 2", ()),
         ("1 if q1 > 0 else t", ()),
         ("abs(q1*t)", ()),
+        ("min(0.1*t + 0.2*t, 0.3*t)", ()),  # which differ by rounding alone
         ("-0.5*qd1", ()),
     ],
 )

@@ -91,7 +91,7 @@ def event_function(
     checked only.  Raises InputError that names `where` if the text is neither.
     """
     (tree, *cuts), way, strict = _read(mechanism, text, where)
-    own, *parts = (_part(node, mechanism.n, columns) for node in (tree, *cuts))
+    own, *parts = (part_of(node, mechanism.n, columns) for node in (tree, *cuts))
     return EventFunction(
         own.values,
         own.noise,
@@ -308,8 +308,8 @@ def _variable(name: str, t: Array, y: Array, n: int, columns: StateColumns | Non
     return np.asarray(y[..., _place(name, n)])
 
 
-def _part(tree: Node, n: int, columns: StateColumns | None) -> Part:
-    """Return the part of an event that an expression is, for a mechanism of n joints."""
+def part_of(tree: Node, n: int, columns: StateColumns | None = None) -> Part:
+    """Return an expression as a part of an event, for a mechanism of n joints."""
 
     def noise(t: Array, y: Array, large: Array) -> Array:
         off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)

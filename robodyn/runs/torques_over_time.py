@@ -33,7 +33,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import Held, switch
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.runs.event_functions import WAYS, switches_of, values_of
+from robodyn.runs.event_functions import WAYS, part_of, switches_of, values_of
 from robodyn.runs.roots import DEGREE, DERIVATIVE, brackets, evaluated
 from robodyn.scene.expressions import BENDS, SCOPE, changed, code_of, fold, names_of
 from robodyn.scene.scene import Curve, Law, Table, signal_place
@@ -60,6 +60,7 @@ MOST = 0.3  # of a piece
 WITHIN = 0.4372  # of a piece, where switches are seen
 SEEN = np.concatenate([[0.003, 0.01, 0.03], np.linspace(0.05, 1.0, 39)])  # of such a stretch
 USUAL = np.linspace(0.02, 0.98, 49)  # of a piece, where it is seen how large a torque is
+SPREAD = np.arange(1.0, 50.0) * 0.5 * (math.sqrt(5.0) - 1.0) % 1.0  # of a run, in no pattern
 LOST = 1e-15  # part of a usual torque times the run that a constant may miss
 
 _k = np.arange(DEGREE + 1)
@@ -311,8 +312,13 @@ def _prepared(
         return lambda t: values(t, np.broadcast_to(y, (len(t), 2 * n)))
 
     edges, points = np.array([min(0.0, t_end), max(0.0, t_end)]), np.zeros(0)
+    spread = edges[0] + np.ptp(edges) * SPREAD
+    states = np.broadcast_to(y, (1, len(spread), 2 * n))
     for part, switch_of in parts.sought.items():
-        decides = switch_of is not None
+        decides, own = switch_of is not None, part_of(part, n)
+        off = own.noise(spread[None], states, np.abs(y)[None])
+        if (np.abs(own.values(spread, states[0])) <= off).all():
+            continue  # what is zero but for rounding, as the difference of 0.1 t + 0.2 t and 0.3 t
         whole = function(switch_of) if switch_of is not None and switch_of[0] == "floor" else None
         turns = turns_of(function(part), edges, _inside(points, edges), whole)
         if turns is None and decides:
