@@ -206,6 +206,16 @@ def test_until_at_the_start_and_never(made: Any, how: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("how", METHODS, ids=NAMES)
+def test_what_holds_from_the_end_of_the_run_on(made: Any, how: dict[str, Any]) -> None:
+    mechanism = made(BLOCK)
+    for until, end in (("t >= 1", 1.0), ("floor(t) >= 1", 1.0), ("-1 >= t", -1.0)):
+        motion = simulate(mechanism, [0.0], [1.0], end, until=until, **how)
+        assert motion.outcome is Outcome.EVENT, until
+        assert times(motion, "until") == [end]
+    assert simulate(mechanism, [0.0], [1.0], 1.0, until="t > 1", **how).outcome is Outcome.FINISHED
+
+
+@pytest.mark.parametrize("how", METHODS, ids=NAMES)
 @pytest.mark.parametrize("stabilize", ["projection", "none"])
 @pytest.mark.thinned
 def test_limit_positions_of_a_four_bar(how: dict[str, Any], stabilize: str) -> None:

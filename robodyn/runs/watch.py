@@ -324,7 +324,13 @@ class EventWatch:
             sure = stretches.sure[ends[signed[:-1][turns]]], stretches.sure[which[after]]
             _, _, t[after] = brackets(_along(function, segment), met, *sure, begin[after])
         columns = begin, end, kind, sign, t, stretches.blur[which]
-        return [Change(*row) for row in np.transpose(columns).tolist()]
+        changes = [Change(*row) for row in np.transpose(columns).tolist()]
+        if segment.end == self.t_end and function.way and not function.strict:
+            (last,) = function.values(segment.t[-1:], segment.at(segment.t[-1:]))
+            if last == 0.0:  # it holds at the end of the run, and nothing follows
+                way = float(function.way)
+                changes.append(Change(segment.end, segment.end, way, way, segment.end))
+        return changes
 
 
 def signs_along(
