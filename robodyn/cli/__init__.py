@@ -350,6 +350,9 @@ def _command(arguments: list[str], whole: bool) -> Any:
     return group
 
 
+LARGEST = 2.0**53  # whole number of an option: doubles tell larger ones no more apart
+
+
 def _number(kind: type, unit: str, value: Any) -> float:
     """Parse the number of an option, which may be arithmetic with units; BadParameter if none."""
     if not isinstance(value, str):
@@ -366,8 +369,10 @@ def _number(kind: type, unit: str, value: Any) -> float:
         raise typer.BadParameter(f"{value!r} {error}{end}") from None
     if kind is float:
         return number
-    if not (number.is_integer() and abs(number) < 2.0**53):
+    if not number.is_integer():
         raise typer.BadParameter(f"{value!r} is {number:.6g}, no whole number.")
+    if abs(number) > LARGEST:
+        raise typer.BadParameter(f"{value!r} is {number:.6g}, above {LARGEST:.6g}.")
     return int(number)
 
 
