@@ -20,7 +20,7 @@ from robodyn.equations.written import equations
 from robodyn.mechanics.mechanism import Mechanism
 
 TAKEN = re.compile(
-    r"[HTFBY]\d+[xy]?|c\d+[xy]"
+    r"[HTFBY]\d+[xy]?|[cz]\d+[xy]"
 )  # laws that vary: what their names stand for is as given
 NAMED = re.compile(  # what is left of an equal sign, but for the first side of a closure
     r"(omega|vC|vP|v|KE|PEs|PEl|PE|rF|tau|Q|D_qd|f|lambda|[bcu]|gap|Psidot_qd|d/dt gap|dL/dqd?"
@@ -149,9 +149,10 @@ class Oracle:
     def acting_at(self, load):
         """Where a load acts on the ground; what varies along its link by its name."""
         at, i = load.point.at, self.scene.loads.index(load) + 1
-        for axis, law, way in zip("xy", load.moving, (1, 1j), strict=True):
+        still = at.real, at.imag
+        for axis, law, way, beside in zip("xy", load.moving, (1, 1j), still, strict=True):
             if law is not None:
-                at += self.values[f"c{i}{axis}"] * way * load.turn
+                at += self.values[f"{'z' if beside else 'c'}{i}{axis}"] * way * load.turn
         return self.place(load.point.link, at)
 
     def angle_moves(self, k) -> bool:

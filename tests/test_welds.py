@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import cmath
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import FIRST_SEED, FRESH
+from read_equations import evaluated, module
 from scipy.integrate import solve_ivp
 
 import robodyn as api
@@ -110,6 +112,35 @@ closures:
   - {point: push rod, on: {through: [0, -0.1], along: [1, 0]}}
 actuated: [crank]
 """
+
+
+def test_code_of_a_chain_beyond_a_weld_is_that_of_its_terms() -> None:
+    """Sums along the tree take places as the weld turns them."""
+    link = "m: 1, l: 1, r: 0.5, I: 0.1"
+    weld = "{name: w, m: 0, l: 0.5, r: 0, I: 0, joint: fixed, angle: 40deg, from: a}"
+    beyond = "".join(f"  - {{name: {name}, {link}}}\n" for name in "bcde")
+    mech = mechanism(f"gravity: 9.81\nlinks:\n  - {{name: a, {link}}}\n  - {weld}\n{beyond}")
+    code, (q, qd, qdd) = module(mech), np.random.default_rng(1).uniform(-1.0, 1.0, (3, mech.n))
+    M, C, G = (np.array(code[name](*at)) for name, at in (("M", [q]), ("C", [q, qd]), ("G", [q])))
+    found = code["inverse_dynamics"](q, qd, qdd)
+    np.testing.assert_allclose(found, M @ qdd + C @ qd + G, atol=1e-12)
+    np.testing.assert_allclose(found, api.inverse_dynamics(mech, q, qd, qdd), atol=1e-12)
+
+
+def test_a_place_that_varies_on_a_weld_has_a_name_of_its_own(robodyn, tmp_path: Path) -> None:
+    """The weld's own place is c1x: Q = -F y of the point."""
+    weld = "joint: fixed, from: {link: a, at: [0.7, -0.3]}, angle: 30deg, m: 0, l: 1, r: 0, I: 0"
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        f"links:\n  - {{name: a, m: 1, l: 1, r: 0.5, I: 0.1}}\n  - {{name: w, {weld}}}\n"
+        'loads:\n  - {link: w, at: ["0.2 m + 0.1 m sin(q1)", 0], force: [5, 0]}\n'
+    )
+    along = 0.2 + 0.1 * math.sin(0.4)
+    place = cmath.rect(1.0, 0.4) * (0.7 - 0.3j + along * cmath.rect(1.0, math.pi / 6.0))
+    for more in ((), ("--numeric",)):
+        content = json.loads(robodyn("equations", scene, "--format", "json", *more).out)
+        (Q,) = evaluated(content, np.array([0.4]), np.zeros(1))["Q"].ravel()
+        assert pytest.approx(-5.0 * place.imag, rel=1e-12) == Q
 
 
 def test_a_bell_crank_is_one_ternary_link() -> None:

@@ -97,6 +97,16 @@ class Force(Element):
         return self.varying != (None, None)
 
     @property
+    def places(self) -> list[Name]:
+        """The names of varying coordinates: z, not c, where the point itself has one there.
+
+        It has one on a weld away from its link's joint.
+        """
+        still = self.point.at.real, self.point.at.imag
+        each = zip(PLACES, still, strict=True)
+        return [name._replace(letter="z") if beside else name for name, beside in each]
+
+    @property
     def moves(self) -> bool:
         """Whether its place along the link varies."""
         return self.moving != (None, None)
@@ -176,7 +186,7 @@ class Force(Element):
         if self.moves:
             unit, across = tree.turned(link, self.turn), []
             E = b.direction(link)
-            each_place = zip((1j * unit, -unit), self.moving, PLACES, strict=True)
+            each_place = zip((1j * unit, -unit), self.moving, self.places, strict=True)
             for unit, signal, name in each_place:  # of i z E
                 if signal is not None:
                     slot = b.signal(signal, name)

@@ -796,7 +796,8 @@ class Derivation:
                     at = planar(load.point.at)
                     for k, axis in enumerate("xy"):  # along the link, by a name
                         if load.moving[k] is not None:
-                            c = of(Atom(Role.stretch, (i, axis), f"c{i + 1}{axis}"))
+                            letter = load.places[k].letter
+                            c = of(Atom(Role.stretch, (i, axis), f"{letter}{i + 1}{axis}"))
                             way = Planar(ZERO, c) if k else Planar(c, ZERO)
                             at = at + planar(load.turn) * way
                     where = self.components(self._place_on(load.point.link, at), 1)

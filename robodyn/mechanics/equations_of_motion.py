@@ -228,13 +228,15 @@ class EquationsOfMotion(Builder):
     def _chain(self) -> None:
         """Write the sums over A in O(links).
 
-        A_jk = conj(p_jk) B_k, with p_jk the point where the path leaves link j.  So links above k
-        act through the acceleration h_k of its joint, less gravity, and links below through sums
-        s_c of B P.
+        A_jk = conj(p_jk) B_k, with p_jk the point where the path leaves link j, turned by welds as
+        the link's frame is.  So links above k act through the acceleration h_k of its joint, less
+        gravity, and links below through sums s_c of B P.
         """
         program, mechanism = self.program, self.mechanism
         B = [program.planar_number(b) for b in mechanism.B]
-        at = [program.planar_number(x.hangs_from.at) for x in mechanism.description.links]
+        hung = (link.hangs_from for link in mechanism.description.links)
+        places = (p.at if p.link is None else mechanism.tree.turned(p.link, p.at) for p in hung)
+        at = [program.planar_number(place) for place in places]
         h: list[Slot] = [-1] * mechanism.n
         for k in mechanism.order:
             above, (re, im) = mechanism.parent[k], B[k]
