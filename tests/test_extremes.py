@@ -110,7 +110,9 @@ def test_of_random_tables(robodyn: Run, command: str, seed: int, count: int) -> 
 def test_as_json_and_as_a_table(robodyn: Run, tmp_path: Path) -> None:
     given = table(5, 30)
     rows = robodyn("torque", ARM, "-", stdin=given).rows
-    as_json = told_of(robodyn, "torque", ARM, "-", stdin=given, format="json").json
+    told = told_of(robodyn, "torque", ARM, "-", stdin=given, format="json")
+    assert "column gap is left out: it has numbers, and open in row 29" in told.err
+    as_json = json.loads(told.out)
     assert isinstance(as_json, list)
     assert_tells(as_json, rows)
     seen = told_of(robodyn, "torque", ARM, "-", stdin=given, format="table", model=ARM).out
@@ -206,6 +208,18 @@ def test_a_text_is_no_value_of_a_computed_column() -> None:
         ["error", "1.0", "", "", "2.0", "", "", "1.5", repr(math.sqrt(2.5))],
         ["none", *[""] * 8],
     ]
+
+
+def test_a_word_below_numbers_is_told(robodyn: Run) -> None:
+    """A column of words is none of numbers, and needs no note."""
+    lines = [
+        "t,x,y",
+        *(f"{k},{'abc' if k == 700 else k},{'' if k else 'words'}" for k in range(900)),
+    ]
+    found = robodyn("summary", stdin="\n".join(lines) + "\n")
+    assert found.err == "Note: column x is left out: it has numbers, and abc in row 701\n"
+    assert found.code == 0
+    assert [line.split(",")[0] for line in found.out.splitlines()] == ["column"]
 
 
 def test_where_there_is_no_t_fields_are_empty(robodyn: Run) -> None:

@@ -206,6 +206,9 @@ def test_rows_pass_through(robodyn: Run) -> None:
 
 
 def test_base_and_condition_are_told(robodyn: Run, tmp_path) -> None:
+    refused = robodyn("regressor", "robots/2r.yaml", "--base", "--format", "csv")
+    assert refused.code == 2
+    assert "--format = csv: must be table or json" in refused.err
     told = json.loads(robodyn("regressor", "robots/2r.yaml", "--base").out)["base"]
     assert told[0]["text"] == "mx1 + l1 m2"
     assert (

@@ -216,7 +216,13 @@ def write_structure(
     content: Mapping[str, object],
     tables: Callable[[], Sequence[Grid]],
 ) -> None:
-    """Write a result with parts: as tables where they are wanted, else its `content` as JSON."""
+    """Write a result with parts: as tables where they are wanted, else its `content` as JSON.
+
+    Raises InputError for CSV.
+    """
+    if format == "csv":
+        limit = "must be table or json: the result has parts, and no rows"
+        raise InputError("--format", value=format, limit=limit)
     as_tables = default_format(format, out) == "table"
     with open_output(out, styled=as_tables) as stream:
         if as_tables:

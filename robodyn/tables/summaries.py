@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from robodyn.tables.arrays import Array
-from robodyn.tables.csv_fields import finite, is_missing, split_fields, unquoted
+from robodyn.tables.csv_fields import finite, is_missing, shown, split_fields, unquoted
 from robodyn.tables.numbers import read
 from robodyn.tables.table_writer import Writer
 
@@ -39,6 +39,8 @@ class SummaryWriter(Writer):
         self._make, self._width = make, len(input_header)
         self._passing = [k for k in range(self._width) if k not in self._places]
         self._worded: set[int] = set()  # computed columns with a text
+        self._count_of_rows, self._numbered = 0, set[int]()  # columns that have had a number
+        self.mixed: dict[str, str] = {}  # columns with a word below numbers: the word, and its row
 
     @abstractmethod
     def tell(self) -> tuple[Sequence[str], Rows]:
@@ -62,8 +64,25 @@ class SummaryWriter(Writer):
         rows[:, self._places] = values
         passed, numeric = self._numbers(lines)
         rows[:, self._passing] = passed
+        self._look_for_words(lines, passed, numeric)
         self._passing = [k for k, good in zip(self._passing, numeric, strict=True) if good]
         self.write_columns(rows)
+
+    def _look_for_words(self, lines: Sequence[str], passed: Array, numeric: list[bool]) -> None:
+        """Keep the first word in each column if numbers stand above it."""
+        for k, column, good in zip(self._passing, passed.T, numeric, strict=True):
+            row = len(lines)
+            if not good:
+                texts = [unquoted(split_fields(line)[k]) for line in lines]
+                row = next(
+                    i for i, x in enumerate(texts) if finite(x) is None and not is_missing(x)
+                )
+            if not np.isnan(column[:row]).all():
+                self._numbered.add(k)
+            if not good and k in self._numbered:
+                place = f"row {self._count_of_rows + row + 1}"
+                self.mixed[self._header[k]] = f"{shown(texts[row])} in {place}"
+        self._count_of_rows += len(lines)
 
     def write_empty(self, line: str) -> None:
         self.write_rows([line], np.full((1, len(self._places)), np.nan))
@@ -188,6 +207,8 @@ class Extremes(SummaryWriter):
         if not over.any() and self._count.max(initial=0) > 1:
             why = "there is no column t of numbers" if t is None else "t does not rise"
             self.note(f"Note: {why}: rows count equally in mean and rms")
+        for name, word in self.mixed.items():
+            self.note(f"Note: column {shown(name)} is left out: it has numbers, and {word}")
         for name in sorted(self._header, key=self.rank):
             if name == "t" or (k := self.numeric(name)) is None:
                 continue
