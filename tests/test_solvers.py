@@ -357,7 +357,7 @@ class TestJumps:
             between = solver.t_old + (solver.t - solver.t_old) * np.array([0.3, 0.8, 1.0])
             rows.extend(zip(between, solver.dense_output()(between).T, strict=True))
 
-        options = {"kinks": self.KINKS, "told": control, "look": look}
+        options = {"kinks": self.KINKS, "listener": control, "look": look}
         if project:
             options["projection"] = onto_circle
         _, _, solution = integrate(method, control.rates, 2.4, exact(0.0), **options)
@@ -372,7 +372,7 @@ class TestJumps:
     @pytest.mark.parametrize("method", EXPLICIT)
     def test_no_step_is_tried_in_vain(self, method):
         control = self.Turned()
-        options = {"kinks": self.KINKS, "told": control}
+        options = {"kinks": self.KINKS, "listener": control}
         _, _, solution = integrate(method, control.rates, 2.4, exact(0.0), **options)
         _, _, known = integrate(method, oscillator, 2.4, exact(0.0), kinks=self.KINKS)
         assert solution.nfev <= 1.06 * known.nfev + 2 * len(self.KINKS)
@@ -385,7 +385,7 @@ class TestJumps:
             calls.append(t)
             return control.rates(t, y)
 
-        options = {"kinks": self.KINKS, "told": control}
+        options = {"kinks": self.KINKS, "listener": control}
         _, _, solution = integrate(method, rates, 2.4, exact(0.0), **options)
         assert solution.nfev <= len(calls) <= 1.6 * solution.nfev
         assert solution.nfev >= len([t for t in calls if t > 2.0])
