@@ -220,6 +220,9 @@ def test_a_word_below_numbers_is_told(robodyn: Run) -> None:
     assert found.err == "Note: column x is left out: it has numbers, and abc in row 701\n"
     assert found.code == 0
     assert [line.split(",")[0] for line in found.out.splitlines()] == ["column"]
+    text = "t,x,z\n" + "".join(f"{k},{'abc' if k == 700 else k},{-k}\n" for k in range(900))
+    ranks = robodyn("summary", "--correlations", "t", stdin=text)
+    assert (ranks.err, ranks.out.splitlines()[1:]) == (found.err, ["z,-1.0"])
 
 
 def test_where_there_is_no_t_fields_are_empty(robodyn: Run) -> None:

@@ -69,6 +69,7 @@ def bell(text=BELL):
         ("1 if (t>1)*(t<2) else q1 if t<7 else 0", (1.0, 2.0, 7.0)),
         ("20 if abs(t-5)<1e-9 else 0", (4.999999999, 5.0, 5.000000001)),
         ("20 if exp(-((t-5)/1e-7)**2) > 0.5 else 0", None),
+        ("20 if exp(-((t-5)/1e-3)**2) > 0 else 0", None),  # which is 0 but for 55 ms
         ("q1*sign(t-3)", (3.0,)),
         ("floor(t/4)", (4.0, 8.0)),
         ("t % 2.5", (2.5, 5.0, 7.5)),

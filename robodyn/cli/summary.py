@@ -89,9 +89,10 @@ def summary(
             writer: SummaryWriter
             if kept is None:
                 writer = Extremes(make, [], header)
-                writer.note, writer.rank = note, _rank
+                writer.rank = _rank
             else:
                 writer = KeptRows(make, [], header, of=kept)
+            writer.note = note
             count = 0
             for chunk in reader.chunks([]):
                 count += len(chunk.lines)

@@ -313,13 +313,14 @@ def _prepared(
 
     edges, points = np.array([min(0.0, t_end), max(0.0, t_end)]), np.zeros(0)
     spread = edges[0] + np.ptp(edges) * SPREAD
-    states = np.broadcast_to(y, (1, len(spread), 2 * n))
     for part, switch_of in parts.sought.items():
         decides, own = switch_of is not None, part_of(part, n)
-        off = own.noise(spread[None], states, np.abs(y)[None])
-        if (np.abs(own.values(spread, states[0])) <= off).all():
-            continue  # what is zero but for rounding, as the difference of 0.1 t + 0.2 t and 0.3 t
         whole = function(switch_of) if switch_of is not None and switch_of[0] == "floor" else None
+        t = np.concatenate([spread, points])  # and where narrow features are
+        at = np.broadcast_to(y, (len(t), 2 * n))
+        off = own.noise(t[None], at[None], np.abs(y)[None])
+        if whole is None and off.any() and (np.abs(own.values(t, at)) <= off).all():
+            continue  # what is zero but for rounding, as the difference of 0.1 t + 0.2 t and 0.3 t
         turns = turns_of(function(part), edges, _inside(points, edges), whole)
         if turns is None and decides:
             limit = f"switches too often, over some 20,000 times from 0 to {t_end:g} s"

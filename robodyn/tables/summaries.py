@@ -28,6 +28,7 @@ class SummaryWriter(Writer):
     """
 
     needs_rows = True
+    note: Callable[[str], object] = staticmethod(lambda text: None)
 
     def __init__(
         self,
@@ -40,7 +41,7 @@ class SummaryWriter(Writer):
         self._passing = [k for k in range(self._width) if k not in self._places]
         self._worded: set[int] = set()  # computed columns with a text
         self._count_of_rows, self._numbered = 0, set[int]()  # columns that have had a number
-        self.mixed: dict[str, str] = {}  # columns with a word below numbers: the word, and its row
+        self._mixed: dict[str, str] = {}  # columns with a word below numbers: the word, and its row
 
     @abstractmethod
     def tell(self) -> tuple[Sequence[str], Rows]:
@@ -81,13 +82,15 @@ class SummaryWriter(Writer):
                 self._numbered.add(k)
             if not good and k in self._numbered:
                 place = f"row {self._count_of_rows + row + 1}"
-                self.mixed[self._header[k]] = f"{shown(texts[row])} in {place}"
+                self._mixed[self._header[k]] = f"{shown(texts[row])} in {place}"
         self._count_of_rows += len(lines)
 
     def write_empty(self, line: str) -> None:
         self.write_rows([line], np.full((1, len(self._places)), np.nan))
 
     def close(self) -> None:
+        for column, word in self._mixed.items():
+            self.note(f"Note: column {shown(column)} is left out: it has numbers, and {word}")
         columns, rows = self.tell()
         writer = self._make(columns)
         for name, *values in rows:
@@ -140,6 +143,7 @@ class KeptRows(SummaryWriter):
 
     def tell(self) -> tuple[Sequence[str], Rows]:
         rows = np.concatenate(self._kept)
+        rows[:, [k for k, name in enumerate(self._header) if self.numeric(name) is None]] = np.nan
         return self._of(self._header, rows, rows[:, self._places])
 
 
@@ -151,7 +155,6 @@ class Extremes(SummaryWriter):
     equal values the first is given.
     """
 
-    note: Callable[[str], object] = staticmethod(lambda text: None)
     rank: Callable[[str], int] = staticmethod(lambda name: 0)  # of columns, by which they are told
 
     def _begin(self) -> None:
@@ -207,8 +210,6 @@ class Extremes(SummaryWriter):
         if not over.any() and self._count.max(initial=0) > 1:
             why = "there is no column t of numbers" if t is None else "t does not rise"
             self.note(f"Note: {why}: rows count equally in mean and rms")
-        for name, word in self.mixed.items():
-            self.note(f"Note: column {shown(name)} is left out: it has numbers, and {word}")
         for name in sorted(self._header, key=self.rank):
             if name == "t" or (k := self.numeric(name)) is None:
                 continue
