@@ -98,9 +98,9 @@ class Force(Element):
 
     @property
     def places(self) -> list[Name]:
-        """The names of varying coordinates: z, not c, where the point itself has one there.
+        """Names of the coordinates that vary: z1x if c1x names the point that they begin at.
 
-        It has one on a weld away from its link's joint.
+        The point has coordinates on a weld away from its link's joint.
         """
         still = self.point.at.real, self.point.at.imag
         each = zip(PLACES, still, strict=True)

@@ -134,7 +134,7 @@ def turns_of(
 
     A function that becomes zero, or undefined, changes its sign.  The first result (m,) is the
     float beside a change at which the function is smaller, the second (2m,) are both its sides.
-    Changes of `whole` without one of the sign belong to them: what jumps over two whole numbers.
+    With `whole`, a floor, its changes count too if the sign stays: jumps over two whole numbers.
     None if the function changes too fast.
     """
     leaves, _, _ = leaves_of([f], edges, points, most=FOLLOWED + len(edges) // 2)
